@@ -46,6 +46,7 @@ VERBS = {
     "eval": "Play a policy for exactly N episodes; print results with confidence intervals.",
     "play": "Show a trained policy in a window.",
     "compare": "Put trainings side by side: a table, and curves with intervals over seeds.",
+    "report": "Write one HTML page about a run: results, film, curves, config, how to repeat it.",
     "export": "Write a log in another format, or a policy as one ONNX or TorchScript file.",
     "replay": "Print what a log contains; with --verify simulate it again and compare every bit.",
     "view": "Print how to open a log in Foxglove or Lichtblick; open it, or play it to them.",

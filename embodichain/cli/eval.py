@@ -23,7 +23,15 @@ if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
     from embodichain.learning.episode_statistics import EpisodeStatistics
 
-__all__ = ["Asked", "brief_rows", "command", "evaluate_job", "evaluation_config", "objective_of"]
+__all__ = [
+    "Asked",
+    "brief_rows",
+    "command",
+    "evaluate_job",
+    "evaluation_config",
+    "objective_of",
+    "result_rows",
+]
 
 EVAL_FILE = "eval.json"
 _EPISODES = "100"
@@ -97,7 +105,8 @@ def _evaluate(job: Job, asked: Asked) -> float | None:
     if job.root.json:
         print_json(result)
     elif not job.quiet:
-        _print(result)
+        interval = f"{result['confidence']:.0%} intervals"
+        print_facts(f"{result['task']}  ([low, high]: {interval})", result_rows(result))
     return objective_of(result)
 
 
@@ -178,8 +187,8 @@ def _facts(counted: EpisodeStatistics) -> dict[str, str]:
     return facts
 
 
-def _print(result: Mapping[str, Any]) -> None:
-    """Print the content of `eval.json` as a table."""
+def result_rows(result: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return the table of an evaluation, from the content of its `eval.json`."""
     mode = "deterministic" if result["deterministic"] else "actions drawn"
     rows: list[tuple[str, Any]] = [
         ("policy", f"{result['policy']} ({mode})"),
@@ -192,9 +201,7 @@ def _print(result: Mapping[str, Any]) -> None:
     rows += [(f"metric {name}", value) for name, value in result["metrics"].items()]
     rows += [(name, f"{result[name]} episodes") for name in ("terminated", "diverged")]
     names = ("seed", "log", "video", "folder")
-    rows += [(name, result[name]) for name in names if result.get(name) is not None]
-    title = f"{result['task']}  ([low, high]: {result['confidence']:.0%} intervals)"
-    print_facts(title, rows)
+    return rows + [(name, result[name]) for name in names if result.get(name) is not None]
 
 
 def brief_rows(result: Mapping[str, Any]) -> list[tuple[str, Any]]:

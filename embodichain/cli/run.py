@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from embodichain.cli.jobs import Job, policy_of, start
 from embodichain.cli.output import number, print_facts, print_json, to_json
 from embodichain.cli.process import started
 from embodichain.cli.reporting import ProgressDisplay
+from embodichain.config.run_folder import SUMMARY
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
 from embodichain.utils.atomic import write_text
 
@@ -23,9 +25,8 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
 
-__all__ = ["SUMMARY_FILE", "command", "run_job"]
+__all__ = ["command", "run_job", "summary_rows"]
 
-SUMMARY_FILE = "summary.json"
 _PICTURE_SIZE = (1280, 960)
 _log = logging.getLogger(__name__)
 
@@ -64,7 +65,7 @@ def run_job(job: Job) -> float | None:
         try:
             _write_summary(job.folder, {**facts, "status": "failed", "error": repr(error)})
         except OSError as second:  # a full disk fails here too; the first error is reported
-            _log.error("%s could not be written: %s", SUMMARY_FILE, second)
+            _log.error("%s could not be written: %s", SUMMARY, second)
         raise
     if log is not None:
         facts |= {"log": str(log), "log_bytes": log.stat().st_size}
@@ -75,7 +76,7 @@ def run_job(job: Job) -> float | None:
     if root.json:
         print_json(summary)
     elif not root.quiet:
-        _print_summary(summary)
+        print_facts(str(summary["task"]), summary_rows(summary))
     return summary["return"]["mean"] if summary["return"] is not None else None
 
 
@@ -180,11 +181,11 @@ def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float | None]:
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    write_text(folder / SUMMARY_FILE, to_json(summary, indent=2) + "\n")
+    write_text(folder / SUMMARY, to_json(summary, indent=2) + "\n")
 
 
-def _print_summary(summary: dict[str, Any]) -> None:
-    """Print the summary as a table."""
+def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return the table that a run prints, from the content of its `summary.json`."""
     ends = {
         "finished": "every environment had its episodes",
         "max_steps": "max_steps reached",
@@ -208,8 +209,7 @@ def _print_summary(summary: dict[str, Any]) -> None:
     if summary["diverged"]:
         rows.append(("diverged", f"{summary['diverged']} episodes"))
     names = ("seed", "log", "video", "folder")
-    rows += [(name, summary[name]) for name in names if summary.get(name) is not None]
-    print_facts(str(summary["task"]), rows)
+    return [*rows, *((name, summary[name]) for name in names if summary.get(name) is not None)]
 
 
 def _mean_spread(spread: dict[str, float] | None) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
     from embodichain.learning.episodes import TrainStatistics
 
-__all__ = ["command", "train_job"]
+__all__ = ["command", "summary_rows", "train_job"]
 
 MAY_CHANGE = (
     *("total_timesteps", "checkpoint", "eval", "record", "video", "sim", "output_dir"),
@@ -76,7 +76,8 @@ def train_job(job: Job) -> float | None:
     if job.root.json:
         print_json(summary)
     elif not job.root.quiet:
-        _print(summary)
+        rows = [*summary_rows(summary), ("folder", summary["folder"])]
+        print_facts(str(summary["task"]), rows)
     objective: float | None = summary["objective"]
     return objective
 
@@ -120,17 +121,15 @@ def _evaluate(job: Job, evaluated: Resolved, asked: Asked) -> dict[str, Any]:
     return add_evaluation(job.folder, found) | job.film(found["log"])
 
 
-def _print(summary: dict[str, Any]) -> None:
-    """Print the summary as a table."""
+def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return the table that a training prints, from the content of its `summary.json`."""
     shares = [f"{name} {share:.0%}" for name, share in summary["time_fractions"].items()]
     rows = [
         (key.replace("_", " "), shares if key == "time_fractions" else value)
         for key, value in summary.items()
         if key not in ("task", "eval", "folder")
     ]
-    if summary["eval"] is not None:
-        rows += brief_rows(summary["eval"])
-    print_facts(str(summary["task"]), [*rows, ("folder", summary["folder"])])
+    return rows + (brief_rows(summary["eval"]) if summary.get("eval") is not None else [])
 
 
 def _resumed(overrides: Sequence[str]) -> Resolved:

@@ -18,7 +18,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["notes_on_file", "resolve_file", "validate_file"]
 
-_GROUPS = ("task", "sim", "record", "viewer", "algo", "experiment")
+_GROUPS = ("task", "scene", "sim", "record", "viewer", "algo", "experiment")
 _ANY_TASK = "task=random_reach"
 
 
@@ -87,7 +87,8 @@ def _composed_option(file: Path, verb: Verb) -> Composed:
     group, verb = file.parent.name, _verb_of(file, verb)
     if group in _GROUPS:
         task = [] if group == "task" else [_ANY_TASK]
-        return compose([*task, f"{group}={file.stem}"], verb, file.parent.parent)
+        name = "scene@task.scene" if group == "scene" else group
+        return compose([*task, f"{name}={file.stem}"], verb, file.parent.parent)
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder, "task", file.name).with_suffix(".yaml")
         link.parent.mkdir()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -203,8 +203,14 @@ def _evaluated(folder: Path) -> dict[str, Any] | None:
     return found[max(found)] if found else None
 
 
-def read_curves(path: Path) -> dict[str, Curve]:
-    """Read return, success and length of episodes over steps from a `progress.csv`.
+def read_curves(
+    path: Path, wanted: Callable[[str], bool] = (RETURN, SUCCESS, LENGTH).__contains__
+) -> dict[str, Curve]:
+    """Read curves over environment steps from a `progress.csv`.
+
+    Args:
+        path: The file.
+        wanted: Picks columns by name; by default return, success and length of episodes.
 
     Returns:
         Column -> curve, from rows with both cells filled. Empty without the file.
@@ -218,7 +224,7 @@ def read_curves(path: Path) -> dict[str, Curve]:
         with path.open(newline="", encoding="utf-8") as stream:
             rows = list(csv.DictReader(stream))
         found: dict[str, Curve] = {}
-        for name in (RETURN, SUCCESS, LENGTH):
+        for name in filter(wanted, filter(None, rows[0] if rows else ())):
             cells = [(row.get(STEPS), row.get(name)) for row in rows]
             pairs = [(float(steps), float(value)) for steps, value in cells if steps and value]
             if pairs:

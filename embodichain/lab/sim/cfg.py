@@ -9,12 +9,21 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
 from embodichain.lab.sim.drive_cfg import JointDrivePropertiesCfg
+from embodichain.lab.sim.scene_cfg import (
+    Four,
+    LightCfg,
+    ObjectBaseCfg,
+    Quat,
+    SceneCfg,
+    Vec3,
+    ViewCfg,
+)
 from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg
 from embodichain.lab.sim.urdf_cfg import URDFCfg
 from embodichain.utils.configclass import configclass
@@ -22,12 +31,14 @@ from embodichain.utils.configclass import configclass
 __all__ = [
     "DEFAULT_RENDERER",
     "ArticulationCfg",
+    "Four",
     "GPUMemoryCfg",
     "JointDrivePropertiesCfg",
     "LightCfg",
     "MarkerCfg",
     "ObjectBaseCfg",
     "PhysicsCfg",
+    "Quat",
     "RenderCfg",
     "RigidBodyAttributesCfg",
     "RigidObjectCfg",
@@ -35,12 +46,9 @@ __all__ = [
     "SimulationManagerCfg",
     "SolverCfg",
     "URDFCfg",
+    "Vec3",
     "WindowRecordCfg",
 ]
-
-Vec3 = Annotated[Sequence[float], Field(min_length=3, max_length=3)]
-Four = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
-Quat = Four
 
 DEFAULT_RENDERER = "hybrid"
 
@@ -150,7 +158,18 @@ class SimulationManagerCfg:
     window_env: int = dataclasses.field(default=0, kw_only=True)
     """The environment that the window shows."""
     ground_plane: bool = dataclasses.field(default=True, kw_only=True)
-    """Whether the `default_plane` at z = 0 exists."""
+    """Whether the scene has a ground plane; False overrides `scene.ground`."""
+    scene: SceneCfg = dataclasses.field(default_factory=SceneCfg, kw_only=True)
+    """Overwritten by `EnvCfg.scene`."""
+    views: dict[str, ViewCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Camera views by name; overwritten by `EnvCfg.views`."""
+
+    @property
+    def has_ground(self) -> bool:
+        """Whether the `default_plane` at z = 0 exists."""
+        ground = self.scene.ground
+        wanted = not self.scene.fpath if ground is None else ground.type != "none"
+        return self.ground_plane and wanted
 
     @property
     def prepared_scene(self) -> Any:
@@ -160,22 +179,6 @@ class SimulationManagerCfg:
     @prepared_scene.setter
     def prepared_scene(self, prepared: Any) -> None:
         vars(self)["_prepared_scene"] = prepared
-
-
-@configclass
-class ObjectBaseCfg:
-    """Name and initial pose of anything in a scene."""
-
-    uid: str | None = None
-    init_pos: Vec3 = (0.0, 0.0, 0.0)
-    """Metres, in the environment's own frame."""
-    init_rot: Vec3 = (0.0, 0.0, 0.0)
-    """Euler angles in degrees, intrinsic XYZ (R = Rx Ry Rz)."""
-    init_local_pose: Any = None
-    """A 4x4 matrix; overrides `init_pos` and `init_rot`."""
-    # ours
-    init_quat: Quat | None = dataclasses.field(default=None, kw_only=True)
-    """wxyz; overrides `init_rot`."""
 
 
 @configclass
@@ -339,20 +342,6 @@ class RigidObjectCfg(ObjectBaseCfg):
     # ours
     collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
     """Collision geometry of a mesh: its convex hull, or as many convex parts as needed."""
-
-
-@configclass
-class LightCfg(ObjectBaseCfg):
-    """A light for rendering; physics ignores it."""
-
-    light_type: Literal["point", "sun", "direction", "spot"] = "point"
-    color: Vec3 = (1.0, 1.0, 1.0)
-    """RGB in [0, 1]."""
-    intensity: float = 30.0
-    """Relative brightness; 30 is MuJoCo's full diffuse colour."""
-    direction: Vec3 = (0.0, 0.0, -1.0)
-    radius: float = 1e2
-    """No effect: MuJoCo's lights have no falloff radius."""
 
 
 @configclass

@@ -123,7 +123,8 @@ class PreparedScene:
 
 def _scene_key(parts: SceneParts) -> Any:
     sim, _, *others = parts
-    return _key([sim.physics_dt, sim.physics_config, sim.ground_plane, *others])
+    own = sim.physics_dt, sim.physics_config, sim.has_ground, sim.scene, sim.views
+    return _key([*own, *others])
 
 
 def _stamp(parsed: ParsedArticulation) -> tuple[int, int]:

@@ -141,18 +141,20 @@ class SceneRenderer:
             chosen = self._cameras.index(camera) if isinstance(camera, str) else camera
             self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, chosen
         data = engine.data_of(env_id)
-        # Not `Renderer.update_scene`: the environment has its own colours, lights and cameras.
-        mujoco.mjv_updateScene(
-            data.model,
-            data,
-            self._option,
-            None,
-            self._camera,
-            mujoco.mjtCatBit.mjCAT_ALL.value,
-            self._renderer.scene,
-        )
-        if isinstance(camera, View):
-            camera.aim(self._renderer.scene)
+        # Twice: an endless plane is drawn around the camera of the last update.
+        for _ in range(2):
+            # Not `Renderer.update_scene`: the environment has its own colours, lights and cameras.
+            mujoco.mjv_updateScene(
+                data.model,
+                data,
+                self._option,
+                None,
+                self._camera,
+                mujoco.mjtCatBit.mjCAT_ALL.value,
+                self._renderer.scene,
+            )
+            if isinstance(camera, View):
+                camera.aim(self._renderer.scene)
         picture: np.ndarray[Any, np.dtype[np.uint8]] = self._renderer.render().copy()
         return picture
 

@@ -10,7 +10,7 @@ from embodichain.lab.sim.cfg import ArticulationCfg, SimulationManagerCfg, name_
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
-from embodichain.lab.sim.compiler.scene_sensors import SensorPlan, plan_sensor
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.engine.api import Engine
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
@@ -35,7 +35,7 @@ class Scene:
     (`PreparedScene`). Notes about files are logged as warnings, once.
 
     Args:
-        cfg: Physics options and ground plane.
+        cfg: Physics options, look, views.
 
     Attributes:
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
@@ -61,7 +61,7 @@ class Scene:
     @property
     def uids(self) -> list[str]:
         """Uids of everything in the scene, ``default_plane`` included."""
-        plane = ["default_plane"] if self._cfg.ground_plane else []
+        plane = ["default_plane"] if self._cfg.has_ground else []
         return [*plane, *self.jointed, *self.rigid_objects, *self.lights, *self.sensors]
 
     def claim(self, cfg: Any) -> str:
@@ -102,7 +102,7 @@ class Scene:
             **dict.fromkeys(self.rigid_objects, "rigid object"),
             **dict.fromkeys(self.lights, "light"),
         }
-        plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.ground_plane)
+        plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.has_ground)
         if plan is None:
             raise ConfigError(p.below(uid) for p in problems)
         return plan

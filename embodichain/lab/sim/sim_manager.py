@@ -52,7 +52,11 @@ _instances: dict[int, weakref.ref[SimulationManager]] = {}
 _SENSORS = {
     "contact": "ContactSensor",
     "force_torque": "ForceTorqueSensor",
+    "frame_pose": "FramePoseSensor",
+    "height_scan": "HeightScanSensor",
     "imu": "ImuSensor",
+    "joint_torque": "JointTorqueSensor",
+    "ray": "RaySensor",
     "camera": "Camera",
     "stereo_camera": "StereoCamera",
     "Camera": "Camera",

@@ -22,12 +22,13 @@ from embodichain.lab.gym.envs import restoring, scene_setup
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.env_reads import EnvReads
 from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals, zeroed
-from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks
+from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks, set_extensions
 from embodichain.lab.gym.envs.judging import StateDump, StepJudge, as_mask, none_set, reset_ids
 from embodichain.lab.gym.envs.managers.action_manager import (
     ActionCheck,
     ActionManager,
     action_space,
+    default_actions,
 )
 from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
 from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
@@ -149,7 +150,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         has_space = getattr(self, "single_action_space", None) is not None
         chosen = has_space or self.active_joint_ids or "_step_action" in self.overridden
         if self.drives_robot and not chosen:
-            cfg.actions = scene_setup.default_actions(self.robot)
+            cfg.actions = default_actions(self.robot)
             self.drives_robot = not cfg.actions
         if self.robot is not None and not self.active_joint_ids:
             self.active_joint_ids = list(self.robot.active_joint_ids)
@@ -157,7 +158,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         scene_setup.add_declared_scene(sim, cfg)
         sensors = self._setup_sensors(**kwargs) or {}
         self.sensors = {**scene_setup.add_declared_sensors(sim, cfg), **sensors}
-        scene_setup.set_extensions(self, cfg.extensions)
+        set_extensions(self, cfg.extensions)
         sim.compile()
         scene_setup.open_window(sim, cfg.sim_cfg)
 

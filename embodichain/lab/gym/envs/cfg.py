@@ -21,6 +21,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     Vec3,
 )
+from embodichain.lab.sim.scene_cfg import SceneCfg, ViewCfg
 from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
 
@@ -258,6 +259,10 @@ class EnvCfg:
         default_factory=dict, kw_only=True
     )
     lights: dict[str, LightCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    scene: SceneCfg | None = dataclasses.field(default=None, kw_only=True)
+    """What surrounds robots and objects; None is that of `sim_cfg`."""
+    views: dict[str, ViewCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Camera views by name; empty is those of `sim_cfg`."""
     sensors: dict[str, AnySensorCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     actions: dict[str, ActionTermCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     events: dict[str, EventCfg] = dataclasses.field(default_factory=dict, kw_only=True)

@@ -19,6 +19,7 @@ from embodichain.lab.gym.envs.scene_setup import (
     add_declared_scene,
     add_declared_sensors,
 )
+from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvAction, EnvObs
 
-__all__ = ["EnvHooks", "overridden_hooks"]
+__all__ = ["EnvHooks", "overridden_hooks", "set_extensions"]
 
 
 class EnvHooks:
@@ -231,3 +232,21 @@ def overridden_hooks(cls: type[EnvHooks]) -> frozenset[str]:
     return frozenset(
         name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(EnvHooks, name)
     )
+
+
+def set_extensions(env: object, extensions: dict[str, Any]) -> None:
+    """Set ``extensions`` as attributes of an environment.
+
+    Raises:
+        ConfigError: If the environment has an attribute of that name already.
+    """
+    taken = [key for key in extensions if not key.isidentifier() or hasattr(env, key)]
+    if taken:
+        raise ConfigError(
+            [
+                Problem(f"extensions.{key}", "taken by the environment, or not a name")
+                for key in taken
+            ]
+        )
+    for key, value in extensions.items():
+        setattr(env, key, value)

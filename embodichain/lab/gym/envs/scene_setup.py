@@ -11,15 +11,15 @@ import copy
 import dataclasses
 import logging
 import math
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from embodichain.lab.gym.envs.cfg import NO_LIMIT, ActionTermCfg, EnvCfg, EventCfg, SceneEntityCfg
+from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg, EventCfg
 from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.param_types import NamedEntity
 from embodichain.lab.gym.envs.managers.registry import SECTIONS, TERMS
+from embodichain.lab.gym.envs.managers.scene_entity import references_in
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     LightCfg,
@@ -28,6 +28,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
+from embodichain.lab.sim.compiler.appearance import check_light
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
 from embodichain.lab.sim.compiler.cameras import check_memory
 from embodichain.lab.sim.compiler.drives import (
@@ -36,12 +37,14 @@ from embodichain.lab.sim.compiler.drives import (
     PhysicsStep,
     physics_step,
 )
+from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
-from embodichain.lab.sim.compiler.rigid_objects import check_object
+from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
-from embodichain.lab.sim.compiler.scene import check_light, compile_scene
+from embodichain.lab.sim.compiler.scene import compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
 from embodichain.lab.sim.prepared_scene import PreparedScene
+from embodichain.lab.sim.scene_cfg import SceneCfg
 from embodichain.lab.sim.viewer import has_display
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
@@ -55,12 +58,10 @@ __all__ = [
     "add_declared_robots",
     "add_declared_scene",
     "add_declared_sensors",
-    "default_actions",
     "describe",
     "drive_changes",
     "frozen_cfg",
     "open_window",
-    "set_extensions",
     "with_all_problems",
 ]
 
@@ -79,6 +80,9 @@ def _declared(cfg: EnvCfg, *sections: str) -> list[_Entity]:
     """The entities declared in some sections of a task, in order."""
     entities: list[_Entity] = []
     for section in sections:
+        if section == "scene":
+            entities += _surroundings(cfg)
+            continue
         declared: Any = getattr(cfg, section)
         if section != "robot":
             entities += [_Entity(f"{section}.{uid}", str(uid), e) for uid, e in declared.items()]
@@ -89,6 +93,38 @@ def _declared(cfg: EnvCfg, *sections: str) -> list[_Entity]:
                 name = ""
             entities.append(_Entity("robot", name, declared))
     return entities
+
+
+def _surroundings(cfg: EnvCfg) -> list[_Entity]:
+    """The furniture and the lights of the section ``scene``."""
+    scene = _scene(cfg)
+    lights = [_Entity(f"scene.lights.{uid}", uid, light) for uid, light in scene.lights.items()]
+    if scene.table is None and scene.pedestal is None:
+        return lights
+    from embodichain.lab.sim.compiler.furniture import furniture_of  # few scenes have any
+
+    furniture = furniture_of(scene, _base(cfg)).items()
+    return [_Entity(f"scene.{uid}", uid, thing) for uid, thing in furniture] + lights
+
+
+def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
+    scene = _scene(cfg)
+    if scene.pedestal is None:
+        return []
+    from embodichain.lab.sim.compiler.furniture import check_pedestal
+
+    return [p.below("scene.pedestal") for p in check_pedestal(scene.pedestal, _base(cfg))]
+
+
+def _scene(cfg: EnvCfg) -> SceneCfg:
+    given: SimulationManagerCfg | None = cfg.sim_cfg
+    return cfg.scene or (SceneCfg() if given is None else given.scene)
+
+
+def _base(cfg: EnvCfg) -> F64 | None:
+    """Position of the first robot's base, if it is valid."""
+    robot = next(iter(_declared(cfg, "robot", "robots")), None)
+    return None if robot is None or check_pose(robot.cfg) else initial_pose(robot.cfg)[0]
 
 
 # -- values that follow from others ----------------------------------------------------------------
@@ -133,6 +169,7 @@ def _physics(cfg: EnvCfg) -> SimulationManagerCfg:
     own = {name: value for name, value in own.items() if value is not None}
     sim.physics_dt = own.pop("physics_dt", sim.physics_dt)
     sim.physics_config = dataclasses.replace(sim.physics_config, **own)
+    sim.scene, sim.views = cfg.scene or sim.scene, cfg.views or sim.views
     return sim
 
 
@@ -175,11 +212,11 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
         user are never raised.
     """
     prepared = PreparedScene() if prepared is None else prepared
-    entities = _declared(cfg, "robot", "robots", "articulations", "objects", "lights")
+    entities = _declared(cfg, "robot", "robots", "articulations", "scene", "objects", "lights")
     physics = _physics(cfg)
     step, changes = physics_step(physics), drive_changes(cfg.events)
     parsed, problems = _parse(entities, step, changes)
-    problems = _check_names(entities) + problems
+    problems = _check_names(entities) + _check_surroundings(cfg) + problems
     objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
     lights = {e.uid: e.cfg for e in entities if isinstance(e.cfg, LightCfg)}
     known: dict[str, ParsedArticulation | str | None] = {}
@@ -189,7 +226,7 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
         known.setdefault(uid, kind or parsed.get(path))
     open_scene = cfg.id is not None
     problems += check_references(cfg, known, open_scene=open_scene)
-    ground = cfg.sim_cfg.ground_plane
+    ground = physics.has_ground
     sensors, found = plan_sensors(cfg.sensors, known, ground=ground, open_scene=open_scene)
     problems += found + check_memory(cfg.sensors, cfg.num_envs)
     if problems:
@@ -247,15 +284,8 @@ def _parse(
     return parsed, problems
 
 
-_FIELDS = frozenset(SceneEntityCfg.__dataclass_fields__)
-_KEY = re.compile(r"(.*_)?(entity_cfg|cfg|relative_to)|of|from|to")
-
-
 def check_references(cfg: EnvCfg, known: Known, open_scene: bool) -> list[Problem]:
     """Return every reference to an entity, joint, link or control part that does not exist.
-
-    A parameter is a reference if it is a `SceneEntityCfg`, or a map with only its keys that has
-    ``uid`` or is named like one (``of``, ``from``, ``to``, ``..._cfg``, ``relative_to``).
 
     Args:
         cfg: The task.
@@ -267,7 +297,7 @@ def check_references(cfg: EnvCfg, known: Known, open_scene: bool) -> list[Proble
         for name, term in getattr(cfg, section).items():
             spec = TERMS[kind].get(term.func) if isinstance(term.func, str) else None
             of_light = spec is not None and NamedEntity in spec.hints().values()
-            for path, fields in _references(f"{section}.{name}.params", term.params):
+            for path, fields in references_in(f"{section}.{name}.params", term.params):
                 if of_light:
                     problems += _check_light(path, str(fields.get("uid") or ""), known, open_scene)
                 else:
@@ -281,23 +311,6 @@ def _check_light(path: str, uid: str, known: Known, open_scene: bool) -> list[Pr
         return []
     message = f"no light is called {uid!r}; there are: {listing(lights, uid)}"
     return [Problem(f"{path}.uid", message, did_you_mean(uid, lights).strip())]
-
-
-def _references(path: str, params: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Key path and fields of every reference within parameters."""
-    items: Any = params.items() if isinstance(params, Mapping) else ()
-    for key, value in enumerate(params) if isinstance(params, (list, tuple)) else items:
-        where = f"{path}.{key}"
-        if isinstance(value, SceneEntityCfg):
-            yield where, vars(value)
-        elif (
-            isinstance(value, Mapping)
-            and ("uid" in value or _KEY.fullmatch(str(key)))
-            and _FIELDS.issuperset(value)
-        ):
-            yield where, value
-        else:
-            yield from _references(where, value)
 
 
 # -- draws of events -------------------------------------------------------------------------------
@@ -383,6 +396,7 @@ def _add(sim: SimulationManager, entity: _Entity) -> None:
         "articulations": sim.add_articulation,
         "objects": sim.add_rigid_object,
         "lights": sim.add_light,
+        "scene": sim.add_light if isinstance(cfg, LightCfg) else sim.add_rigid_object,
     }
     try:
         add[path.partition(".")[0]](cfg)
@@ -411,12 +425,15 @@ def add_declared_robots(sim: SimulationManager, cfg: EnvCfg) -> Robot | None:
 
 
 def add_declared_scene(sim: SimulationManager, cfg: EnvCfg) -> None:
-    """Add the declared articulations, objects and lights that the scene lacks.
+    """Add the declared articulations, furniture, objects and lights that the scene lacks.
 
     Raises:
         ConfigError: If a file or a value is wrong; the path is the one in the config.
     """
-    for entity in _declared(cfg, "articulations", "objects", "lights"):
+    problems = _check_surroundings(cfg)
+    if problems:
+        raise ConfigError(problems)
+    for entity in _declared(cfg, "articulations", "scene", "objects", "lights"):
         _add(sim, entity)
 
 
@@ -436,24 +453,6 @@ def add_declared_sensors(sim: SimulationManager, cfg: EnvCfg) -> dict[str, BaseS
     return sensors
 
 
-def set_extensions(env: object, extensions: dict[str, Any]) -> None:
-    """Set ``extensions`` as attributes of an environment.
-
-    Raises:
-        ConfigError: If the environment has an attribute of that name already.
-    """
-    taken = [key for key in extensions if not key.isidentifier() or hasattr(env, key)]
-    if taken:
-        raise ConfigError(
-            [
-                Problem(f"extensions.{key}", "taken by the environment, or not a name")
-                for key in taken
-            ]
-        )
-    for key, value in extensions.items():
-        setattr(env, key, value)
-
-
 def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> ConfigError:
     """Return an error with every mistake of the config, not only the one that stopped the build.
 
@@ -470,18 +469,6 @@ def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> 
     if any(p.path == q.path for p in found for q in problems):
         found = []  # the same mistake with another message
     return ConfigError([*problems, *found]) if problems else error
-
-
-def default_actions(robot: Robot | None) -> dict[str, ActionTermCfg]:
-    """Return the action term of an MJCF robot with actuators in its file; else an empty dict."""
-    if robot is None:
-        return {}
-    parsed = robot.parsed
-    passive = any(not parsed.drives[i] for i in robot.active_joint_ids)
-    if parsed.own_actuators or (passive and parsed.control_names):
-        params = {"entity_cfg": SceneEntityCfg(uid=robot.uid)}
-        return {"ctrl": ActionTermCfg(func="actuator_ctrl", params=params)}
-    return {}
 
 
 def open_window(sim: SimulationManager, cfg: SimulationManagerCfg) -> None:

@@ -10,13 +10,18 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerCfg
+from embodichain.lab.sim.compiler.appearance import (
+    add_ground,
+    add_lights,
+    place_lights,
+    set_look,
+)
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
 from embodichain.lab.sim.compiler.rigid_objects import (
     add_object,
     check_object,
-    check_pose,
     damping_of,
     initial_pose,
 )
@@ -24,15 +29,17 @@ from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, com
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
 from embodichain.lab.sim.compiler.scene_sensors import (
     SensorIndex,
-    SensorPlan,
     add_sensors,
     index_sensors,
     silent_sensors,
 )
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
+from embodichain.lab.sim.compiler.views import add_views, place_views, scene_bounds
+from embodichain.lab.sim.scene_cfg import GroundCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
 
-__all__ = ["CompiledScene", "SceneParts", "check_light", "compile_scene"]
+__all__ = ["CompiledScene", "SceneParts", "compile_scene"]
 
 _INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
@@ -123,7 +130,7 @@ class CompiledScene:
     """One model of all declared entities.
 
     Attributes:
-        model: The compiled model. Damping of free objects and the camera's pose are set after
+        model: The compiled model. Damping of free objects and poses of views are set after
             compiling; MJCF has only one damping for all six axes of a free joint.
         spec: The spec it was compiled from, for export as XML or archive.
         entities: Indices of each entity in the model.
@@ -163,7 +170,7 @@ def compile_scene(
     """Compile one model, in which elements of an entity are named ``uid/NAME``.
 
     Args:
-        sim_cfg: Timestep, physics options, ground plane.
+        sim_cfg: Timestep, physics options, look, views.
         articulations: Robots and other articulations.
         objects: Rigid objects by uid.
         lights: Lights by uid.
@@ -178,9 +185,7 @@ def compile_scene(
     spec.modelname = "embodichain"
     spec.compiler.degree = False
     _apply_options(spec, sim_cfg)
-    set_look(spec)
-    if sim_cfg.ground_plane:
-        add_ground(spec)
+    set_look(spec, sim_cfg.scene)
     add_lights(spec, lights)
     masked = 0
     notes: list[str] = []
@@ -190,9 +195,20 @@ def compile_scene(
             masked += 1
             separate(child, masked)
         notes += _attach(spec, child, parsed)
+    if sim_cfg.has_ground:
+        add_ground(spec, sim_cfg.scene.ground or GroundCfg())
     for number, (uid, cfg) in enumerate(objects.items()):
         add_object(spec, uid, cfg, number)
+    table = sim_cfg.scene.table
+    if table is not None and "table" in objects:
+        from embodichain.lab.sim.compiler.furniture import finish_table  # few scenes have one
+
+        finish_table(spec, table)
     add_sensors(spec, sensors)
+    roots = {p.uid: f"{p.uid}/{p.root_link_name}" for p in articulations}
+    problems = add_views(spec, sim_cfg.views, roots)
+    if problems:
+        raise ConfigError(p.below("views") for p in problems)
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
@@ -208,7 +224,11 @@ def compile_scene(
     row = np.zeros(mujoco.mj_stateSize(model, _STATE))
     mujoco.mj_getState(model, data, row, _STATE)
     mujoco.mj_kinematics(model, data)
-    aim_camera(spec, model, data)
+    center, radius = scene_bounds(model, data)
+    for stat in (model.stat, spec.stat):
+        stat.extent, stat.center = max(2.0 * radius, 1.0), center
+    place_lights(spec, model, lights, center, radius)
+    place_views(spec, model, data, sim_cfg.views)
     sensor_index = index_sensors(model, sensors, entities)
     return CompiledScene(model, spec, entities, row, sensor_index, tuple(notes))
 
@@ -344,155 +364,3 @@ def _start(
             data.qpos[joint.qposadr[0] : joint.qposadr[0] + 4] = quat
             data.qvel[joint.dofadr[0] : joint.dofadr[0] + 3] = speed
     return data
-
-
-# --------------------------------------------------------------------------------------- appearance
-
-CAMERA = "default"
-SUN = "default"
-
-_FULL_INTENSITY = 30.0
-_FOVY = 40.0
-_VIEW = np.array([1.0, -0.8, 0.32])
-"""Direction from the scene to the camera: front, right, above."""
-_LIGHTS = {
-    "point": mujoco.mjtLightType.mjLIGHT_POINT,
-    "sun": mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-    "direction": mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-    "spot": mujoco.mjtLightType.mjLIGHT_SPOT,
-}
-
-
-def set_look(spec: mujoco.MjSpec) -> None:
-    """Set sky, haze, ambient light and sizes; add the camera (placed by `aim_camera`)."""
-    visual = spec.visual
-    visual.global_.offwidth, visual.global_.offheight = 1920, 1440
-    visual.global_.fovy = _FOVY
-    visual.quality.shadowsize = 4096
-    visual.map.znear, visual.map.zfar = 0.01, 60.0
-    visual.map.fogstart, visual.map.fogend = 6.0, 20.0
-    visual.headlight.ambient = [0.32, 0.33, 0.35]
-    visual.headlight.diffuse = [0.38, 0.38, 0.38]
-    visual.headlight.specular = [0.05, 0.05, 0.05]
-    visual.rgba.haze = [0.80, 0.86, 0.92, 1.0]
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.42, 0.56, 0.72],
-        rgb2=[0.86, 0.90, 0.94],
-        width=256,
-        height=1536,
-    )
-    spec.worldbody.add_camera(name=CAMERA, fovy=_FOVY)
-
-
-def add_ground(spec: mujoco.MjSpec) -> None:
-    """Add the ground plane at z = 0, with tiles of one metre."""
-    spec.add_texture(
-        name=GROUND,
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=[0.72, 0.74, 0.76],
-        rgb2=[0.66, 0.68, 0.71],
-        markrgb=[0.55, 0.57, 0.60],
-        width=512,
-        height=512,
-    )
-    material = spec.add_material(
-        name=GROUND, texuniform=True, texrepeat=[0.5, 0.5], reflectance=0.08
-    )
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = GROUND
-    spec.worldbody.add_geom(
-        name=GROUND,
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0.0, 0.0, 1.0],
-        material=GROUND,
-    )
-
-
-def check_light(cfg: LightCfg) -> list[Problem]:
-    """Return every mistake in a light's config, with paths below it."""
-    problems = check_pose(cfg)
-    color, direction = np.asarray(cfg.color, np.float64), np.asarray(cfg.direction, np.float64)
-    if not ((color >= 0) & (color <= 1)).all():
-        problems.append(Problem("color", f"RGB in [0, 1], got {color.tolist()}"))
-    if not cfg.intensity >= 0:
-        problems.append(Problem("intensity", f"must not be negative, got {cfg.intensity}"))
-    if not (np.isfinite(direction).all() and np.linalg.norm(direction) > 1e-9):
-        problems.append(Problem("direction", f"must not be zero, got {direction.tolist()}"))
-    return problems
-
-
-def add_lights(spec: mujoco.MjSpec, lights: Mapping[str, LightCfg]) -> None:
-    """Add the declared lights, or a sun with soft shadows if there are none."""
-    if not lights:
-        spec.worldbody.add_light(
-            name=SUN,
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            pos=[0.0, 0.0, 6.0],
-            dir=[-0.35, 0.45, -1.0],
-            diffuse=[0.62, 0.61, 0.58],
-            specular=[0.2, 0.2, 0.2],
-            castshadow=True,
-        )
-    for uid, cfg in lights.items():
-        strength = np.asarray(cfg.color, np.float64) * (float(cfg.intensity) / _FULL_INTENSITY)
-        spec.worldbody.add_light(
-            name=uid,
-            type=_LIGHTS[cfg.light_type],
-            pos=initial_pose(cfg)[0],
-            dir=[float(x) for x in cfg.direction],
-            diffuse=strength,
-            specular=0.3 * strength,
-            castshadow=cfg.light_type != "point",
-        )
-
-
-def aim_camera(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Place camera ``default`` so that it shows everything but infinite planes.
-
-    Args:
-        spec: The scene; its camera is set too, for saved files.
-        model: The compiled scene; its camera is changed.
-        data: The initial state, with positions computed.
-    """
-    center, radius = _bounds(model, data)
-    back = _VIEW / np.linalg.norm(_VIEW)
-    distance = radius / np.sin(np.radians(_FOVY / 2))
-    pos = center + distance * back
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right /= np.linalg.norm(right)
-    matrix = np.stack([right, np.cross(back, right), back], axis=1)
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, matrix.reshape(9))
-    camera = model.camera(CAMERA)
-    camera.pos[:], camera.quat[:] = pos, quat
-    camera.pos0[:], camera.poscom0[:], camera.mat0[:] = pos, pos, matrix.reshape(9)
-    written = spec.camera(CAMERA)
-    written.pos, written.quat = pos, quat
-    _aim_sun(spec, model, center, radius)
-    for stat in (model.stat, spec.stat):
-        stat.extent, stat.center = max(2.0 * radius, 1.0), center
-
-
-def _aim_sun(spec: mujoco.MjSpec, model: mujoco.MjModel, center: F64, radius: float) -> None:
-    """Move the default light near the scene: its shadow map covers only its surroundings."""
-    sun = spec.light(SUN)
-    if sun is not None:
-        light = model.light(SUN)
-        light.pos[:] = sun.pos = center - 2.0 * radius * light.dir
-        light.pos0[:] = light.poscom0[:] = light.pos
-
-
-def _bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64, float]:
-    """Return centre and radius of a sphere around all finite geoms."""
-    finite = np.flatnonzero(model.geom_rbound > 0)
-    if not len(finite):
-        return np.array([0.0, 0.0, 0.3]), 1.0
-    reach = model.geom_rbound[finite, None]
-    low = (data.geom_xpos[finite] - reach).min(axis=0)
-    high = (data.geom_xpos[finite] + reach).max(axis=0)
-    low[2] = max(low[2], 0.0) if high[2] > 0 else low[2]
-    return 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 0.15)

@@ -25,7 +25,7 @@ VERTEX = np.dtype(
         ("end", np.float32),
     ]
 )
-"""A vertex; ``geom`` counts the drawn geoms, ``end`` is -1, 0 or 1."""
+"""A vertex; ``geom`` is its id, ``end`` is -1, 0 or 1."""
 
 F32 = NDArray[np.float32]
 Triangles = NDArray[np.uint32]
@@ -48,18 +48,16 @@ class SceneGeometry:
     """What is drawn of a model.
 
     Attributes:
-        geoms: (G,) ids of the drawn geoms; ``VERTEX["geom"]`` counts in it.
         vertices: (V,) of `VERTEX`.
-        triangles: (T, 3) indices of vertices, those of a geom side by side.
-        ranges: (G, 2) first triangle of a geom, and the number of its triangles.
-        infinite: (G,) planes without an edge.
+        triangles: Geom id -> (T, 3) indices of vertices; planes come last, they are behind.
+        planes: Ids of the planes among them.
+        fields: Ids of the height fields among them.
     """
 
-    geoms: NDArray[np.int64]
     vertices: NDArray[Any]
-    triangles: Triangles
-    ranges: NDArray[np.int64]
-    infinite: NDArray[np.bool_]
+    triangles: dict[int, Triangles]
+    planes: frozenset[int]
+    fields: frozenset[int]
 
     @classmethod
     def of_model(
@@ -72,48 +70,41 @@ class SceneGeometry:
             slices: Around a sphere or cylinder.
             most_triangles: Meshes without texture coordinates are simplified to about so many.
         """
-        geoms: list[int] = []
-        parts: list[NDArray[Any]] = []
-        triangles: list[Triangles] = []
-        ranges: list[tuple[int, int]] = []
-        vertex = first = 0
-        for geom in range(model.ngeom):
+        parts: list[NDArray[Any]] = [np.zeros(0, VERTEX)]
+        triangles: dict[int, Triangles] = {}
+        count = 0
+        for geom in np.argsort(model.geom_type == _PLANE, kind="stable").tolist():
             if model.geom_group[geom] >= VISIBLE_GROUPS:
                 continue
             shape = _shape_of(model, geom, slices, most_triangles)
             if shape is None:
                 continue
             part, faces = shape
-            part["geom"] = len(geoms)
-            geoms.append(geom)
+            part["geom"] = geom
             parts.append(part)
-            triangles.append(faces + np.uint32(vertex))
-            ranges.append((first, len(faces)))
-            vertex, first = vertex + len(part), first + len(faces)
-        ids = np.array(geoms, np.int64)
-        sizes = model.geom_size[ids, :2]
-        return cls(
-            ids,
-            np.concatenate([np.zeros(0, VERTEX), *parts]),
-            np.concatenate([np.zeros((0, 3), np.uint32), *triangles]),
-            np.array(ranges, np.int64).reshape(-1, 2),
-            (model.geom_type[ids] == _PLANE) & (sizes <= 0).any(axis=1),
+            triangles[geom] = faces + np.uint32(count)
+            count += len(part)
+        planes, fields = (
+            frozenset(geom for geom in triangles if model.geom_type[geom] == kind)
+            for kind in (_PLANE, _HFIELD)
         )
+        return cls(np.concatenate(parts), triangles, planes, fields)
 
 
-def geom_scales(types: NDArray[np.int32], sizes: NDArray[Any], far: float) -> F32:
-    """(..., G, 4) scales of unit shapes along x, y, z, and half lengths, of geoms' sizes.
+def geom_scales(types: NDArray[np.int32], sizes: NDArray[Any]) -> F32:
+    """(..., ngeom, 4) scales of unit shapes along x, y, z, and half lengths, of geoms' sizes.
+
+    The scale of a plane without an edge is 0 along it.
 
     Args:
-        types: (G,) of `mjtGeom`.
-        sizes: (..., G, 3) `geom_size`.
-        far: Half the width of a plane without an edge, m.
+        types: (ngeom,) of `mjtGeom`.
+        sizes: (..., ngeom, 3) `geom_size`.
     """
     scales: F32 = np.ones((*sizes.shape[:-1], 4), np.float32)
     x, y, z = sizes[..., 0], sizes[..., 1], sizes[..., 2]
     scales[..., 3] = 0.0
     for kind, values in (
-        (_PLANE, (np.where(x > 0, x, far), np.where(y > 0, y, far), np.ones_like(x))),
+        (_PLANE, (np.maximum(x, 0), np.maximum(y, 0), np.ones_like(x))),
         (_SPHERE, (x, x, x)),
         (_CAPSULE, (x, x, x)),
         (_ELLIPSOID, (x, y, z)),
@@ -155,6 +146,12 @@ def _vertices(position: Any, normal: Any, texcoord: Any, end: Any = 0.0) -> NDAr
     found = np.zeros(len(position), VERTEX)
     found["position"], found["normal"], found["texcoord"] = position, normal, texcoord
     found["end"] = end
+    return found
+
+
+def _from_above(places: NDArray[Any], half: NDArray[Any]) -> NDArray[Any]:
+    """(V, 2) texture coordinates of a box's x and y, as MuJoCo's for shapes that have none."""
+    found: NDArray[Any] = 0.5 + 0.5 * places[:, :2] / half[:2] * (1.0, -1.0)
     return found
 
 
@@ -204,9 +201,12 @@ def _cylinder(slices: int) -> tuple[NDArray[Any], Triangles]:
     def add(rings: list[tuple[float, float]], normal: Any) -> None:
         nonlocal start
         points = [np.stack([r * cos, r * sin, z * one], axis=1) for r, z in rings]
+        place = np.concatenate(points)
         down = np.repeat([0.0, 1.0], slices + 1)
         texcoord = np.stack([np.tile(angle / (2 * np.pi), 2), down], axis=1)
-        parts.append(_vertices(np.concatenate(points), normal, texcoord))
+        if rings[0][1] == rings[1][1]:
+            texcoord = _from_above(place, np.ones(3))
+        parts.append(_vertices(place, normal, texcoord))
         faces.append(_quads(1, slices) + np.uint32(start))
         start += 2 * (slices + 1)
 
@@ -257,8 +257,10 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[Any], Triangles]:
     if len(texcoords):
         corners.append(model.mesh_facetexcoord[face][:count].reshape(-1).astype(np.int64))
     unique, inverse = np.unique(np.stack(corners, axis=1), axis=0, return_inverse=True)
-    texcoord = texcoords[unique[:, 2]] if len(texcoords) else np.zeros((len(unique), 2))
-    found = _vertices(positions[unique[:, 0]], normals[unique[:, 1]], texcoord)
+    places = positions[unique[:, 0]]
+    half = np.maximum(np.abs(positions).max(axis=0, initial=0.0), 1e-9)
+    texcoord = texcoords[unique[:, 2]] if len(texcoords) else _from_above(places, half)
+    found = _vertices(places, normals[unique[:, 1]], texcoord)
     return found, inverse.reshape(-1, 3).astype(np.uint32)
 
 
@@ -278,7 +280,8 @@ def _simplified(
     for corner in range(3):
         np.add.at(normals, faces[:, corner], across)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return _vertices(points, normals, np.zeros((len(points), 2))), faces.astype(np.uint32)
+    half = np.maximum(np.abs(points).max(axis=0, initial=0.0), 1e-9)
+    return _vertices(points, normals, _from_above(points, half)), faces.astype(np.uint32)
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> tuple[NDArray[Any], Triangles]:

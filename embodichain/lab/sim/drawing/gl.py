@@ -1,7 +1,7 @@
-"""The OpenGL calls of the renderer: a context, programs, buffers of numbers, layered targets.
+"""The OpenGL objects of the renderer: a context, programs, buffers of numbers and of triangles.
 
-The only module that imports `OpenGL.GL`; it is imported when something is drawn for the first time.
-All of it must run in one thread, see `RenderThread`.
+With `targets` and `textures` the only modules that import `OpenGL.GL`, when something is drawn for
+the first time. All of it must run in one thread.
 """
 
 from __future__ import annotations
@@ -9,8 +9,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,32 +17,15 @@ from numpy.typing import NDArray
 
 from embodichain.utils.errors import RenderError
 
-__all__ = [
-    "HINT",
-    "Context",
-    "LayeredTarget",
-    "NumberTexture",
-    "Program",
-    "ShadowMap",
-    "VertexBuffers",
-    "context_class",
-]
+__all__ = ["HINT", "Context", "NumberTexture", "Program", "VertexBuffers", "context_class"]
 
 HINT = (
     "off-screen rendering needs EGL: `apt-get install libegl1 libgl1-mesa-dri` (Debian, Ubuntu), "
     "or set MUJOCO_GL to a library that works here"
 )
 """What to do where no context can be made."""
-_NEEDED = ("GL_ARB_shader_viewport_layer_array",)
-_FORMATS = {
-    "color": ("GL_RGBA8", "GL_RGBA", "GL_UNSIGNED_BYTE", np.uint8),
-    "depth": ("GL_R32F", "GL_RED", "GL_FLOAT", np.float32),
-    "mask": ("GL_R32I", "GL_RED_INTEGER", "GL_INT", np.int32),
-}
-
-
-_SPARE_UNIT = 15
-"""For textures that no program reads."""
+_NEEDED = "GL_ARB_shader_viewport_layer_array"
+_VERSION = (4, 3)
 
 
 class Context:
@@ -52,6 +34,7 @@ class Context:
     Attributes:
         vendor, renderer, version: What OpenGL says of itself.
         max_layers: Pictures that one target may have.
+        max_pixels: The longest side of a target.
 
     Raises:
         RenderError: If there is no OpenGL here, or one without layered rendering.
@@ -65,19 +48,26 @@ class Context:
         except (ImportError, AttributeError, OSError, RuntimeError) as error:
             raise RenderError(f"no picture can be made here ({error}); {HINT}") from error
         self.vendor, self.renderer, self.version = (
-            GL.glGetString(name).decode() for name in (GL.GL_VENDOR, GL.GL_RENDERER, GL.GL_VERSION)
+            _text(GL.glGetString(name) or b"unknown")
+            for name in (GL.GL_VENDOR, GL.GL_RENDERER, GL.GL_VERSION)
         )
-        count = GL.glGetIntegerv(GL.GL_NUM_EXTENSIONS)
-        known = {GL.glGetStringi(GL.GL_EXTENSIONS, i).decode() for i in range(int(count))}
-        lacking = [name for name in _NEEDED if name not in known]
-        if lacking:
+        version = tuple(
+            int(GL.glGetIntegerv(n)) for n in (GL.GL_MAJOR_VERSION, GL.GL_MINOR_VERSION)
+        )
+        count = int(GL.glGetIntegerv(GL.GL_NUM_EXTENSIONS))
+        known = {_text(GL.glGetStringi(GL.GL_EXTENSIONS, i)) for i in range(count)}
+        if version < _VERSION or _NEEDED not in known:
             self.close()
-            raise RenderError(f"OpenGL {self.version} of {self.renderer} lacks {lacking[0]}")
-        layers = GL.glGetIntegerv(GL.GL_MAX_ARRAY_TEXTURE_LAYERS)
-        self.max_layers = int(layers)
+            found = f"OpenGL {self.version} of {self.renderer}"
+            raise RenderError(f"{found}: the batch renderer needs 4.3 and {_NEEDED}")
+        self.max_layers = min(
+            int(GL.glGetIntegerv(name))
+            for name in (GL.GL_MAX_ARRAY_TEXTURE_LAYERS, GL.GL_MAX_FRAMEBUFFER_LAYERS)
+        )
+        self.max_pixels = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_SIZE))
 
     def make_current(self) -> None:
-        """Make it the one that calls of this thread go to."""
+        """Direct the calls of this thread to it: other renderers have contexts of their own."""
         self._context.make_current()
 
     def close(self) -> None:
@@ -99,8 +89,12 @@ def context_class() -> Any:
     return mujoco.GLContext
 
 
+def _text(message: Any) -> str:
+    return message.decode() if isinstance(message, bytes) else str(message)
+
+
 class Program:
-    """A linked program, and the uniforms that it uses.
+    """A linked program.
 
     Args:
         vertex: GLSL of the vertex shader.
@@ -110,7 +104,7 @@ class Program:
         RenderError: If OpenGL does not compile it.
     """
 
-    def __init__(self, vertex: str, fragment: str = "") -> None:
+    def __init__(self, vertex: str, fragment: str) -> None:
         from OpenGL import GL
 
         sources = [(GL.GL_VERTEX_SHADER, vertex)]
@@ -123,36 +117,39 @@ class Program:
             if not GL.glGetShaderiv(shader, GL.GL_COMPILE_STATUS):
                 raise RenderError(f"a shader: {_text(GL.glGetShaderInfoLog(shader))}")
             GL.glAttachShader(self._program, shader)
+            GL.glDeleteShader(shader)  # goes with the program
         GL.glLinkProgram(self._program)
         if not GL.glGetProgramiv(self._program, GL.GL_LINK_STATUS):
             raise RenderError(f"a program: {_text(GL.glGetProgramInfoLog(self._program))}")
         self._places: dict[str, int] = {}
+        self._values: dict[str, Any] = {}
 
-    def use(self, values: Mapping[str, Any] | None = None) -> None:
-        """Make it current, and set uniforms: int, float triples, (n, 4) floats, (n,) integers."""
+    def use(self, values: Mapping[str, int | float | tuple[float, float, float]]) -> None:
+        """Make it current, and set uniforms; those that the compiler left out are passed over."""
         from OpenGL import GL
 
         GL.glUseProgram(self._program)
-        for name, value in (values or {}).items():
+        for name, value in values.items():
+            if self._values.get(name) == value:
+                continue
+            self._values[name] = value
             place = self._places.get(name)
             if place is None:
                 place = self._places[name] = GL.glGetUniformLocation(self._program, name)
             if place < 0:
-                continue  # the compiler left it out
-            if isinstance(value, (int, np.integer)):
-                GL.glUniform1i(place, int(value))
                 continue
-            array = np.asarray(value)
-            if array.ndim == 2:
-                GL.glUniform4fv(place, len(array), np.ascontiguousarray(array, np.float32))
-            elif array.dtype.kind == "i":
-                GL.glUniform1iv(place, len(array), np.ascontiguousarray(array, np.int32))
+            if isinstance(value, int):
+                GL.glUniform1i(place, value)
+            elif isinstance(value, float):
+                GL.glUniform1f(place, value)
             else:
-                GL.glUniform3f(place, *map(float, array))
+                GL.glUniform3f(place, *value)
 
+    def close(self) -> None:
+        """Free it."""
+        from OpenGL import GL
 
-def _text(message: Any) -> str:
-    return message.decode() if isinstance(message, bytes) else str(message)
+        GL.glDeleteProgram(self._program)
 
 
 class NumberTexture:
@@ -167,231 +164,89 @@ class NumberTexture:
 
         self._unit = unit
         self._buffer, self._texture = GL.glGenBuffers(1), GL.glGenTextures(1)
+        self._uploaded: NDArray[np.float32] | None = None
 
     def upload(self, values: NDArray[np.float32]) -> None:
-        """Replace the numbers: float32, contiguous, a multiple of four."""
+        """Replace the numbers: float32, contiguous, a multiple of four, not written to later."""
         from OpenGL import GL
 
+        if values is self._uploaded:
+            return
+        self._uploaded = values
         GL.glBindBuffer(GL.GL_TEXTURE_BUFFER, self._buffer)
         GL.glBufferData(GL.GL_TEXTURE_BUFFER, values.nbytes, values, GL.GL_STREAM_DRAW)
         GL.glActiveTexture(GL.GL_TEXTURE0 + self._unit)
         GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
         GL.glTexBuffer(GL.GL_TEXTURE_BUFFER, GL.GL_RGBA32F, self._buffer)
 
+    def close(self) -> None:
+        """Free it."""
+        from OpenGL import GL
+
+        GL.glDeleteTextures(1, [self._texture])
+        GL.glDeleteBuffers(1, [self._buffer])
+
 
 class VertexBuffers:
-    """Vertices and triangles, uploaded once.
+    """Vertices, and lists of their triangles.
 
     Args:
         vertices: (V,) of a structured type whose fields are float32, in the order of locations.
-        triangles: (T, 3) uint32.
     """
 
-    def __init__(self, vertices: NDArray[Any], triangles: NDArray[np.uint32]) -> None:
+    def __init__(self, vertices: NDArray[Any]) -> None:
         from OpenGL import GL
 
         self._array = GL.glGenVertexArrays(1)
         GL.glBindVertexArray(self._array)
-        points, faces = GL.glGenBuffers(2)
-        GL.glBindBuffer(GL.GL_ARRAY_BUFFER, points)
+        self._vertices = GL.glGenBuffers(1)
+        GL.glBindBuffer(GL.GL_ARRAY_BUFFER, self._vertices)
         GL.glBufferData(GL.GL_ARRAY_BUFFER, vertices.nbytes, vertices, GL.GL_STATIC_DRAW)
-        GL.glBindBuffer(GL.GL_ELEMENT_ARRAY_BUFFER, faces)
-        flat = np.ascontiguousarray(triangles)
-        GL.glBufferData(GL.GL_ELEMENT_ARRAY_BUFFER, flat.nbytes, flat, GL.GL_STATIC_DRAW)
         fields = (vertices.dtype.fields or {}).values()
         for place, (kind, offset) in enumerate(field[:2] for field in fields):
             size = int(np.prod(kind.shape, dtype=np.int64))
             GL.glEnableVertexAttribArray(place)
             start = ctypes.c_void_p(offset)
             GL.glVertexAttribPointer(place, size, GL.GL_FLOAT, False, vertices.itemsize, start)
+        self._lists: dict[Hashable, tuple[Any, int]] = {}
 
-    def draw(self, first: int, count: int, instances: int) -> None:
-        """Draw `count` triangles from `first` on, as many times as there are instances."""
+    def has(self, key: Hashable) -> bool:
+        """Whether there is a list of this name."""
+        return key in self._lists
+
+    def put(self, key: Hashable, triangles: Sequence[NDArray[np.uint32]]) -> None:
+        """Store a list: parts of (T, 3) indices of vertices."""
+        from OpenGL import GL
+
+        flat = np.concatenate([np.zeros((0, 3), np.uint32), *triangles])
+        buffer = self._lists[key][0] if key in self._lists else GL.glGenBuffers(1)
+        GL.glBindVertexArray(self._array)
+        GL.glBindBuffer(GL.GL_ELEMENT_ARRAY_BUFFER, buffer)
+        GL.glBufferData(GL.GL_ELEMENT_ARRAY_BUFFER, flat.nbytes, flat, GL.GL_STATIC_DRAW)
+        self._lists[key] = buffer, flat.size
+
+    def draw(self, key: Hashable, instances: int) -> None:
+        """Draw the triangles of a list, as many times as there are instances."""
+        from OpenGL import GL
+
+        buffer, count = self._lists[key]
+        if not count:
+            return
+        GL.glBindVertexArray(self._array)
+        GL.glBindBuffer(GL.GL_ELEMENT_ARRAY_BUFFER, buffer)
+        GL.glDrawElementsInstanced(GL.GL_TRIANGLES, count, GL.GL_UNSIGNED_INT, None, instances)
+
+    def draw_whole(self, instances: int) -> None:
+        """Draw one triangle whose corners a shader chooses, for all of a picture."""
         from OpenGL import GL
 
         GL.glBindVertexArray(self._array)
-        start = ctypes.c_void_p(12 * first)
-        GL.glDrawElementsInstanced(GL.GL_TRIANGLES, 3 * count, GL.GL_UNSIGNED_INT, start, instances)
-
-    def draw_background(self, instances: int) -> None:
-        """Draw one triangle behind everything else of every picture."""
-        from OpenGL import GL
-
-        GL.glBindVertexArray(self._array)
-        GL.glDepthFunc(GL.GL_LEQUAL)
-        GL.glDisable(GL.GL_CULL_FACE)
         GL.glDrawArraysInstanced(GL.GL_TRIANGLES, 0, 3, instances)
-        GL.glEnable(GL.GL_CULL_FACE)
-        GL.glDepthFunc(GL.GL_LESS)
-
-
-class LayeredTarget:
-    """Pictures of one size, one a layer, with the outputs that are asked for.
-
-    Args:
-        width: Pixels.
-        height: Pixels.
-        layers: How many pictures.
-        outputs: Of ``color``, ``depth``, ``mask``.
-        halved: Whether pictures are drawn at twice the size, and averaged when they are read: for
-            ``color`` alone.
-    """
-
-    def __init__(
-        self, width: int, height: int, layers: int, outputs: Sequence[str], halved: bool = False
-    ) -> None:
-        from OpenGL import GL
-
-        self.size = width, height
-        self.outputs = tuple(outputs)
-        self.halved = halved
-        self._layers = layers
-        factor = 2 if halved else 1
-        self._drawn = factor * width, factor * height
-        self._frame = GL.glGenFramebuffers(1)
-        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._frame)
-        self._textures: dict[str, Any] = {}
-        attached = [GL.GL_NONE] * 3
-        for name in self.outputs:
-            place = list(_FORMATS).index(name)
-            levels = 2 if halved and name == "color" else 1
-            self._textures[name] = self._texture(getattr(GL, _FORMATS[name][0]), levels)
-            attached[place] = GL.GL_COLOR_ATTACHMENT0 + place
-            GL.glFramebufferTexture(GL.GL_FRAMEBUFFER, attached[place], self._textures[name], 0)
-        self._z = self._texture(GL.GL_DEPTH_COMPONENT32F, 1)
-        GL.glFramebufferTexture(GL.GL_FRAMEBUFFER, GL.GL_DEPTH_ATTACHMENT, self._z, 0)
-        GL.glDrawBuffers(3, attached)
-        status = GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER)
-        if status != GL.GL_FRAMEBUFFER_COMPLETE:
-            raise RenderError(f"no target of {layers} pictures of {width} x {height}: {status:#x}")
-
-    def _texture(self, kind: Any, levels: int) -> Any:
-        from OpenGL import GL
-
-        texture = GL.glGenTextures(1)
-        GL.glActiveTexture(GL.GL_TEXTURE0 + _SPARE_UNIT)
-        GL.glBindTexture(GL.GL_TEXTURE_2D_ARRAY, texture)
-        GL.glTexStorage3D(GL.GL_TEXTURE_2D_ARRAY, levels, kind, *self._drawn, self._layers)
-        return texture
-
-    def begin(self) -> None:
-        """Draw into it from now on; everything is cleared."""
-        from OpenGL import GL
-
-        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._frame)
-        GL.glViewport(0, 0, *self._drawn)
-        GL.glEnable(GL.GL_DEPTH_TEST)
-        GL.glEnable(GL.GL_CULL_FACE)
-        GL.glFrontFace(GL.GL_CW)  # pictures are drawn upside down: their first row is the top
-        GL.glDepthMask(True)
-        GL.glDisable(GL.GL_BLEND)
-        GL.glClear(GL.GL_DEPTH_BUFFER_BIT)
-        if "color" in self._textures:
-            GL.glClearBufferfv(GL.GL_COLOR, 0, np.array([0, 0, 0, 1], np.float32))
-        if "depth" in self._textures:
-            GL.glClearBufferfv(GL.GL_COLOR, 1, np.zeros(4, np.float32))
-        if "mask" in self._textures:
-            GL.glClearBufferiv(GL.GL_COLOR, 2, np.full(4, -1, np.int32))
-
-    @contextmanager
-    def color_alone(self, blended: bool = False) -> Iterator[None]:
-        """Within it, only colour is written; blended, it mixes with what is behind."""
-        from OpenGL import GL
-
-        for place in (1, 2):
-            GL.glColorMaski(place, False, False, False, False)
-        if blended:
-            GL.glDepthMask(False)
-            GL.glEnablei(GL.GL_BLEND, 0)
-            GL.glBlendFunc(GL.GL_SRC_ALPHA, GL.GL_ONE_MINUS_SRC_ALPHA)
-        try:
-            yield
-        finally:
-            for place in (1, 2):
-                GL.glColorMaski(place, True, True, True, True)
-            GL.glDisablei(GL.GL_BLEND, 0)
-            GL.glDepthMask(True)
-
-    def read(self, name: str, into: NDArray[Any]) -> None:
-        """Read an output, (layers, height, width, ...)."""
-        from OpenGL import GL
-
-        _, layout, kind, _ = _FORMATS[name]
-        GL.glActiveTexture(GL.GL_TEXTURE0 + _SPARE_UNIT)
-        GL.glBindTexture(GL.GL_TEXTURE_2D_ARRAY, self._textures[name])
-        level = 0
-        if self.halved and name == "color":
-            GL.glGenerateMipmap(GL.GL_TEXTURE_2D_ARRAY)
-            level = 1
-        GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
-        GL.glGetTexImage(
-            GL.GL_TEXTURE_2D_ARRAY, level, getattr(GL, layout), getattr(GL, kind), into
-        )
-
-    def empty(self, name: str) -> NDArray[Any]:
-        """An array that `read` fills."""
-        width, height = self.size
-        shape = (self._layers, height, width)
-        found: NDArray[Any] = np.empty((*shape, 4) if name == "color" else shape, _FORMATS[name][3])
-        return found
 
     def close(self) -> None:
-        """Free its memory."""
+        """Free them."""
         from OpenGL import GL
 
-        GL.glDeleteFramebuffers(1, [self._frame])
-        GL.glDeleteTextures(len(self._textures) + 1, [*self._textures.values(), self._z])
-
-
-class ShadowMap:
-    """Depths that a light sees, one square a layer, bound to a texture unit for comparing.
-
-    Args:
-        pixels: Of a side.
-        layers: How many.
-        unit: The texture unit.
-    """
-
-    def __init__(self, pixels: int, layers: int, unit: int) -> None:
-        from OpenGL import GL
-
-        self.layers = layers
-        self._pixels, self._unit = pixels, unit
-        self._texture, self._frame = GL.glGenTextures(1), GL.glGenFramebuffers(1)
-        GL.glActiveTexture(GL.GL_TEXTURE0 + unit)
-        kind = GL.GL_TEXTURE_2D_ARRAY
-        GL.glBindTexture(kind, self._texture)
-        GL.glTexStorage3D(kind, 1, GL.GL_DEPTH_COMPONENT24, pixels, pixels, layers)
-        GL.glTexParameteri(kind, GL.GL_TEXTURE_COMPARE_MODE, GL.GL_COMPARE_REF_TO_TEXTURE)
-        GL.glTexParameteri(kind, GL.GL_TEXTURE_COMPARE_FUNC, GL.GL_LEQUAL)
-        GL.glTexParameteri(kind, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR)
-        GL.glTexParameteri(kind, GL.GL_TEXTURE_MAG_FILTER, GL.GL_LINEAR)
-        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._frame)
-        GL.glFramebufferTexture(GL.GL_FRAMEBUFFER, GL.GL_DEPTH_ATTACHMENT, self._texture, 0)
-        GL.glDrawBuffer(GL.GL_NONE)
-
-    def begin(self) -> None:
-        """Draw into it from now on."""
-        from OpenGL import GL
-
-        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._frame)
-        GL.glViewport(0, 0, self._pixels, self._pixels)
-        GL.glEnable(GL.GL_DEPTH_TEST)
-        GL.glDepthMask(True)
-        GL.glDisable(GL.GL_CULL_FACE)
-        GL.glClear(GL.GL_DEPTH_BUFFER_BIT)
-
-    def end(self) -> None:
-        """Bind it for reading."""
-        from OpenGL import GL
-
-        GL.glActiveTexture(GL.GL_TEXTURE0 + self._unit)
-        GL.glBindTexture(GL.GL_TEXTURE_2D_ARRAY, self._texture)
-        GL.glActiveTexture(GL.GL_TEXTURE0)
-
-    def close(self) -> None:
-        """Free its memory."""
-        from OpenGL import GL
-
-        GL.glDeleteFramebuffers(1, [self._frame])
-        GL.glDeleteTextures(1, [self._texture])
+        buffers = [self._vertices, *(buffer for buffer, _ in self._lists.values())]
+        GL.glDeleteVertexArrays(1, [self._array])
+        GL.glDeleteBuffers(len(buffers), buffers)

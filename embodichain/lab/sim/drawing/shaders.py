@@ -1,24 +1,59 @@
-"""GLSL sources: scene, background, shadow map. One instance is one picture, drawn to its own layer.
+"""GLSL sources: surfaces, transparent surfaces, shading, shadow maps. An instance is a picture.
 
-Textures of numbers that all programs read (`samplerBuffer`, four floats a texel):
+Drawing has two stages. `surfaces` stores of the nearest surface its normal, geom, depth and colour
+(four integers a sample); `shading` computes a picture of it, each pixel once. Programs are compiled
+for what a scene has, by `#define`.
+
+Textures of numbers that the programs read (`samplerBuffer`, four floats a texel):
 
 - ``poses``: an environment's geoms, 3 texels each: the rows of a 3 x 4 pose.
-- ``looks``: an environment's geoms, 3 texels each: scale and half length; colour; specular,
-  shininess, emission, and texture (see ``surface``).
-- ``views``: a picture, 8 texels: the rows of the view projection, eye, environment, and the rays
-  through the picture's corner and along its sides.
-- ``lights``: an environment's lights, 6 texels each: position and 1 if directional, direction and
-  cosine of the cutoff, diffuse and 1 if active, ambient, specular, attenuation and exponent.
+- ``looks``: an environment's geoms, 4 texels each, see `SurfaceTable`.
+- ``views``: a picture, 8 texels: the rows of the view projection; eye and row of ``poses`` and
+  ``lights``; the rays through the picture's corner, along its width and its height, and in their w
+  the axis that points backwards.
+- ``lights``: an environment's, 1 texel of ambient light and the row of ``looks``, then 5 of each
+  light, see `light_table`.
+- ``shadowViews``: an environment's shadow maps, 4 texels each: rows of the view projection.
 """
 
 from __future__ import annotations
 
-__all__ = ["BACKGROUND", "SCENE_FRAGMENT", "SCENE_VERTEX", "SHADOW_VERTEX"]
+from collections.abc import Mapping
+
+__all__ = ["UNITS", "shading", "shadows", "surfaces", "transparent"]
+
+UNITS = {
+    "poses": 0,
+    "looks": 1,
+    "views": 2,
+    "lights": 3,
+    "shadowViews": 4,
+    "textures": 5,
+    "cubes": 6,
+    "shadowMaps": 7,
+    "surfaces": 8,
+    "veil": 9,
+    "order": 10,
+}
+"""Texture units of the samplers."""
 
 _HEAD = """#version 430 core
 #extension GL_ARB_shader_viewport_layer_array : require
-uniform samplerBuffer poses, looks, views, lights, shadowViews;
-uniform int geomCount, lightCount;
+layout(binding = 0) uniform samplerBuffer poses;
+layout(binding = 1) uniform samplerBuffer looks;
+layout(binding = 2) uniform samplerBuffer views;
+layout(binding = 3) uniform samplerBuffer lights;
+layout(binding = 4) uniform samplerBuffer shadowViews;
+layout(binding = 5) uniform sampler2DArray textures;
+layout(binding = 6) uniform samplerCubeArray cubes;
+layout(binding = 7) uniform sampler2DArrayShadow shadowMaps;
+layout(binding = 8) uniform usampler2DArray surfaces;
+layout(binding = 9) uniform sampler2DArray veil;
+layout(binding = 10) uniform samplerBuffer order;
+uniform int geomCount;
+const int NOTHING = 0xffff;
+
+int lookRowOf(int row) { return int(texelFetch(lights, row * (1 + 5 * LIGHTS)).w); }
 """
 
 _PLACE = """
@@ -27,205 +62,362 @@ layout(location = 1) in vec3 normal;
 layout(location = 2) in vec2 texcoord;
 layout(location = 3) in float geom;
 layout(location = 4) in float end;
+uniform float far;                // half the width of a plane without an edge
 
-vec3 inWorld(int environment, vec3 point, float one) {
-    int p = (environment * geomCount + int(geom)) * 3;
+vec3 inWorld(int row, vec3 point, float one) {
+    int p = (row * geomCount + int(geom)) * 3;
     vec4 local = vec4(point, one);
     return vec3(dot(texelFetch(poses, p), local), dot(texelFetch(poses, p + 1), local),
                 dot(texelFetch(poses, p + 2), local));
 }
+
+vec4 inClip(samplerBuffer rows, int v, vec3 world) {
+    vec4 at = vec4(world, 1.0);
+    return vec4(dot(texelFetch(rows, v), at), dot(texelFetch(rows, v + 1), at),
+                dot(texelFetch(rows, v + 2), at), dot(texelFetch(rows, v + 3), at));
+}
 """
 
-SCENE_VERTEX = (
-    _HEAD
-    + _PLACE
-    + """
-flat out int geomIndex, environmentIndex;
-flat out vec4 rgba, look, scaling;
-flat out vec3 eye;
-out vec3 worldPosition, worldNormal, localPosition;
+_SURFACE_VERTEX = """
+uniform int firstOfOrder;
+flat out uvec2 stored;            // geom, colour
+out vec3 worldNormal;
+#if defined(TEXTURE_2D) || defined(TEXTURE_CUBE)
+flat out vec4 rgba;
+flat out vec2 textureLayers;      // of textures, of cubes; -1 without
+out vec3 localPosition;
 out vec2 uv;
+#endif
+#ifdef TRANSPARENT
+flat out ivec2 rows;              // of lights, of looks
+flat out float alpha;
+flat out vec3 eye, backwards;
+out vec3 worldPosition;
+#endif
 
 void main() {
-    int v = gl_InstanceID * 8;
-    int environment = int(texelFetch(views, v + 4).w);
-    int g = (environment * geomCount + int(geom)) * 3;
+#ifdef TRANSPARENT
+    int layer = int(texelFetch(order, firstOfOrder + gl_InstanceID).x);
+#else
+    int layer = gl_InstanceID;
+#endif
+    int v = layer * 8;
+    vec4 eyeAndRow = texelFetch(views, v + 4);
+    int row = int(eyeAndRow.w);
+    int lookRow = lookRowOf(row);
+    int g = (lookRow * geomCount + int(geom)) * 4;
     vec4 scale = texelFetch(looks, g);
-    scaling = scale;
-    rgba = texelFetch(looks, g + 1);
-    look = texelFetch(looks, g + 2);
-    eye = texelFetch(views, v + 4).xyz;
-    localPosition = position * scale.xyz + vec3(0.0, 0.0, end * scale.w);
-    worldPosition = inWorld(environment, localPosition, 1.0);
-    worldNormal = inWorld(environment, normal / scale.xyz, 0.0);
-    uv = texcoord;
-    geomIndex = int(geom);
-    environmentIndex = environment;
-    vec4 at = vec4(worldPosition, 1.0);
-    gl_Position = vec4(dot(texelFetch(views, v), at), dot(texelFetch(views, v + 1), at),
-                       dot(texelFetch(views, v + 2), at), dot(texelFetch(views, v + 3), at));
-    gl_Layer = gl_InstanceID;
-}
-"""
-)
-
-SHADOW_VERTEX = (
-    _HEAD
-    + _PLACE
-    + """
-void main() {
-    int v = gl_InstanceID * 4;
-    vec4 scale = texelFetch(looks, (gl_InstanceID * geomCount + int(geom)) * 3);
+    vec4 colour = texelFetch(looks, g + 1);
+    bvec2 endless = equal(scale.xy, vec2(0.0));
+    scale.xy = mix(scale.xy, vec2(far), endless);
     vec3 local = position * scale.xyz + vec3(0.0, 0.0, end * scale.w);
-    vec4 at = vec4(inWorld(gl_InstanceID, local, 1.0), 1.0);
-    gl_Position = vec4(dot(texelFetch(shadowViews, v), at), dot(texelFetch(shadowViews, v + 1), at),
-                       dot(texelFetch(shadowViews, v + 2), at),
-                       dot(texelFetch(shadowViews, v + 3), at));
-    gl_Layer = gl_InstanceID;
-}
-"""
-)
-
-_TEXTURES = """
-uniform sampler2DArray textures;
-uniform vec4 textureTable[32];  // first layer, -1 without one; 1 of a cube; repeat u, v
-uniform int uniformRepeat[32];
-
-vec3 cubeFace(vec3 d, int first) {
-    // Faces in the order right, left, up, down, front, back, as OpenGL's cube maps.
-    vec3 a = abs(d);
-    int face;
-    vec2 st;
-    if (a.x >= a.y && a.x >= a.z) {
-        face = d.x > 0.0 ? 0 : 1;
-        st = vec2(d.x > 0.0 ? -d.z : d.z, -d.y) / a.x;
-    } else if (a.y >= a.z) {
-        face = d.y > 0.0 ? 2 : 3;
-        st = vec2(d.x, d.y > 0.0 ? d.z : -d.z) / a.y;
-    } else {
-        face = d.z > 0.0 ? 4 : 5;
-        st = vec2(d.z > 0.0 ? d.x : -d.x, -d.y) / a.z;
-    }
-    return texture(textures, vec3(clamp(0.5 + 0.5 * st, 0.002, 0.998), float(first + face))).rgb;
+    vec3 world = inWorld(row, local, 1.0);
+    worldNormal = normalize(inWorld(row, normal / scale.xyz, 0.0));
+    stored = uvec2(uint(geom), packUnorm4x8(vec4(colour.rgb, 1.0)));
+#if defined(TEXTURE_2D) || defined(TEXTURE_CUBE)
+    vec4 finish = texelFetch(looks, g + 2), mapping = texelFetch(looks, g + 3);
+    rgba = colour;
+    textureLayers = vec2(finish.w, mapping.z);
+    localPosition = local;
+    // A plane without an edge has a texture's middle in its own, and repeats by the metre.
+    vec2 repeat = mapping.xy * mix(vec2(1.0), scale.xy, bvec2(mapping.w == 1.0 || endless.x,
+                                                              mapping.w == 1.0 || endless.y));
+    uv = mix(texcoord * repeat, (texcoord - 0.5) * repeat + 0.5, endless);
+#endif
+    gl_Position = inClip(views, v, world);
+    gl_Layer = layer;
+#ifdef TRANSPARENT
+    rows = ivec2(row, lookRow);
+    alpha = colour.a;
+    eye = eyeAndRow.xyz;
+    backwards = vec3(texelFetch(views, v + 5).w, texelFetch(views, v + 6).w,
+                     texelFetch(views, v + 7).w);
+    worldPosition = world;
+    bool drawn = colour.a > 0.0 && colour.a < 1.0;
+#else
+    bool drawn = colour.a >= 1.0;
+#endif
+    if (!drawn) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside: all vertices of the geom are
 }
 """
 
-SCENE_FRAGMENT = (
-    _HEAD
-    + _TEXTURES
-    + """
-flat in int geomIndex, environmentIndex;
-flat in vec4 rgba, look, scaling;
-flat in vec3 eye;
-in vec3 worldPosition, worldNormal, localPosition;
+_BASE_COLOUR = """
+flat in uvec2 stored;
+in vec3 worldNormal;
+#if defined(TEXTURE_2D) || defined(TEXTURE_CUBE)
+flat in vec4 rgba;
+flat in vec2 textureLayers;
+in vec3 localPosition;
 in vec2 uv;
-uniform int full;                 // 1: specular light, textures smoothly, shadows
-uniform vec3 headAmbient, headDiffuse, headSpecular;
-uniform sampler2DArrayShadow shadows;
-uniform int shadowLight;          // which light casts, -1 none
-uniform int transparentPass;      // 1 draws what is transparent, 0 the rest
-layout(location = 0) out vec4 color;
-layout(location = 1) out float depth;
-layout(location = 2) out int mask;
+#endif
 
-float lit(vec3 point, vec3 normal) {
-    int v = environmentIndex * 4;
-    vec4 at = vec4(point + 0.004 * normal, 1.0);
-    vec4 clip = vec4(dot(texelFetch(shadowViews, v), at), dot(texelFetch(shadowViews, v + 1), at),
+vec3 baseColour() {
+#if defined(TEXTURE_2D) || defined(TEXTURE_CUBE)
+    vec3 base = rgba.rgb;
+#ifdef TEXTURE_2D
+    vec3 flatTexel = texture(textures, vec3(uv, max(textureLayers.x, 0.0))).rgb;
+    if (textureLayers.x >= 0.0) base *= flatTexel;
+#endif
+#ifdef TEXTURE_CUBE
+    vec3 cubeTexel = texture(cubes, vec4(localPosition, max(textureLayers.y, 0.0))).rgb;
+    if (textureLayers.y >= 0.0) base *= cubeTexel;
+#endif
+    return base;
+#else
+    return unpackUnorm4x8(stored.y).rgb;
+#endif
+}
+"""
+
+_SURFACE_FRAGMENT = """
+layout(location = 0) out uvec4 surface;
+
+void main() {
+#if defined(TEXTURE_2D) || defined(TEXTURE_CUBE)
+    uint colour = packUnorm4x8(vec4(baseColour(), 1.0));
+#else
+    uint colour = stored.y;
+#endif
+    surface = uvec4(packSnorm2x16(worldNormal.xy),
+                    stored.x | packSnorm2x16(vec2(0.0, worldNormal.z)),
+                    floatBitsToUint(1.0 / gl_FragCoord.w), colour);
+}
+"""
+
+_LIGHT = """
+uniform vec3 headDiffuse, headSpecular;
+
+#if SHADOW_MAPS > 0
+float lit(int row, int map, vec3 point, vec3 normal) {
+    // Four comparisons on a turned square, each of 2 x 2 texels: a soft edge of four texels.
+    int v = (row * SHADOW_MAPS + map) * 4;
+    float texel = 1.0 / float(textureSize(shadowMaps, 0).x);
+    vec4 across = texelFetch(shadowViews, v);
+    vec4 at = vec4(point + (4.0 * texel / length(across.xyz)) * normal, 1.0);
+    vec4 clip = vec4(dot(across, at), dot(texelFetch(shadowViews, v + 1), at),
                      dot(texelFetch(shadowViews, v + 2), at),
                      dot(texelFetch(shadowViews, v + 3), at));
     vec3 s = 0.5 + 0.5 * clip.xyz / clip.w;
-    if (any(lessThan(s, vec3(0.0))) || any(greaterThan(s, vec3(1.0)))) return 1.0;
-    float texel = 1.0 / float(textureSize(shadows, 0).x), sum = 0.0;
-    for (int i = -1; i <= 1; i += 2)
-        for (int j = -1; j <= 1; j += 2)
-            sum += texture(shadows, vec4(s.xy + texel * vec2(i, j), float(environmentIndex),
-                                         s.z - 0.0008));
-    return 0.25 * sum;
+    float layer = float(row * SHADOW_MAPS + map), sum = 0.0, level = min(s.z - 0.0006, 1.0);
+    vec2 wide = texel * vec2(1.4, 0.6);
+    sum += texture(shadowMaps, vec4(s.xy + wide.xy, layer, level));
+    sum += texture(shadowMaps, vec4(s.xy - wide.xy, layer, level));
+    sum += texture(shadowMaps, vec4(s.xy + vec2(-wide.y, wide.x), layer, level));
+    sum += texture(shadowMaps, vec4(s.xy + vec2(wide.y, -wide.x), layer, level));
+    bool outside = any(lessThan(s, vec3(0.0))) || any(greaterThan(s.xy, vec2(1.0)));
+    return outside ? 1.0 : 0.25 * sum;
 }
+#endif
 
-vec3 surface(vec3 base, vec4 look) {
-    int kind = int(look.w);       // a material's texture, -1 without one
-    if (kind < 0) return base;
-    vec4 entry = textureTable[kind];
-    if (entry.x < 0.0) return base;
-    bool repeats = uniformRepeat[kind] == 1;
-    if (entry.y == 1.0) return base * cubeFace(localPosition, int(entry.x));
-    vec2 st = uv * entry.zw * (repeats ? scaling.xy : vec2(1.0));
-    return base * texture(textures, vec3(st, entry.x)).rgb;
-}
-
-void main() {
-    if (rgba.a <= 0.0 || (rgba.a < 1.0) != (transparentPass == 1)) discard;
-    vec3 base = surface(rgba.rgb, look);
-    vec3 normal = normalize(worldNormal);
-    vec3 toEye = normalize(eye - worldPosition);
-    float facing = max(dot(normal, toEye), 0.0);
-    vec3 light = headAmbient + headDiffuse * facing;
+vec3 lighted(vec3 base, vec3 point, vec3 normal, vec3 toEye, vec3 backwards, int row, vec3 finish) {
+    int l = row * (1 + 5 * LIGHTS);
+    float facing = max(dot(normal, backwards), 0.0);
+    vec3 light = texelFetch(lights, l).rgb;
+#ifdef FULL
+    light *= 0.9 + 0.2 * normal.z;                // the sky is brighter than the ground
+#endif
+    light += headDiffuse * facing + finish.z;
     vec3 shine = vec3(0.0);
-    float exponent = max(look.y * 128.0, 1.0);
-    if (full == 1) shine += headSpecular * pow(facing, exponent);
-    for (int i = 0; i < lightCount; ++i) {
-        int l = (environmentIndex * lightCount + i) * 6;
-        vec4 at = texelFetch(lights, l), along = texelFetch(lights, l + 1);
-        vec4 diffuse = texelFetch(lights, l + 2), ambient = texelFetch(lights, l + 3);
-        if (diffuse.w == 0.0) continue;
+#ifdef FULL
+    float exponent = max(finish.y * 128.0, 1.0);
+    shine += headSpecular * pow(max(dot(normal, normalize(backwards + toEye)), 0.0), exponent);
+#endif
+#if LIGHTS > 0
+    for (int i = 0; i < LIGHTS; ++i) {
+        int t = l + 1 + 5 * i;
+        vec4 along = texelFetch(lights, t), diffuse = texelFetch(lights, t + 1);
         vec3 toLight = -along.xyz;
         float strength = 1.0;
-        if (at.w == 0.0) {        // not directional
-            vec4 fall = texelFetch(lights, l + 5);
-            vec3 gap = at.xyz - worldPosition;
-            float far = length(gap);
-            toLight = gap / far;
-            strength = 1.0 / (fall.x + fall.y * far + fall.z * far * far);
-            float inCone = dot(-toLight, along.xyz);
-            if (inCone < along.w) strength = 0.0;
-            else if (along.w > -1.0) strength *= pow(max(inCone, 0.0), fall.w);
+#ifdef POSITIONAL
+        if (along.w != 0.0) {                     // not directional
+            vec4 at = texelFetch(lights, t + 3), fall = texelFetch(lights, t + 4);
+            vec3 gap = at.xyz - point;
+            float distance = length(gap);
+            toLight = gap / distance;
+            strength = 1.0 / (fall.x + distance * (fall.y + distance * fall.z));
+            float inCone = -dot(toLight, along.xyz);
+            if (at.w > -1.0)
+                strength *= inCone < at.w ? 0.0 : pow(max(inCone, 0.0), fall.w);
         }
-        light += ambient.rgb;
+#endif
         float direct = max(dot(normal, toLight), 0.0) * strength;
-        if (direct > 0.0 && full == 1 && i == shadowLight) direct *= lit(worldPosition, normal);
+#if SHADOW_MAPS > 0
+        if (MAP_OF_LIGHT[i] >= 0) direct *= lit(row, MAP_OF_LIGHT[i], point, normal);
+#endif
         light += diffuse.rgb * direct;
-        if (full == 1 && direct > 0.0) {
-            vec4 specular = texelFetch(lights, l + 4);
-            shine += specular.rgb * pow(max(dot(normal, normalize(toLight + toEye)), 0.0), exponent)
-                     * min(direct * 4.0, 1.0);
-        }
+#ifdef FULL
+        vec3 specular = texelFetch(lights, t + 2).rgb;
+        shine += specular * pow(max(dot(normal, normalize(toLight + toEye)), 0.0), exponent)
+                 * min(4.0 * direct, 1.0);
+#endif
     }
-    color = vec4(min(base * (light + look.z) + look.x * shine, 1.0), rgba.a);
-    depth = 1.0 / gl_FragCoord.w;
-    mask = geomIndex;
+#endif
+    return min(base * light + finish.x * shine, 1.0);
 }
 """
-)
 
-BACKGROUND = (
-    _HEAD
-    + """
+_TRANSPARENT_FRAGMENT = """
+flat in ivec2 rows;
+flat in float alpha;
+flat in vec3 eye, backwards;
+in vec3 worldPosition;
+layout(location = 0) out vec4 colour;
+
+void main() {
+    vec3 finish = texelFetch(looks, (rows.y * geomCount + int(stored.x)) * 4 + 2).xyz;
+    vec3 seen = lighted(baseColour(), worldPosition, normalize(worldNormal),
+                        normalize(eye - worldPosition), backwards, rows.x, finish);
+    colour = vec4(alpha * seen, alpha);
+}
+"""
+
+_SHADING_VERTEX = """
 out vec3 ray;
+flat out vec4 eyeAndRow;
+flat out vec3 backwards;
+flat out int lookRow, layer;
 
 void main() {
     vec2 at = vec2(gl_VertexID == 1 ? 2.0 : 0.0, gl_VertexID == 2 ? 2.0 : 0.0);
     int v = gl_InstanceID * 8;
-    ray = texelFetch(views, v + 5).xyz + at.x * texelFetch(views, v + 6).xyz
-          + at.y * texelFetch(views, v + 7).xyz;
-    gl_Position = vec4(2.0 * at - 1.0, 1.0, 1.0);
+    vec4 corner = texelFetch(views, v + 5), width = texelFetch(views, v + 6);
+    vec4 height = texelFetch(views, v + 7);
+    ray = corner.xyz + at.x * width.xyz + at.y * height.xyz;
+    backwards = vec3(corner.w, width.w, height.w);
+    eyeAndRow = texelFetch(views, v + 4);
+    lookRow = lookRowOf(int(eyeAndRow.w));
+    layer = gl_InstanceID;
+    gl_Position = vec4(2.0 * at - 1.0, 0.0, 1.0);
     gl_Layer = gl_InstanceID;
 }
-""",
-    _HEAD
-    + _TEXTURES
-    + """
+"""
+
+_SHADING_FRAGMENT = """
 in vec3 ray;
-uniform int sky;                  // entry of the texture table, -1 without one
-uniform vec3 clear;
-layout(location = 0) out vec4 color;
+flat in vec4 eyeAndRow;
+flat in vec3 backwards;
+flat in int lookRow, layer;
+uniform float sky;                // cube of the sky, -1 without one
+layout(location = 0) out vec4 colour;
+layout(location = 1) out float depth;
+layout(location = 2) out int mask;
+
+int geomOf(uvec4 surface) { return int(surface.y & 0xffffu); }
+
+vec3 normalOf(uvec4 surface) {
+    return normalize(vec3(unpackSnorm2x16(surface.x), unpackSnorm2x16(surface.y).y));
+}
+
+vec3 behind() {
+#ifdef SKY
+    // A skybox lies on its side: its up is z of the world.
+    return textureLod(cubes, vec4(ray.x, ray.z, -ray.y, sky), 0.0).rgb;
+#else
+    float up = clamp(0.5 + 0.5 * normalize(ray).z, 0.0, 1.0);
+    return mix(vec3(0.85, 0.88, 0.92), vec3(0.55, 0.66, 0.80), up);
+#endif
+}
+
+vec3 shaded(uvec4 surface, vec3 base, vec3 toEye) {
+    int geom = geomOf(surface);
+    if (geom == NOTHING) return behind();
+    vec3 point = eyeAndRow.xyz + uintBitsToFloat(surface.z) * ray;
+    vec3 finish = texelFetch(looks, (lookRow * geomCount + geom) * 4 + 2).xyz;
+    return lighted(base, point, normalOf(surface), toEye, backwards, int(eyeAndRow.w), finish);
+}
+
+vec3 baseOf(uvec4 surface) { return unpackUnorm4x8(surface.w).rgb; }
 
 void main() {
-    vec3 d = normalize(ray);
-    // A skybox lies on its side: its up is z of the world.
-    color = vec4(sky < 0 ? clear : cubeFace(vec3(d.x, d.z, -d.y), int(textureTable[sky].x)), 1.0);
+    vec3 toEye = -normalize(ray);
+#ifdef FULL
+    // Four samples a pixel. Where they show the same smooth surface, it is shaded once.
+    ivec3 q = ivec3(2 * ivec2(gl_FragCoord.xy), layer);
+    uvec4 a = texelFetch(surfaces, q, 0), b = texelFetch(surfaces, q + ivec3(1, 0, 0), 0);
+    uvec4 c = texelFetch(surfaces, q + ivec3(0, 1, 0), 0);
+    uvec4 d = texelFetch(surfaces, q + ivec3(1, 1, 0), 0);
+    ivec4 geoms = ivec4(geomOf(a), geomOf(b), geomOf(c), geomOf(d));
+    vec3 first = normalOf(a);
+    float turned = min(dot(first, normalOf(d)), min(dot(first, normalOf(b)),
+                                                    dot(first, normalOf(c))));
+    bool same = geoms == ivec4(geoms.x) && (turned > 0.97 || geoms.x == NOTHING);
+    vec3 mean = 0.25 * (baseOf(a) + baseOf(b) + baseOf(c) + baseOf(d)), sum = vec3(0.0);
+    int samples = same ? 1 : 4;
+    for (int i = 0; i < samples; ++i) {
+        uvec4 surface = texelFetch(surfaces, q + ivec3(i & 1, i >> 1, 0), 0);
+        sum += shaded(surface, same ? mean : baseOf(surface), toEye);
+    }
+    vec3 seen = sum / float(samples);
+#ifdef VEIL
+    vec4 over = 0.25 * (texelFetch(veil, q, 0) + texelFetch(veil, q + ivec3(1, 0, 0), 0)
+                        + texelFetch(veil, q + ivec3(0, 1, 0), 0)
+                        + texelFetch(veil, q + ivec3(1, 1, 0), 0));
+    seen = seen * (1.0 - over.a) + over.rgb;
+#endif
+    colour = vec4(seen, 1.0);
+#else
+    ivec3 q = ivec3(ivec2(gl_FragCoord.xy), layer);
+    uvec4 surface = texelFetch(surfaces, q, 0);
+    int geom = geomOf(surface);
+    depth = uintBitsToFloat(surface.z);
+    mask = geom == NOTHING ? -1 : geom;
+#ifdef COLOUR
+    vec3 seen = shaded(surface, baseOf(surface), toEye);
+#ifdef VEIL
+    vec4 over = texelFetch(veil, q, 0);
+    seen = seen * (1.0 - over.a) + over.rgb;
+#endif
+    colour = vec4(seen, 1.0);
+#endif
+#endif
 }
-""",
-)
-"""Vertex and fragment shader of the sky, behind everything; writes colour only."""
+"""
+
+_SHADOW_VERTEX = """
+void main() {
+    int row = gl_InstanceID / SHADOW_MAPS;
+    int g = (lookRowOf(row) * geomCount + int(geom)) * 4;
+    vec4 scale = texelFetch(looks, g);
+    vec3 local = position * scale.xyz + vec3(0.0, 0.0, end * scale.w);
+    gl_Position = inClip(shadowViews, gl_InstanceID * 4, inWorld(row, local, 1.0));
+    if (texelFetch(looks, g + 1).a < 1.0) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+    gl_Layer = gl_InstanceID;
+}
+"""
+
+Defines = Mapping[str, object]
+
+
+def _source(defines: Defines, *parts: str) -> str:
+    lines = "".join(f"#define {name} {value}\n" for name, value in defines.items())
+    version, _, rest = _HEAD.partition("\n")
+    extension, _, rest = rest.partition("\n")
+    return "\n".join([version, extension, lines, rest, *parts])
+
+
+def surfaces(defines: Defines) -> tuple[str, str]:
+    """Vertex and fragment shader of what is opaque; ``TEXTURE_2D``, ``TEXTURE_CUBE``."""
+    vertex = _source(defines, _PLACE, _SURFACE_VERTEX)
+    return vertex, _source(defines, _BASE_COLOUR, _SURFACE_FRAGMENT)
+
+
+def transparent(defines: Defines) -> tuple[str, str]:
+    """Vertex and fragment shader of what is transparent: those of `surfaces` and of `shading`."""
+    defines = {"TRANSPARENT": 1, **defines}
+    vertex = _source(defines, _PLACE, _SURFACE_VERTEX)
+    return vertex, _source(defines, _BASE_COLOUR, _LIGHT, _TRANSPARENT_FRAGMENT)
+
+
+def shading(defines: Defines) -> tuple[str, str]:
+    """Vertex and fragment shader of a whole picture.
+
+    ``FULL`` (four samples, highlights), ``COLOUR``, ``SKY``, ``VEIL`` (of what is transparent),
+    ``LIGHTS``, ``POSITIONAL``, ``SHADOW_MAPS`` and ``MAP_OF_LIGHT``, an array.
+    """
+    vertex = _source(defines, _SHADING_VERTEX)
+    return vertex, _source(defines, _LIGHT, _SHADING_FRAGMENT)
+
+
+def shadows(defines: Defines) -> tuple[str, str]:
+    """Vertex shader of shadow maps: `SHADOW_MAPS` of each environment; depth only."""
+    return _source(defines, _PLACE, _SHADOW_VERTEX), ""

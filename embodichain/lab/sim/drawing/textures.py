@@ -1,4 +1,4 @@
-"""`SceneTextures`: a model's textures as layers of one array, and which material has which."""
+"""`SceneTextures`: a model's textures, in one array of squares and one of cubes."""
 
 from __future__ import annotations
 
@@ -8,96 +8,103 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.drawing.shaders import UNITS
+
 __all__ = ["SceneTextures"]
 
-_PIXELS = 512
-_MOST = 32  # entries of the table in the shader
-_RGB = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
+_MOST_PIXELS = 1024
+_2D = int(mujoco.mjtTexture.mjTEXTURE_2D)
+_SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 
 
 class SceneTextures:
-    """Textures of one size, squares of 512 pixels, in one array: a cube is six layers.
+    """Textures as layers, resized to the largest of their kind, at most 1024 pixels a side.
 
     Args:
         model: The compiled scene.
-        unit: The texture unit that they are bound to.
 
     Attributes:
-        sky: Entry of the skybox in the table, -1 without one.
+        layers: (ntex, 2) of each texture, its layer among the squares and among the cubes; -1 in
+            the one where it is not.
+        sky: The cube of the first skybox, -1 without one.
     """
 
-    def __init__(self, model: mujoco.MjModel, unit: int) -> None:
-        kinds = [int(kind) for kind in model.tex_type]
-        cube = [kind != int(mujoco.mjtTexture.mjTEXTURE_2D) for kind in kinds]
-        first, layers = [], 0
-        images: list[NDArray[np.uint8]] = []
-        for texture, is_cube in enumerate(cube):
-            first.append(layers)
-            images += _faces(model, texture, is_cube)
-            layers += 6 if is_cube else 1
-        self._table = np.full((_MOST, 4), -1.0)
-        self._repeats = np.zeros(_MOST, np.int32)
-        for material in range(min(model.nmat, _MOST - 1)):
-            texture = int(model.mat_texid[material][_RGB])
-            if texture < 0:
-                continue
-            repeat = model.mat_texrepeat[material]
-            self._table[material] = first[texture], cube[texture], *np.where(repeat > 0, repeat, 1)
-            self._repeats[material] = int(model.mat_texuniform[material])
-        skies = [i for i, k in enumerate(kinds) if k == int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)]
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.layers = np.full((model.ntex, 2), -1, np.int64)
+        squares: list[NDArray[np.uint8]] = []
+        cubes: list[NDArray[np.uint8]] = []
         self.sky = -1
-        if skies:
-            self.sky = _MOST - 1
-            self._table[self.sky] = first[skies[0]], 1, 1, 1
-        _upload(images or [np.full((_PIXELS, _PIXELS, 3), 255, np.uint8)], unit)
+        for texture, kind in enumerate(model.tex_type):
+            if kind == _2D:
+                self.layers[texture, 0] = len(squares)
+                squares.append(_image(model, texture))
+                continue
+            self.layers[texture, 1] = len(cubes) // 6
+            if kind == _SKYBOX and self.sky < 0:
+                self.sky = len(cubes) // 6
+            cubes += _faces(_image(model, texture))
+        self._textures = [
+            _upload(squares, "GL_TEXTURE_2D_ARRAY", UNITS["textures"], empty=1),
+            _upload(cubes, "GL_TEXTURE_CUBE_MAP_ARRAY", UNITS["cubes"], empty=6),
+        ]
 
-    def uniforms(self) -> dict[str, Any]:
-        """What shaders need to know."""
-        return {"textureTable": self._table, "uniformRepeat": self._repeats}
+    def close(self) -> None:
+        """Free them."""
+        from OpenGL import GL
+
+        GL.glDeleteTextures(len(self._textures), self._textures)
 
 
-def _faces(model: mujoco.MjModel, texture: int, is_cube: bool) -> list[NDArray[np.uint8]]:
-    """Squares of RGB of a texture: one, or six of a cube."""
+def _image(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
+    """(H, W, 4) RGBA."""
     height, width = int(model.tex_height[texture]), int(model.tex_width[texture])
     channels, start = int(model.tex_nchannel[texture]), int(model.tex_adr[texture])
     data = np.asarray(model.tex_data[start : start + height * width * channels], np.uint8)
-    image = data.reshape(height, width, channels)[..., :3]
-    if image.shape[2] == 1:
-        image = np.repeat(image, 3, axis=2)
-    if not is_cube:
-        return [_resized(image)]
+    image = data.reshape(height, width, channels)
+    found = np.full((height, width, 4), 255, np.uint8)
+    found[..., :3] = image[..., : 3 if channels >= 3 else 1]
+    return found
+
+
+def _faces(image: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
+    """Six faces: right, left, up, down, front, back, as OpenGL's."""
+    height, width = image.shape[:2]
     if height == 6 * width:
-        return [_resized(image[i * width : (i + 1) * width]) for i in range(6)]
-    return [_resized(image)] * 6  # one picture for every face
+        return list(image.reshape(6, width, width, 4))
+    return [image] * 6  # one picture for every face
 
 
-def _resized(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    if image.shape[:2] == (_PIXELS, _PIXELS):
-        return np.ascontiguousarray(image)
-    from PIL import Image
-
-    return np.asarray(Image.fromarray(np.ascontiguousarray(image)).resize((_PIXELS, _PIXELS)))
-
-
-def _upload(images: list[NDArray[np.uint8]], unit: int) -> None:
+def _upload(images: list[NDArray[np.uint8]], kind_name: str, unit: int, empty: int) -> Any:
     from OpenGL import GL
 
+    longest = max((max(image.shape[:2]) for image in images), default=1)
+    side = min(_MOST_PIXELS, 1 << (longest - 1).bit_length())
+    data = np.full((empty, side, side, 4), 255, np.uint8)
+    if images:
+        data = np.stack([_resized(image, side) for image in images])
+    kind = getattr(GL, kind_name)
     texture = GL.glGenTextures(1)
     GL.glActiveTexture(GL.GL_TEXTURE0 + unit)
-    GL.glBindTexture(GL.GL_TEXTURE_2D_ARRAY, texture)
-    levels = _PIXELS.bit_length()
-    size = _PIXELS, _PIXELS, len(images)
-    GL.glTexStorage3D(GL.GL_TEXTURE_2D_ARRAY, levels, GL.GL_RGB8, *size)
+    GL.glBindTexture(kind, texture)
+    GL.glTexStorage3D(kind, side.bit_length(), GL.GL_RGBA8, side, side, len(data))
     GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
-    data = np.ascontiguousarray(np.stack(images))
-    GL.glTexSubImage3D(
-        GL.GL_TEXTURE_2D_ARRAY, 0, 0, 0, 0, *size, GL.GL_RGB, GL.GL_UNSIGNED_BYTE, data
-    )
-    GL.glGenerateMipmap(GL.GL_TEXTURE_2D_ARRAY)
+    size = side, side, len(data)
+    GL.glTexSubImage3D(kind, 0, 0, 0, 0, *size, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, data)
+    GL.glGenerateMipmap(kind)
+    GL.glEnable(GL.GL_TEXTURE_CUBE_MAP_SEAMLESS)
     for name, value in (
         (GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_LINEAR),
         (GL.GL_TEXTURE_MAG_FILTER, GL.GL_LINEAR),
         (GL.GL_TEXTURE_WRAP_S, GL.GL_REPEAT),
         (GL.GL_TEXTURE_WRAP_T, GL.GL_REPEAT),
     ):
-        GL.glTexParameteri(GL.GL_TEXTURE_2D_ARRAY, name, value)
+        GL.glTexParameteri(kind, name, value)
+    return texture
+
+
+def _resized(image: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
+    if image.shape[:2] == (side, side):
+        return image
+    from PIL import Image
+
+    return np.asarray(Image.fromarray(np.ascontiguousarray(image)).resize((side, side)))

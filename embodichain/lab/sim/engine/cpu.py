@@ -21,6 +21,7 @@ from embodichain.lab.sim.engine.api import (
     EngineListener,
     EnvIndex,
     PhysicsEvent,
+    RayHits,
     Write,
     row_layout,
 )
@@ -172,6 +173,29 @@ class CpuEngine(Engine):
                 copy[...] = output
             else:
                 copy[env_ids] = output[env_ids]
+
+    def cast_rays(
+        self,
+        origins: F64,
+        directions: F64,
+        geoms: NDArray[np.bool_],
+        env_ids: EnvIndex | None = None,
+        *,
+        normal: bool = False,
+    ) -> RayHits:
+        if self._fields.stale:
+            self._set_const_now()
+        # mj_ray chooses geoms by group: put them into group 0 during the call, others into 5.
+        group = self._fields.internal("geom_group")
+        kept = group.copy()
+        group[:] = np.where(geoms, 0, 5)
+        try:
+            found = self._batch.ray(
+                origins, directions, geomgroup=[1, 0, 0, 0, 0, 0], ids=env_ids, normal=normal
+            )
+        finally:
+            group[...] = kept
+        return RayHits(*found)
 
     # -- physics -------------------------------------------------------------------------------
 

@@ -37,7 +37,8 @@ from embodichain.utils.math import (
 )
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.scene_sensors import CameraIndex, SensorPlan
+    from embodichain.lab.sim.compiler.scene_sensors import CameraIndex
+    from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
     from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
@@ -79,7 +80,6 @@ class Camera(BaseSensor):
         if not isinstance(plan.cfg, CameraCfg):
             raise TypeError(f"{plan.uid}: the config of a camera is wanted, got {plan.cfg!r}")
         self.cfg: CameraCfg = plan.cfg
-        self.reads = tuple(self.cfg.get_data_types())  # type: ignore[misc]
         self._images: Readings = ()
         self._version = -1
 

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.cfg import ActionTermCfg
+from embodichain.lab.gym.envs.cfg import ActionTermCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import ActionPipeline
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
@@ -33,6 +33,7 @@ __all__ = [
     "ActionManager",
     "ActionTerm",
     "action_space",
+    "default_actions",
     "drive_robot",
 ]
 
@@ -50,6 +51,18 @@ def action_space(
         return gym.spaces.Box(0.0, 0.0, (0,), np.float32)
     low, high = finite_limits(robot.parsed.qpos_limits, joint_ids)
     return gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))
+
+
+def default_actions(robot: Robot | None) -> dict[str, ActionTermCfg]:
+    """Return the action term of an MJCF robot with actuators in its file; else an empty dict."""
+    if robot is None:
+        return {}
+    parsed = robot.parsed
+    passive = any(not parsed.drives[i] for i in robot.active_joint_ids)
+    if parsed.own_actuators or (passive and parsed.control_names):
+        params = {"entity_cfg": SceneEntityCfg(uid=robot.uid)}
+        return {"ctrl": ActionTermCfg(func="actuator_ctrl", params=params)}
+    return {}
 
 
 class ActionCheck:

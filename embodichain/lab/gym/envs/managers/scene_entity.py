@@ -7,7 +7,8 @@ may depend on the number of environments.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sim_manager import SimulationManager
 
-__all__ = ["ResolvedEntity", "resolve_entity"]
+__all__ = ["ResolvedEntity", "references_in", "resolve_entity"]
 
 _HINGE = 3
 """MuJoCo's ``mjJNT_HINGE``; listing terms must not import MuJoCo."""
@@ -337,3 +338,32 @@ def resolve_entity(
 def _from_mapping(cfg: Mapping[str, Any]) -> SceneEntityCfg:
     found: SceneEntityCfg = from_dict(SceneEntityCfg, dict(cfg))
     return found
+
+
+_FIELDS = frozenset(SceneEntityCfg.__dataclass_fields__)
+_KEY = re.compile(r"(.*_)?(entity_cfg|cfg|relative_to)|of|from|to")
+
+
+def references_in(path: str, params: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield key path and fields of every reference to an entity within parameters.
+
+    A value is a reference if it is a `SceneEntityCfg`, or a map with only its keys that has ``uid``
+    or is named like one (``of``, ``from``, ``to``, ``..._cfg``, ``relative_to``).
+
+    Args:
+        path: Key path of the parameters.
+        params: Parameters of a term, or a value in them.
+    """
+    items: Any = params.items() if isinstance(params, Mapping) else ()
+    for key, value in enumerate(params) if isinstance(params, (list, tuple)) else items:
+        where = f"{path}.{key}"
+        if isinstance(value, SceneEntityCfg):
+            yield where, vars(value)
+        elif (
+            isinstance(value, Mapping)
+            and ("uid" in value or _KEY.fullmatch(str(key)))
+            and _FIELDS.issuperset(value)
+        ):
+            yield where, value
+        else:
+            yield from references_in(where, value)
