@@ -20,8 +20,6 @@ from embodichain.learning.episode_statistics import EpisodeStatistics, play
 from embodichain.utils.atomic import write_text
 
 if TYPE_CHECKING:
-    import mujoco
-
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
 
@@ -220,28 +218,26 @@ def _mean_spread(spread: dict[str, float] | None) -> str:
 
 
 class _StartPicture:
-    """A copy of environment 0's state at construction, rendered when the run ends."""
+    """Environment 0 as it is at construction, rendered when the run ends."""
 
     def __init__(self, env: BaseEnv) -> None:
-        self._model = env.sim.scene.model
         self._data = env.sim.engine.data_of(0)
-
-    def data_of(self, env_id: int) -> mujoco.MjData:
-        """The copied state."""
-        return self._data
 
     def draw(self, path: Path) -> None:
         """Write the picture; warn if there is no OpenGL or the file cannot be written."""
+        from contextlib import closing
+
         from PIL import Image
 
-        from embodichain.lab.sim.rendering import SceneRenderer
+        from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+        from embodichain.lab.sim.drawing.states import DataState
         from embodichain.utils.atomic import atomic_file
         from embodichain.utils.errors import RenderError
 
+        state = DataState(self._data)
         try:
-            renderer = SceneRenderer(self._model, *_PICTURE_SIZE)
-            pixels = renderer.draw(self, 0, "default")
-            renderer.close()
+            with closing(OffscreenRenderer(state.model)) as renderer:
+                pixels = renderer.pictures(state, "default", _PICTURE_SIZE)[0]
             with atomic_file(path) as temporary:
                 Image.fromarray(pixels).save(temporary, format="PNG")
         except (RenderError, OSError) as error:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.sensors.cfg import CameraCfg
 from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.block import DRAWN, ArrayKind, CallKind, Recorded
 from embodichain.recording.columns import Moved
@@ -27,12 +28,15 @@ from embodichain.recording.hashing import row_hashes
 from embodichain.recording.header import check_keyframes, header_of
 from embodichain.recording.log_writer import LogWriter
 from embodichain.recording.options import RecordOptions, check_options
+from embodichain.recording.schema import PICTURES_TOPIC
 from embodichain.recording.views.layout import foxglove_layout
 from embodichain.recording.views.views import Views
 from embodichain.recording.writing import Writing
+from embodichain.utils.errors import RenderError
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
+    from embodichain.recording.pictures import FirstPictures
 
 __all__ = ["McapRecorder", "RecordStats"]
 
@@ -117,6 +121,7 @@ class McapRecorder(StepObserver):
         self._log = LogWriter(self._path, options.compression, header, attachments, layout)
         self._views = Views(env, options, self._log.views, self._now)
         self._views.say("recording begins")
+        self._pictures = _first_pictures(env, self._log)
         self._write_start()
         self._log.began()
         file = self._log.file
@@ -192,6 +197,7 @@ class McapRecorder(StepObserver):
                     self._gate.on_physics()
                 if self._gate.open:
                     self._views.on_rows(self._step, rows)
+                    self._hash_pictures(rows)
             return
         if not self._records(ids):
             return
@@ -211,6 +217,18 @@ class McapRecorder(StepObserver):
         else:
             more = [a for a in (ids, result, failed) if a is not None]
             self._calls.append((kind, tuple(np.ascontiguousarray(a) for a in more)))
+
+    def _hash_pictures(self, rows: NDArray[np.float64]) -> None:
+        """Record the hashes of the first pictures of episodes that begin with this step."""
+        if self._pictures is None or not self._keeps_state:
+            return
+        try:
+            messages = self._pictures.take(self._step, rows)
+        except RenderError as error:
+            self._pictures = None
+            self._views.say(f"pictures are not hashed: {error}", "WARNING")
+        else:
+            self._log.views.send(self._now(), [(PICTURES_TOPIC, data) for data in messages])
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """Record that a term of the event manager fired, and the values it drew."""
@@ -232,6 +250,8 @@ class McapRecorder(StepObserver):
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Update the views after a reset; start or pause recording (`record.every`)."""
+        if self._pictures is not None:
+            self._pictures.begin(env_ids)
         if self._gate.open:
             self._views.on_reset(env_ids)
         was_open = self._gate.open
@@ -447,6 +467,18 @@ def _step_kind(arrays: Sequence[NDArray[Any]]) -> CallKind:
     names = ("action", "reward", "terminated", "truncated", "episode_ids")
     named = zip(names, arrays, strict=True)
     return CallKind("step", arrays=tuple(ArrayKind(n, a.dtype.str, a.shape) for n, a in named))
+
+
+def _first_pictures(env: ObservedEnv, log: LogWriter) -> FirstPictures | None:
+    """What hashes the pictures of the scene's cameras; None if it has none."""
+    sensors = getattr(env.sim, "sensors", {})  # other classes may have none
+    cameras: list[Any] = [s for s in sensors.values() if isinstance(s.cfg, CameraCfg)]
+    if not cameras:
+        return None
+    from embodichain.recording.pictures import FirstPictures
+
+    log.views.channel(PICTURES_TOPIC, "embodichain.Pictures")
+    return FirstPictures(env.sim.engine, cameras)
 
 
 def _close_if_alive(recorder: weakref.ref[McapRecorder]) -> None:

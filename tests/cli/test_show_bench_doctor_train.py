@@ -173,12 +173,12 @@ def test_max_steps_ends_a_run(capsys: pytest.CaptureFixture[str]) -> None:
 def test_without_opengl_a_run_only_warns(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import mujoco
+    import mujoco.egl
 
     def missing(*args: object, **kwargs: object) -> None:
         raise ImportError("libEGL.so.1: cannot open shared object file")
 
-    monkeypatch.setattr(mujoco, "Renderer", missing)
+    monkeypatch.setattr(mujoco.egl, "GLContext", missing)
     short = ("num_envs=1", "max_steps=2", "record=none", "--json")
     assert main(["run", "task=random_reach", *short]) == 0
     out, err = capsys.readouterr()

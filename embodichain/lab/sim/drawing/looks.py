@@ -105,10 +105,10 @@ class SurfaceTable:
         for column, name in enumerate(("mat_specular", "mat_shininess", "mat_emission")):
             table[env, geom, 2, column] = of(name)
         texture = of("mat_texid")[:, _RGB]
-        repeat, uniform = of("mat_texrepeat"), of("mat_texuniform")
         has = texture >= 0
+        repeat, uniform = of("mat_texrepeat")[has], of("mat_texuniform")[has]
         env, geom, texture = env[has], geom[has], texture[has]
         table[env, geom, 2, 3] = self._layers[texture, 0]
         table[env, geom, 3, 2] = self._layers[texture, 1]
-        table[env, geom, 3, :2] = repeat[has]
-        table[env, geom, 3, 3] = uniform[has]
+        table[env, geom, 3, :2] = repeat
+        table[env, geom, 3, 3] = uniform

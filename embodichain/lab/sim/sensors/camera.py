@@ -67,6 +67,9 @@ class Camera(BaseSensor):
     (N, H, W, 3) in the environment's frame, computed from depth, 0 where nothing is drawn.
 
     Poses have OpenGL's axes: x right, y up, view along -z.
+
+    Attributes:
+        was_drawn: Whether its images were read since it was built.
     """
 
     reads_images = True
@@ -82,6 +85,7 @@ class Camera(BaseSensor):
         self.cfg: CameraCfg = plan.cfg
         self._images: Readings = ()
         self._version = -1
+        self.was_drawn = False
 
     # -- images --------------------------------------------------------------------------------
 
@@ -121,6 +125,7 @@ class Camera(BaseSensor):
         return self._images
 
     def _drawn(self, env_ids: EnvIndex | None) -> Readings:
+        self.was_drawn = True
         seen = self._draw(env_ids)
         return tuple(self._image(name, seen) for name in self.reads)
 

@@ -41,13 +41,16 @@ class RayCaster(BaseSensor):
         """R."""
         return len(self._rays[0])
 
+    @cached_property
+    def _body(self) -> int:
+        """Id of the body that it is fixed on; body 0 is the world."""
+        return int(self.body_ids[0]) if len(self.names) else 0
+
     def _mount(self, env_ids: EnvIndex | None) -> tuple[F64, F64]:
         """(n, 3) origin and (n, 3, 3) axes of the frame that `alignment` chooses."""
-        bodies = self.body_ids
-        body = int(bodies[0]) if len(bodies) else 0  # body 0 is the world
         rows = slice(None) if env_ids is None else env_ids
-        position = self.engine.derived("xpos")[rows, body]
-        axes = self.engine.derived("xmat").reshape(self.num_instances, -1, 3, 3)[rows, body]
+        position = self.engine.derived("xpos")[rows, self._body]
+        axes = self.engine.derived("xmat").reshape(self.num_instances, -1, 3, 3)[rows, self._body]
         if self.cfg.alignment == "yaw":
             axes = _heading(axes)
         elif self.cfg.alignment == "world":
