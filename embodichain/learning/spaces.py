@@ -46,12 +46,14 @@ class ActionScale:
         space: The learner's Box, (A,) in [-1, 1].
 
     Raises:
-        ConfigError: If the space is not a Box (A,) with finite bounds.
+        ConfigError: If the space is not a Box (A,) with finite bounds, or is empty.
     """
 
     def __init__(self, space: Any) -> None:
         if not isinstance(space, spaces.Box) or len(space.shape) != 1:
             raise ConfigError(f"learning needs a Box (A,) as action space, got {space}")
+        if not space.shape[0]:
+            raise ConfigError("learning needs actions: this task has neither robot nor action term")
         self._low = np.asarray(space.low, np.float32)
         self._high = np.asarray(space.high, np.float32)
         finite = np.isfinite(self._low) & np.isfinite(self._high)

@@ -401,13 +401,14 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
     # -- the rest ------------------------------------------------------------------------------
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self, view: str = "default") -> NDArray[np.uint8] | None:
         """Draw environment 0 as (480, 640, 3) RGB; None unless `render_mode` is ``rgb_array``.
 
         Raises:
             RenderError: If no OpenGL library works; names the package to install.
+            ValueError: If there is no such view or camera.
         """
-        return self.sim.render() if self.render_mode == "rgb_array" else None
+        return self.sim.render(camera=view) if self.render_mode == "rgb_array" else None
 
     def restore(
         self,
