@@ -195,9 +195,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self._dump = StateDump(sim.engine)
         self._judge = StepJudge(self, self.overridden)
         own_code = self.overridden & {"get_obs", "_extend_obs"}
-        cameras = [u for u, s in self.sensors.items() if getattr(s, "reads_images", False)]
         self.observation_buffer = buffer = ObservationBuffer(
-            robot, joints, self.observation_manager, not own_code, cameras
+            robot, joints, self.observation_manager, not own_code, self.sensors
         )
         saved = self.streams.state_dict()
         first = buffer.store(buffer.build(self.get_obs(**kwargs)))

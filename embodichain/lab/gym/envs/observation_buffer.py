@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,7 +39,7 @@ class ObservationBuffer:
         plain: Whether only robot, sensors and terms are observed, so that all entries can be
             written into the array at once. Otherwise the hooks of the class receive the entries
             as nested tensors.
-        cameras: Uids of the observed sensors whose data are images.
+        sensors: All sensors by uid; the data of those with `reads_images` are images.
 
     Attributes:
         layout: Columns of the entries; set by `build`.
@@ -54,14 +55,14 @@ class ObservationBuffer:
         joint_ids: Sequence[int],
         manager: ObservationManager,
         plain: bool,
-        cameras: Collection[str] = (),
+        sensors: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         self._robot = robot
         every = robot is None or list(joint_ids) == list(range(robot.dof))
         self._joints: Any = slice(None) if every else np.asarray(joint_ids, np.int64)
         self._manager = manager
         self._plain = plain
-        self._cameras = cameras
+        self._cameras = {u for u, s in sensors.items() if getattr(s, "reads_images", False)}
         self._built = False
         self._has_terms = False
 
