@@ -16,7 +16,6 @@ from embodichain.lab.sim.sensors.cfg import (
     CameraCfg,
     ExtrinsicsCfg,
     LinksCfg,
-    SensorCfg,
     StereoCameraCfg,
 )
 from embodichain.utils.errors import ConfigError, Problem
@@ -165,28 +164,19 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
     return None, [Problem("extrinsics.parent", message)]
 
 
-def check_memory(sensors: Mapping[str, SensorCfg], num_envs: int) -> list[Problem]:
-    """Return a problem for every camera whose images of all environments exceed the memory.
-
-    Args:
-        sensors: The declared sensors by uid.
-        num_envs: N.
-    """
-    problems = []
+def check_memory(cfg: CameraCfg, num_envs: int) -> list[Problem]:
+    """Return a problem if a camera's images of all N environments exceed the memory."""
     limit = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    for uid, cfg in sensors.items():
-        if not isinstance(cfg, CameraCfg):
-            continue
-        images = cfg.get_data_types()
-        each = sum(_BYTES.get(name.removesuffix("_right"), 4) for name in images)
-        needed = each * cfg.width * cfg.height * num_envs
-        if needed > limit:
-            message = (
-                f"{num_envs} environments x {cfg.width} x {cfg.height} pixels of "
-                f"{', '.join(images)} need {needed / 2**30:.1f} GiB; there are {limit / 2**30:.1f}"
-            )
-            problems.append(Problem(f"sensors.{uid}.width", message))
-    return problems
+    images = cfg.get_data_types()
+    each = sum(_BYTES.get(name.removesuffix("_right"), 4) for name in images)
+    needed = each * cfg.width * cfg.height * num_envs
+    if needed <= limit:
+        return []
+    message = (
+        f"{num_envs} environments x {cfg.width} x {cfg.height} pixels of "
+        f"{', '.join(images)} need {needed / 2**30:.1f} GiB; there are {limit / 2**30:.1f}"
+    )
+    return [Problem("width", message)]
 
 
 # -- the model -------------------------------------------------------------------------------------
