@@ -88,10 +88,12 @@ class Job:
             return None
         from embodichain.config.resolved import dump_yaml
         from embodichain.config.run_folder import LOG
-        from embodichain.recording import McapRecorder, RecordOptions
+        from embodichain.recording import ImageOptions, McapRecorder, RecordOptions
 
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
+        if record.images is not None:
+            options["images"] = ImageOptions(**vars(record.images))
         recorder = McapRecorder(
             self.folder / LOG,
             env,

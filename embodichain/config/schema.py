@@ -63,6 +63,20 @@ class SimCfg:
 
 
 @configclass
+class ImagesCfg:
+    """Pictures in a log; they can be drawn again from any log without them."""
+
+    cameras: list[str] | None = None
+    """Camera sensors, or cameras of the scene; None is all camera sensors."""
+    envs: list[Annotated[int, Field(ge=0)]] = [0]
+    format: Literal["h264", "jpeg", "png"] = "h264"
+    rate: Annotated[float, Field(gt=0)] = 10.0
+    """Hz of simulated time."""
+    size: tuple[int, int] | None = None
+    """Width and height in pixels; None is that of each camera."""
+
+
+@configclass
 class RecordCfg:
     """What a run writes into its log."""
 
@@ -80,6 +94,8 @@ class RecordCfg:
     """Environments recorded for viewers: transforms, shapes, joint states."""
     view_hz: Annotated[float, Field(gt=0)] = 10.0
     """Rate of these in simulated time, Hz."""
+    images: ImagesCfg | None = None
+    """Pictures of cameras; None is none."""
 
 
 @configclass
