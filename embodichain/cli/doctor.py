@@ -135,22 +135,24 @@ def _rendering() -> Iterator[Check]:
 
 
 def render_once() -> None:
-    """Render one small picture and print the OpenGL backend; raise if rendering fails."""
+    """Render one small picture and print which renderer made it; raise if rendering fails."""
     import mujoco
-    from mujoco.rendering.classic import gl_context
 
-    from embodichain.lab.sim.engine.cpu import CpuEngine
-    from embodichain.lab.sim.rendering import SceneRenderer, View
+    from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+    from embodichain.lab.sim.drawing.states import DataState
+    from embodichain.lab.sim.drawing.views import Viewpoint
 
     model = mujoco.MjModel.from_xml_string(_BALL)
-    renderer = SceneRenderer(model, 64, 48)
-    look = View.look_at((0.4, -0.4, 0.4), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 45.0)
-    picture = renderer.draw(CpuEngine(model, 1), 0, look)
-    renderer.close()
-    backend = gl_context.GLContext.__module__.rpartition(".")[2]
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    renderer = OffscreenRenderer(model)
+    if renderer.kind == "rays":
+        raise RuntimeError("no OpenGL: depth and masks are drawn with rays, colours are not")
+    at = Viewpoint.look_at((0.4, -0.4, 0.4), (0.0, 0.0, 0.0))
+    picture = renderer.pictures(DataState(data), at, (64, 48))
     if picture.max() == picture.min():
-        raise RuntimeError(f"{backend} draws an empty picture")
-    sys.stdout.write(f"off screen, with {backend}")
+        raise RuntimeError(f"the {renderer.kind} renderer draws an empty picture")
+    sys.stdout.write(f"{renderer.kind} renderer: {renderer.about}")
 
 
 def _display() -> Iterator[Check]:

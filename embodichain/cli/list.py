@@ -92,7 +92,7 @@ def _robots() -> Rows:
 def _absent_robots(rows: Rows) -> list[str]:
     """Sources of robots that are not installed, and how to get them."""
     from embodichain.data import data_root
-    from embodichain.data.places import HOW
+    from embodichain.data.lookup import HOW
 
     ways = {
         "example-robot-data": "example-robot-data: `pip install 'embodichain[robots]'`",

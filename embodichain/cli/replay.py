@@ -33,6 +33,7 @@ _COLUMNS = ("env", "episode", "steps", "total_reward", "terminated", "last_step"
 _MOST_EPISODES = 20
 _ACTIONS = ("verify", "video", "policy", "view")
 _ONLY_WITH = {
+    "images": ("verify",),
     "speed": ("video", "view"),
     "allow_changed": ("policy",),
     "camera": ("video",),
@@ -56,6 +57,11 @@ _ONLY_WITH = {
 )
 @log_argument()
 @click.option("--verify", is_flag=True, help="Simulate again and compare.")
+@click.option(
+    "--images",
+    is_flag=True,
+    help="With --verify: also draw the first picture of each episode and compare it.",
+)
 @click.option("--env", type=int, metavar="I", help="Only this environment.")
 @click.option("--episode", type=int, metavar="K", help="Only this episode, counted from 0.")
 @click.option("--from", "start", type=int, metavar="T", help="First control step.")
@@ -188,7 +194,8 @@ def _verify(path: Path, options: SimpleNamespace) -> int:
             if display.due:
                 display.show(steps, {})
 
-        report = verify(path, options.env, options.episode, progress=progress)
+        how = options.env, options.episode
+        report = verify(path, *how, progress=progress, images=options.images)
     if options.json:
         print_json(asdict(report))
     elif not report.ok:

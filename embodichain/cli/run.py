@@ -15,18 +15,16 @@ from embodichain.cli.jobs import Job, policy_of, start
 from embodichain.cli.output import number, print_facts, print_json, to_json
 from embodichain.cli.process import started
 from embodichain.cli.reporting import ProgressDisplay
+from embodichain.config.run_folder import SUMMARY
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
 from embodichain.utils.atomic import write_text
 
 if TYPE_CHECKING:
-    import mujoco
-
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
 
-__all__ = ["SUMMARY_FILE", "command", "run_job", "summary_rows"]
+__all__ = ["command", "run_job", "summary_rows"]
 
-SUMMARY_FILE = "summary.json"
 _PICTURE_SIZE = (1280, 960)
 _log = logging.getLogger(__name__)
 
@@ -65,7 +63,7 @@ def run_job(job: Job) -> float | None:
         try:
             _write_summary(job.folder, {**facts, "status": "failed", "error": repr(error)})
         except OSError as second:  # a full disk fails here too; the first error is reported
-            _log.error("%s could not be written: %s", SUMMARY_FILE, second)
+            _log.error("%s could not be written: %s", SUMMARY, second)
         raise
     if log is not None:
         facts |= {"log": str(log), "log_bytes": log.stat().st_size}
@@ -181,7 +179,7 @@ def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float | None]:
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    write_text(folder / SUMMARY_FILE, to_json(summary, indent=2) + "\n")
+    write_text(folder / SUMMARY, to_json(summary, indent=2) + "\n")
 
 
 def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
@@ -220,28 +218,26 @@ def _mean_spread(spread: dict[str, float] | None) -> str:
 
 
 class _StartPicture:
-    """A copy of environment 0's state at construction, rendered when the run ends."""
+    """Environment 0 as it is at construction, rendered when the run ends."""
 
     def __init__(self, env: BaseEnv) -> None:
-        self._model = env.sim.scene.model
         self._data = env.sim.engine.data_of(0)
-
-    def data_of(self, env_id: int) -> mujoco.MjData:
-        """The copied state."""
-        return self._data
 
     def draw(self, path: Path) -> None:
         """Write the picture; warn if there is no OpenGL or the file cannot be written."""
+        from contextlib import closing
+
         from PIL import Image
 
-        from embodichain.lab.sim.rendering import SceneRenderer
+        from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+        from embodichain.lab.sim.drawing.states import DataState
         from embodichain.utils.atomic import atomic_file
         from embodichain.utils.errors import RenderError
 
+        state = DataState(self._data)
         try:
-            renderer = SceneRenderer(self._model, *_PICTURE_SIZE)
-            pixels = renderer.draw(self, 0, "default")
-            renderer.close()
+            with closing(OffscreenRenderer(state.model)) as renderer:
+                pixels = renderer.pictures(state, "default", _PICTURE_SIZE)[0]
             with atomic_file(path) as temporary:
                 Image.fromarray(pixels).save(temporary, format="PNG")
         except (RenderError, OSError) as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import numpy as np
@@ -36,7 +36,9 @@ def task_tables(resolved: Resolved) -> dict[str, Any]:
             "joints": _joints(model),
             "actuators": _actuators(model),
             "drives": list(_drives(env)),
-            "cameras": _cameras(model),
+            "surroundings": _surroundings(env),
+            "lights": _lights(model),
+            "cameras": _cameras(model, env.sim.sim_config.views),
             "notes on files": _notes(env),
             "initial poses": _poses(env),
             "initial qpos": _qpos(env),
@@ -189,13 +191,41 @@ def _limit(value: float) -> float | str:
     return float(value) if value < 1e9 else "no limit"
 
 
-def _cameras(model: Any) -> Rows:
+def _surroundings(env: BaseEnv) -> Rows:
+    """Ground, sky, furniture and file of the section ``scene``."""
+    cfg = env.sim.sim_config
+    parts = {name: getattr(cfg.scene, name) for name in ("fpath", "sky", "pedestal", "table")}
+    ground = cfg.scene.ground
+    parts["ground"] = (ground or {"type": "checker"}) if cfg.has_ground else "none"
+    return [
+        {"what": name, "params": _flow(value)} for name, value in parts.items() if value is not None
+    ]
+
+
+def _lights(model: Any) -> Rows:
+    import mujoco
+
+    return [
+        {
+            "light": light.name,
+            "type": mujoco.mjtLightType(int(light.type[0])).name.removeprefix("mjLIGHT_").lower(),
+            "position m": light.pos.tolist(),
+            "direction": light.dir.tolist(),
+            "colour": light.diffuse.tolist(),
+            "shadow": bool(light.castshadow[0]),
+        }
+        for light in map(model.light, range(model.nlight))
+    ]
+
+
+def _cameras(model: Any, views: Mapping[str, Any]) -> Rows:
     """The cameras for pictures and videos; those of an entity are named ``uid/NAME``."""
     return [
         {
             "camera": camera.name,
             "on body": model.body(int(camera.bodyid[0])).name,
             "field of view deg": float(camera.fovy[0]),
+            "view": _flow(views[camera.name]) if camera.name in views else "",
         }
         for camera in map(model.camera, range(model.ncam))
     ]
@@ -204,7 +234,8 @@ def _cameras(model: Any) -> Rows:
 def _notes(env: BaseEnv) -> Rows:
     """Changes to robots' files in compilation, and what was left out of them."""
     parsed = _articulations(env).items()
-    return [{"entity": uid, "note": note} for uid, file in parsed for note in file.notes]
+    notes = [{"entity": uid, "note": note} for uid, file in parsed for note in file.notes]
+    return notes + [{"entity": "", "note": note} for note in env.sim.scene.notes]
 
 
 def _poses(env: BaseEnv) -> Rows:
@@ -271,12 +302,14 @@ def _leaves(space: Any, path: str = "") -> dict[str, Any]:
 
 
 def _sensors(env: BaseEnv) -> Rows:
+    from embodichain.lab.sim.sensors.cfg import readings
+
     rows = []
     for uid, cfg in env.cfg.sensors.items():
         values = _set_fields(cfg)
         values.pop("uid", None)
-        kind = values.pop("sensor_type", "")
-        rows.append({"sensor": uid, "type": kind, "params": _flow(values)})
+        kind, reads = values.pop("sensor_type", ""), ", ".join(readings(cfg))
+        rows.append({"sensor": uid, "type": kind, "reads": reads, "params": _flow(values)})
     return rows
 
 

@@ -96,7 +96,7 @@ class TermEntry:
                 "parameter": name,
                 "type": type_words(hints[name]),
                 "default": _default(parameter),
-                "what": self.doc.params.get(name, ""),
+                "what": self.doc.params.get(name) or _description(hints[name]),
             }
             for name, parameter in self.spec.params.items()
         ]
@@ -244,6 +244,13 @@ def _entries(lines: list[str]) -> dict[str, str]:
         elif name and line.strip():
             found[name] = f"{found[name]} {line.strip()}"
     return found
+
+
+def _description(hint: Any) -> str:
+    """The description of a type, which serves every parameter of that type."""
+    parts = [*getattr(hint, "__metadata__", ()), *map(_description, get_args(hint))]
+    found = (p if isinstance(p, str) else getattr(p, "description", None) for p in parts)
+    return next((text for text in found if text), "")
 
 
 # -- types in words -------------------------------------------------------------------------------

@@ -186,12 +186,18 @@ def _wrong_tag(path: str, value: Any, key: str) -> Problem:
     tag = value.get(key) if isinstance(value, dict) else None
     schema = TypeAdapter(_TAGS[key]).json_schema()
     members = [schema["$defs"][one["$ref"].rpartition("/")[2]] for one in schema["oneOf"]]
-    names = [member["properties"][key]["const"] for member in members]
+    names = [_tags(member, key)[0] for member in members]
     what = "algorithm" if key == "name" else key.removesuffix("_type")
     if tag is None:
         return Problem(path, f"missing value; one of: {', '.join(names)}")
     hint = did_you_mean(str(tag), names).strip()
     return Problem(path, f"unknown {what} {show_value(tag)}; one of: {', '.join(names)}.", hint)
+
+
+def _tags(member: Mapping[str, Any], key: str) -> list[str]:
+    """The tags of a union's member: its name, then other names of it."""
+    tag = member["properties"][key]
+    return list(tag["enum"]) if "enum" in tag else [tag["const"]]
 
 
 def schema_at(parts: Sequence[str | int], data: Any) -> Mapping[str, Any]:
@@ -234,6 +240,6 @@ def _chosen(schema: Any, value: Any) -> Mapping[str, Any]:
     tag = schema.get("discriminator", {"propertyName": ""})["propertyName"]
     chosen = [_chosen(member, value) for member in members]
     if isinstance(value, Mapping) and tag in value:
-        chosen.sort(key=lambda one: one["properties"][tag]["const"] != value[tag])
+        chosen.sort(key=lambda one: value[tag] not in _tags(one, tag))
     kind = "array" if isinstance(value, list) else "object"
     return next((one for one in chosen if one.get("type") == kind), chosen[0])

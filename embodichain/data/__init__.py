@@ -7,17 +7,27 @@ from typing import TYPE_CHECKING
 
 import lazy_loader
 
+from embodichain.utils.errors import DataNotFoundError
+
 if TYPE_CHECKING:
-    from embodichain.data.catalog import Asset, list_assets, list_robots
-    from embodichain.data.lookup import fault_of, get_data_path, resolve_package_uri
-    from embodichain.data.places import DataNotFoundError, data_root
+    from embodichain.data.faults import fault_of
+    from embodichain.data.lookup import (
+        Asset,
+        data_root,
+        get_data_path,
+        list_assets,
+        list_robots,
+        resolve_package_uri,
+    )
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "catalog": ["Asset", "list_assets", "list_robots"],
-        "lookup": ["fault_of", "get_data_path", "resolve_package_uri"],
-        "places": ["DataNotFoundError", "data_root"],
+        "faults": ["fault_of"],
+        "lookup": [
+            *("Asset", "data_root", "get_data_path", "list_assets", "list_robots"),
+            "resolve_package_uri",
+        ],
     },
 )
 

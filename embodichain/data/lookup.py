@@ -1,44 +1,61 @@
-"""Finds files by name: `get_data_path` for robots, `resolve_package_uri` for their meshes.
+"""Finds robot and object files by name, and lists those that there are.
 
-`places` defines the places. Order for a relative name: the folder of the file that refers to it,
-working directory, data root, bundled assets, installed packages, cached models.
+`get_data_path` finds files, `resolve_package_uri` the meshes of models; `list_robots` and
+`list_assets` list files. Order for a relative name: the folder of the file that refers to it,
+working directory, data root, bundled assets, installed packages, cached models. Models of MuJoCo
+Menagerie, by folder name (``menagerie:unitree_go2``), come from a checkout (``$MENAGERIE_PATH``) or
+from the caches of the packages mujoco-menagerie and robot_descriptions. Nothing is downloaded, no
+package is imported, and no model is parsed.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
-import xml.etree.ElementTree as ET
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from embodichain.data.catalog import list_robots
-from embodichain.data.places import (
-    HOW,
-    PREFIX,
-    DataNotFoundError,
-    find_model,
-    menagerie_models,
-    package_parents,
-    places,
-    python_package,
-)
+from embodichain.utils.errors import DataNotFoundError
 from embodichain.utils.suggest import closest
 
-__all__ = ["fault_of", "get_data_path", "resolve_package_uri"]
+__all__ = [
+    "HOW",
+    "Asset",
+    "data_root",
+    "get_data_path",
+    "list_assets",
+    "list_robots",
+    "resolve_package_uri",
+]
 
+ASSETS = Path(__file__).parent / "assets"
+PREFIX = "menagerie:"
+HOW = (
+    "MuJoCo Menagerie: set MENAGERIE_PATH to a checkout of it, or "
+    "`pip install mujoco-menagerie && mujoco-menagerie prefetch unitree_go2`"
+)
+"""How to install it."""
+
+_COMPLETE = ".complete"  # mujoco-menagerie writes it last
+_CACHE = "cache of mujoco-menagerie"
 # Some files have package:///NAME/x or package:/NAME/x instead of package://NAME/x.
 _PACKAGE = re.compile(r"package:/+(?P<package>[^/]+)(?:/(?P<rest>.*))?$")
-
-Searched = list[tuple[str, str]]
+_MODEL_DEPTH = 4  # folder depth searched below a place: deeper folders contain meshes
+_MODEL_SUFFIXES = {".urdf", ".xml", ".mjcf"}
+_HEAD_BYTES = 4096
 
 
 def get_data_path(name: str | os.PathLike[str], near: str | os.PathLike[str] | None = None) -> str:
     """Return the absolute path of a robot or object file (or folder).
 
     `name` is an absolute path, ``package://NAME/...`` (see `resolve_package_uri`),
-    ``menagerie:NAME`` (see `places.find_model`), or a relative path. The latter is searched in the
-    folder of `near`, the working directory, ``$EMBODICHAIN_DATA_ROOT`` (by default
+    ``menagerie:NAME`` or ``menagerie:NAME/FILE.xml``, or a relative path. The latter is searched in
+    the folder of `near`, the working directory, ``$EMBODICHAIN_DATA_ROOT`` (by default
     ``~/.cache/embodichain_data``), the assets bundled with this package, example-robot-data if
     installed, and a mujoco_menagerie cached by robot_descriptions. The first match is returned.
 
@@ -58,7 +75,7 @@ def get_data_path(name: str | os.PathLike[str], near: str | os.PathLike[str] | N
     if _PACKAGE.match(text):
         return resolve_package_uri(text, near)
     if text.startswith(PREFIX):
-        return str(find_model(text))
+        return str(_find_model(text))
     path = Path(text).expanduser()
     if path.is_absolute():
         return _first_existing(text, [("absolute path", path)])
@@ -76,7 +93,7 @@ def resolve_package_uri(uri: str, near: str | os.PathLike[str] | None = None) ->
 
     Accepts ``package://NAME/rest``, ``file:///abs``, absolute paths, and paths relative to `near`.
     A package is searched among the folders above `near` and their siblings (for a model in
-    ``NAME/urdf/``, its own ``NAME``), in `embodichain.data.places.package_parents`, and as a Python
+    ``NAME/urdf/``, its own ``NAME``), in the places, ROS and data packages, and as a Python
     package. The first that contains the file is used.
 
     Args:
@@ -109,9 +126,9 @@ def _in_package(uri: str, package: str, rest: str, folder: Path) -> str:
             tried.append(("package above the model file", parent / rest))
         elif (parent / package).is_dir():
             tried.append(("package beside the model file", parent / package / rest))
-    parents = package_parents()
+    parents = _package_parents()
     tried += [(place.label, place.folder / package / rest) for place in parents]
-    tried += [("Python package", found / rest) for found in python_package(package)]
+    tried += [("Python package", found / rest) for found in _python_package(package)]
     return _first_existing(uri, tried)
 
 
@@ -126,7 +143,7 @@ def _first_existing(name: str, tried: list[tuple[str, Path]]) -> str:
     for _, path in tried:
         if path.exists():
             return os.path.abspath(path)
-    searched: Searched = [(label, os.path.abspath(path)) for label, path in tried]
+    searched = [(label, os.path.abspath(path)) for label, path in tried]
     raise DataNotFoundError(name, searched, _closest_names(name, tried), _advice(name))
 
 
@@ -151,7 +168,7 @@ def _closest_packages(package: str, rest: str, tried: list[tuple[str, Path]]) ->
     base = f"package://{package}"
     found = [f"{base}/{Path(rest).parent / sibling}" for sibling in _siblings(tried)]
     if not found:
-        entries = [entry for place in package_parents() for entry in place.folder.iterdir()]
+        entries = [entry for place in _package_parents() for entry in place.folder.iterdir()]
         packages = [entry.name for entry in entries if entry.is_dir()]
         found = [f"package://{other}/{rest}" for other in closest(package, packages)]
     return list(dict.fromkeys(found))[:3]
@@ -170,7 +187,7 @@ def _siblings(tried: list[tuple[str, Path]]) -> list[str]:
 def _advice(name: str) -> str:
     """Return the command that would provide `name`, guessed from the name."""
     installed = {place.label: place for place in places()}
-    if "menagerie" in name and not menagerie_models():
+    if "menagerie" in name and not _menagerie_models():
         return HOW
     if "example-robot-data" not in installed:
         return (
@@ -180,40 +197,276 @@ def _advice(name: str) -> str:
     return "What is here: `embodichain list robots`. Your own files: $EMBODICHAIN_DATA_ROOT."
 
 
-# -- why a model cannot load ----------------------------------------------------------------------
+# -- places ----------------------------------------------------------------------------------------
 
 
-def fault_of(path: Path) -> str:
-    """Return why a URDF or MJCF file cannot load, as far as its text shows, or ``""``."""
-    try:
-        root = ET.fromstring(path.read_bytes())
-    except ET.ParseError as error:
-        return f"not well-formed XML: {error}"
-    except OSError as error:
-        return f"cannot be read: {error.strerror}"
-    return _of_mjcf(root) if root.tag == "mujoco" else _of_urdf(path, root)
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A folder that is searched.
+
+    Attributes:
+        label: Description for messages and listings.
+        folder: The folder. It need not exist.
+        prefix: Optional first part of a name: ``example-robot-data/robots/x`` and ``x``
+            are the same file of a place with the prefix ``example-robot-data/robots``.
+    """
+
+    label: str
+    folder: Path
+    prefix: str = ""
+
+    def candidates(self, name: str) -> Iterator[Path]:
+        """Yield the possible paths of `name` in this place, with and without the prefix."""
+        if self.prefix and name.startswith(self.prefix + "/"):
+            yield self.folder / name.removeprefix(self.prefix + "/")
+        yield self.folder / name
 
 
-def _of_mjcf(root: ET.Element) -> str:
-    whole = root.find("worldbody") is not None or root.find(".//include") is not None
-    return "" if whole else "it has no <worldbody>: a part that other files include"
+def data_root() -> Path:
+    """Return the user's folder of robots and objects.
+
+    It is ``$EMBODICHAIN_DATA_ROOT``, else ``~/.cache/embodichain_data``; it need not exist.
+    """
+    root = os.environ.get("EMBODICHAIN_DATA_ROOT") or "~/.cache/embodichain_data"
+    return Path(root).expanduser()
 
 
-def _of_urdf(path: Path, root: ET.Element) -> str:
-    if any("xacro" in str(element.tag) for element in root.iter()):
-        return "xacro has to be expanded to URDF first"
-    if root.find("link") is None:
-        return "the robot has no <link>"
-    names = {mesh.get("filename", "") for mesh in root.iterfind("link/*/geometry/mesh")}
-    missing = sorted(name for name in names if not _exists(name, path))
-    if not missing:
-        return ""
-    return f"{len(missing)} of {len(names)} mesh files are missing, such as {missing[0]}"
+def places() -> list[Place]:
+    """Return the places searched for a relative name, in order."""
+    root = data_root()
+    found = [
+        Place("EMBODICHAIN_DATA_ROOT", root),
+        Place("EMBODICHAIN_DATA_ROOT, extracted archives", root / "extract"),
+        Place("bundled", ASSETS),
+    ]
+    for share in _share_folders():
+        robots = share / "example-robot-data" / "robots"
+        if robots.is_dir():
+            found.append(Place("example-robot-data", robots, "example-robot-data/robots"))
+    menagerie = _descriptions_cache() / "mujoco_menagerie"
+    found.append(Place("mujoco_menagerie", menagerie, "mujoco_menagerie"))
+    return found
 
 
-def _exists(name: str, path: Path) -> bool:
-    try:
-        resolve_package_uri(name, near=path)
-    except (DataNotFoundError, ValueError):
-        return False
-    return True
+def _package_parents() -> list[Place]:
+    """Return the existing folders that are searched for ``package://NAME``, in order.
+
+    The data root, the bundled assets, data folders of Python packages (cmeel among them) and ROS
+    packages, and the cache of robot_descriptions.
+    """
+    root, shares = data_root(), _share_folders()
+    parents = [
+        Place("EMBODICHAIN_DATA_ROOT", root),
+        Place("EMBODICHAIN_DATA_ROOT, extracted archives", root / "extract"),
+        Place("bundled", ASSETS),
+        *(Place("data of installed packages", share) for share in shares),
+        *(Place("example-robot-data", share / "example-robot-data/robots") for share in shares),
+        *(Place("ROS packages", folder) for folder in _ros_folders()),
+        Place("cache of robot_descriptions", _descriptions_cache()),
+    ]
+    return [place for place in parents if place.folder.is_dir()]
+
+
+def _python_package(name: str) -> list[Path]:
+    """Return the folders of the Python package of that name, without importing it."""
+    module = name.replace("-", "_")
+    if not module.isidentifier() or module == "__main__":
+        return []
+    spec = find_spec(module)
+    return [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
+
+
+def _share_folders() -> list[Path]:
+    """Return the ``share`` folders that Python packages install data into."""
+    folders = [Path(entry, "cmeel.prefix", "share") for entry in sys.path if entry]
+    folders.append(Path(sys.prefix, "share"))
+    return [folder for folder in dict.fromkeys(folders) if folder.is_dir()]
+
+
+def _ros_folders() -> list[Path]:
+    """Return the folders with ROS packages, from the variables that ROS sets."""
+    ament = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    return [Path(prefix, "share") for prefix in ament if prefix] + [Path(p) for p in ros if p]
+
+
+def _descriptions_cache() -> Path:
+    """Return the cache of the robot_descriptions package, which clones mujoco_menagerie into it."""
+    cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE") or "~/.cache/robot_descriptions"
+    return Path(cache).expanduser()
+
+
+# -- MuJoCo Menagerie ------------------------------------------------------------------------------
+
+
+def _menagerie_models() -> dict[str, Path]:
+    """Return the folder of every available model, by name; the first place takes precedence."""
+    found: dict[str, Path] = {}
+    for name, folder in _menagerie_folders():
+        found.setdefault(name, folder)
+    return dict(sorted(found.items()))
+
+
+def _find_model(text: str) -> Path:
+    """Return the file of ``menagerie:NAME`` or ``menagerie:NAME/FILE.xml``.
+
+    Raises:
+        DataNotFoundError: If there is no such model or file, or NAME has several files and none is
+            the main one; lists the choices.
+    """
+    name, _, file = text.removeprefix(PREFIX).partition("/")
+    models = _menagerie_models()
+    if name not in models:
+        searched = [(label, str(folder)) for label, folder in _menagerie_places()]
+        near = [PREFIX + match for match in closest(name, models)]
+        advice = (
+            f"{len(models)} of its models are here: `embodichain list robots`" if models else HOW
+        )
+        raise DataNotFoundError(text, searched, near, advice)
+    folder = models[name]
+    path = folder / file if file else _main_file(name, folder)
+    if path is not None and path.is_file():
+        return path.absolute()
+    choices = [f"{PREFIX}{name}/{model.name}" for model in _robot_files(folder)]
+    advice = "The model has several robots: name one of its files." if not file else ""
+    raise DataNotFoundError(text, [("model folder", str(folder))], choices, advice)
+
+
+def _main_file(name: str, folder: Path) -> Path | None:
+    """Return the XML file that a model's name refers to; None if ambiguous.
+
+    It is the file named like the folder without the maker (``go2.xml`` of ``unitree_go2``), or the
+    only robot file.
+    """
+    files = _robot_files(folder)
+    named = [f for f in files if name == f.stem or name.endswith(f"_{f.stem}")]
+    if named:
+        return max(named, key=lambda f: len(f.stem))
+    return files[0] if len(files) == 1 else None
+
+
+def _robot_files(folder: Path) -> list[Path]:
+    """Return the XML files of a model that are not scenes (a robot with a floor and lights)."""
+    return sorted(f for f in folder.glob("*.xml") if not f.stem.startswith("scene"))
+
+
+def _menagerie_folders() -> Iterator[tuple[str, Path]]:
+    for label, place in _menagerie_places():
+        if not place.is_dir():
+            continue
+        for folder in sorted(place.iterdir()):
+            if label == _CACHE:
+                if (folder / _COMPLETE).is_file():
+                    yield folder.name.rpartition("-")[0], folder  # NAME-DIGEST
+            elif folder.is_dir() and _robot_files(folder):
+                yield folder.name, folder
+
+
+def _menagerie_places() -> list[tuple[str, Path]]:
+    """Return the folders searched for models, in order; they need not exist."""
+    places = []
+    for variable in ("MENAGERIE_PATH", "MENAGERIE_ROOT"):  # ours, and mujoco-menagerie's
+        if root := os.environ.get(variable):
+            places.append((variable, Path(root).expanduser()))
+    own = os.environ.get("MENAGERIE_CACHE_DIR")
+    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    cache = Path(own) if own else Path(base, "mujoco_menagerie")
+    places.append((_CACHE, cache.expanduser() / "models"))
+    places.append(("cache of robot_descriptions", _descriptions_cache() / "mujoco_menagerie"))
+    return places
+
+
+# -- catalogue -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Asset:
+    """A file that `get_data_path` finds.
+
+    Attributes:
+        name: The value for ``fpath``.
+        path: The file.
+        source: The place it is in: ``bundled``, ``example-robot-data``, ...
+        format: ``urdf`` or ``mjcf`` for a model, else the suffix without its dot.
+    """
+
+    name: str
+    path: Path
+    source: str
+    format: str
+
+
+def list_robots() -> list[Asset]:
+    """Return every robot model (URDF or MJCF), by place and name; Menagerie's come last.
+
+    A model with the name of an earlier one is left out: `get_data_path` would not find it.
+    """
+    own = (_models(place) for place in places() if place.label != "mujoco_menagerie")
+    return list(_unique(itertools.chain(own, [_menagerie()])))
+
+
+def list_assets() -> list[Asset]:
+    """Return all files of the data root and bundled assets, and all robots of packages."""
+    own = [place for place in places() if not place.prefix]
+    robots = [asset for asset in list_robots() if asset.source not in {p.label for p in own}]
+    return [*_unique(_files(place) for place in own), *robots]
+
+
+def _unique(groups: Iterable[Iterable[Asset]]) -> Iterator[Asset]:
+    """Yield the first asset of each name in all groups."""
+    seen: set[str] = set()
+    for group in groups:
+        for asset in group:
+            if asset.name not in seen:
+                seen.add(asset.name)
+                yield asset
+
+
+def _models(place: Place) -> Iterator[Asset]:
+    """Yield the URDF and MJCF models of a place."""
+    for path in _walk(place.folder, _MODEL_DEPTH):
+        if path.suffix.lower() in _MODEL_SUFFIXES:
+            kind = _model_format(path)
+            # Menagerie has a scene.xml beside each robot: the robot with floor and lights
+            if kind and not path.stem.startswith("scene"):
+                yield Asset(path.relative_to(place.folder).as_posix(), path, place.label, kind)
+
+
+def _menagerie() -> Iterator[Asset]:
+    """Yield Menagerie's robots: main files by the model's name, others also by file name."""
+    for name, folder in _menagerie_models().items():
+        main = _main_file(name, folder)
+        for path in _robot_files(folder):
+            if _model_format(path):
+                file = "" if path == main else f"/{path.name}"
+                yield Asset(f"{PREFIX}{name}{file}", path.absolute(), "menagerie", "mjcf")
+
+
+def _files(place: Place) -> Iterator[Asset]:
+    """Yield every file of a place."""
+    for path in _walk(place.folder, depth=16):
+        kind = _model_format(path) if path.suffix.lower() in _MODEL_SUFFIXES else ""
+        kind = kind or path.suffix.lower().removeprefix(".")
+        yield Asset(path.relative_to(place.folder).as_posix(), path, place.label, kind)
+
+
+def _walk(folder: Path, depth: int) -> Iterator[Path]:
+    """Yield the files at most `depth` folders below `folder`, sorted, without hidden ones."""
+    if not folder.is_dir():
+        return
+    for entry in sorted(folder.iterdir()):
+        if entry.name.startswith("."):
+            continue
+        if entry.is_dir():
+            if depth > 0:
+                yield from _walk(entry, depth - 1)
+        elif entry.is_file():
+            yield entry
+
+
+def _model_format(path: Path) -> str:
+    """Return ``urdf`` or ``mjcf``; an empty string for other files."""
+    if path.suffix.lower() == ".urdf":
+        return "urdf"
+    with path.open("rb") as file:
+        return "mjcf" if b"<mujoco" in file.read(_HEAD_BYTES) else ""

@@ -5,20 +5,22 @@ It draws the recorded states; only states between keyframes are simulated.
 
 from __future__ import annotations
 
-import copy
 import math
 import os
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.rendering import SceneRenderer, View
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+from embodichain.lab.sim.drawing.views import Viewpoint
 from embodichain.recording.api import Log
-from embodichain.recording.playback import Playback, span_of
+from embodichain.recording.frames import FilmCamera, frames
+from embodichain.recording.playback import Playback, Span, span_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.video import VideoFile, need_encoder
@@ -26,10 +28,8 @@ from embodichain.utils.video import VideoFile, need_encoder
 __all__ = ["FASTEST", "Filmed", "film_log"]
 
 FASTEST = 60.0
-"""Largest frame rate (1/s); above it, control steps are skipped."""
+"""Largest frame rate (1/s) that is chosen; above it, control steps are skipped."""
 _CAMERA = "default"
-_SHADOW = 2048
-"""Maximum width of a shadow map in pixels; enough for a film."""
 _FRONT = (1.0, -0.8, 0.6)
 """Direction from the scene's centre to the eye if the scene has no camera."""
 
@@ -42,11 +42,13 @@ class Filmed:
         pictures: Number of pictures in the file.
         step: Control step of the last picture; -1 if there is none.
         whole: Whether all requested steps were drawn.
+        total: Number of pictures of the whole film.
     """
 
     pictures: int
     step: int
     whole: bool
+    total: int = 0
 
 
 def film_log(
@@ -61,6 +63,8 @@ def film_log(
     camera: str | None = None,
     progress: Callable[[Filmed], None] | None = None,
     stop: Callable[[], bool] | None = None,
+    every: int | None = None,
+    max_seconds: float | None = None,
 ) -> Filmed:
     """Render an environment of a log to an MP4 with one picture for each control step.
 
@@ -71,12 +75,14 @@ def film_log(
         episode: One of its episodes; None is all.
         first: First control step, counted from the start of the log; None is the first.
         last: Last control step, included; None is the last.
-        speed: Multiple of simulated time. If that gives more than `FASTEST` pictures per second,
-            only every second step is drawn, or every third, and so on.
+        speed: Multiple of simulated time.
         size: Width and height in pixels, both even.
         camera: A camera of the scene; None is its ``default`` if it exists, else a front view.
         progress: Called after each picture.
         stop: Called before each picture; if it returns True, the film ends there and is saved.
+        every: Draw every `every`-th control step. None is the least that gives at most `FASTEST`
+            pictures per second.
+        max_seconds: Length of the film in seconds, at most; None is no limit.
 
     Returns:
         What was drawn; without pictures, no file was written.
@@ -90,8 +96,8 @@ def film_log(
     need_encoder()
     if not isinstance(log, Log):
         with Log(log) as opened:
-            part = env, episode, first, last
-            return film_log(opened, out, *part, speed, size, camera, progress, stop)
+            part = opened, out, env, episode, first, last
+            return film_log(*part, speed, size, camera, progress, stop, every, max_seconds)
     out = Path(out)
     if os.path.lexists(out):
         raise ConfigError(f"{out} exists; it is never replaced")
@@ -101,37 +107,49 @@ def film_log(
         raise ConfigError(f"a film's width and height must be even, 16 or more, got {size}")
     span = span_of(log, env, episode, first, last)
     playback = Playback(log, env)
-    look = _look(log.model, camera)
+    cameras = [FilmCamera(_look(log.model, camera), size)]
     rate = speed / log.dt
-    every = max(1, math.ceil(rate / FASTEST - 1e-9))
-    filmed = Filmed(0, -1, whole=False)
+    every = every or max(1, math.ceil(rate / FASTEST - 1e-9))
+    stopped = stop or (lambda: False)
+    most = math.inf
+    if max_seconds is not None:
+        most = max(1, math.floor(max_seconds * rate / every + 1e-9))
+    total = _count(log, env, span, every, most, stopped)
+    if not total:
+        raise ConfigError(f"{log.path} has no such steps: there is nothing to film")
+    filmed = Filmed(0, -1, whole=False, total=total)
+    if stopped():
+        return filmed
     with ExitStack() as stack:
-        renderer = SceneRenderer(_quick(log.model), *size)
-        stack.callback(renderer.close)
-        video = None
-        for step in playback.steps(span, every):
-            if stop is not None and stop():
+        renderer = stack.enter_context(closing(OffscreenRenderer(playback.engine.model)))
+        drawn = islice(frames(renderer, playback, cameras, span, every), total)
+        video: VideoFile | None = None
+        for frame in drawn:
+            if stopped():
                 return filmed
             if video is None:
                 video = stack.enter_context(VideoFile(out, size, rate / every))
-            video.write(renderer.draw(playback.engine, 0, look))
-            filmed = Filmed(filmed.pictures + 1, step, whole=False)
+            video.write(frame.pictures[0])
+            filmed = replace(filmed, pictures=filmed.pictures + 1, step=frame.step)
             if progress is not None:
                 progress(filmed)
-        if video is None:
-            raise ConfigError(f"{log.path} has no such steps: there is nothing to film")
-        return replace(filmed, whole=True)
+    return replace(filmed, whole=True)
 
 
-def _quick(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy with smaller shadow maps, which take half of the rendering time without a GPU."""
-    model = copy.copy(model)
-    model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, _SHADOW)
-    return model
+def _count(
+    log: Log, env: int, span: Span, every: int, most: float, stopped: Callable[[], bool]
+) -> int:
+    """How many pictures the steps of a log give, up to `most`; fewer if it is stopped."""
+    steps, end = 0, None if span.last is None else span.last + 1
+    for part in log.parts("rewards", env, None, span.first, end):
+        steps += len(part)
+        if steps >= most * every or stopped():
+            break
+    return int(min(most, math.ceil(steps / every)))
 
 
-def _look(model: mujoco.MjModel, camera: str | None) -> str | View:
-    """The camera or view to render.
+def _look(model: mujoco.MjModel, camera: str | None) -> str | Viewpoint:
+    """The camera or viewpoint to render.
 
     Raises:
         ConfigError: If there is no such camera.
@@ -142,7 +160,7 @@ def _look(model: mujoco.MjModel, camera: str | None) -> str | View:
     if camera is None:
         middle, extent = np.asarray(model.stat.center), float(model.stat.extent)
         eye = middle + 1.2 * extent * np.asarray(_FRONT)
-        return View.look_at(eye.tolist(), middle.tolist(), (0.0, 0.0, 1.0), 45.0)
+        return Viewpoint.look_at(eye.tolist(), middle.tolist())
     if camera not in known:
         there = ", ".join(known) or "none"
         raise ConfigError(f"no camera {camera!r}.{did_you_mean(camera, known)} Cameras: {there}")

@@ -53,48 +53,46 @@ def store(arrays: Sequence[tuple[str, Sequence[Any]]]) -> tuple[list[Place], lis
         The place of each array, and the stored bytes as bytes and arrays.
     """
     sizes = [sum(piece.nbytes for piece in pieces) for _, pieces in arrays]
-    places: list[Place | None] = [None] * len(arrays)
-    stored: dict[int, list[tuple[str, bytes, Place]]] = {}  # by size
+    compared: dict[int, tuple[str, bytes, bytes | None]] = {}  # dtype, bytes, and as float32
+    same_as: dict[int, int] = {}
+    for number, ((dtype, pieces), size) in enumerate(zip(arrays, sizes, strict=True)):
+        may_be_single = size >= _SMALLEST and dtype == "<f8" and _looks_single(pieces[0])
+        if not may_be_single and (size < _SMALLEST or sizes.count(size) == 1):
+            continue
+        data = b"".join(pieces)
+        same = (i for i, (kind, other, _) in compared.items() if kind == dtype and other == data)
+        equal = next(same, None)
+        if equal is None:
+            compared[number] = dtype, data, _single(data) if may_be_single else None
+        else:
+            same_as[number] = equal
+    places: dict[int, Place] = {}
     parts: list[Any] = []
     end = 0
-    joined: list[bytes | None] = []
-    singles: list[bytes | None] = []
-    for (dtype, pieces), size in zip(arrays, sizes, strict=True):
-        large, may_be_single = size >= _SMALLEST, dtype == "<f8" and _looks_single(pieces[0])
-        compared = large and (may_be_single or sizes.count(size) > 1)
-        data = b"".join(pieces) if compared else None
-        joined.append(data)
-        singles.append(_single(data) if data is not None and may_be_single else None)
-    for number in sorted(range(len(arrays)), key=lambda k: singles[k] is None):
-        dtype, pieces = arrays[number]
-        data, single = joined[number], singles[number]
-        place = Place(end)
-        if data is None:
-            places[number] = place
-            parts += pieces
-            end += sizes[number]
-            continue
-        alike = stored.setdefault(len(data), [])
-        same = next((at for kind, other, at in alike if kind == dtype and other == data), None)
-        if same is not None:
-            places[number] = same
-            continue
-        written = data
+    for number in sorted(compared, key=lambda k: compared[k][2] is None):
+        dtype, data, single = compared[number]
+        place, written = Place(end), data
         if single is not None:
-            written, place = single, Place(end, single=True)
+            place, written = Place(end, single=True), single
         elif dtype == "<f8":
-            for kind, other, base in alike:
-                if base.base is None and kind == dtype:
-                    mask = np.bitwise_xor(_words(data), _words(other))
+            for other, base in places.items():
+                if base.base is None and compared[other][0] == dtype and sizes[other] == len(data):
+                    mask = np.bitwise_xor(_words(data), _words(compared[other][1]))
                     if np.count_nonzero(mask) <= len(mask) // 4:
-                        written = mask.tobytes()
                         place = Place(end, False, base.offset, base.single)
+                        written = mask.tobytes()
                         break
         places[number] = place
-        alike.append((dtype, data, place))
         parts.append(written)
         end += len(written)
-    return [place for place in places if place is not None], parts
+    for number, (_, pieces) in enumerate(arrays):
+        if number in same_as:
+            places[number] = places[same_as[number]]
+        elif number not in compared:
+            places[number] = Place(end)
+            parts += pieces
+            end += sizes[number]
+    return [places[number] for number in range(len(arrays))], parts
 
 
 def _words(data: bytes) -> NDArray[np.uint64]:
@@ -113,7 +111,8 @@ def _single(data: bytes) -> bytes | None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         single = np.frombuffer(data, _F8).astype(_F4)
-    return single.tobytes() if single.astype(_F8).tobytes() == data else None
+    same = np.array_equal(single.astype(_F8).view(np.uint64), _words(data))
+    return single.tobytes() if same else None
 
 
 def load(name: str, dtype: str, shape: tuple[int, ...], place: Place, data: memoryview) -> Any:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import atexit
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.sensors.cfg import CameraCfg
 from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.block import DRAWN, ArrayKind, CallKind, Recorded
 from embodichain.recording.columns import Moved
 from embodichain.recording.episodes import Ends
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.header import check_keyframes, header_of
-from embodichain.recording.log_writer import LogWriter
+from embodichain.recording.log_writer import LogWriter, Queue
 from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.views.layout import foxglove_layout
 from embodichain.recording.views.views import Views
@@ -33,6 +34,8 @@ from embodichain.recording.writing import Writing
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
+    from embodichain.recording.pictures import FirstPictures
+    from embodichain.recording.views.images import Images
 
 __all__ = ["McapRecorder", "RecordStats"]
 
@@ -117,6 +120,7 @@ class McapRecorder(StepObserver):
         self._log = LogWriter(self._path, options.compression, header, attachments, layout)
         self._views = Views(env, options, self._log.views, self._now)
         self._views.say("recording begins")
+        self._drawing = _drawing(env, options, self._log.views, self._now)
         self._write_start()
         self._log.began()
         file = self._log.file
@@ -192,6 +196,8 @@ class McapRecorder(StepObserver):
                     self._gate.on_physics()
                 if self._gate.open:
                     self._views.on_rows(self._step, rows)
+                    for part in self._drawing:
+                        part.on_rows(self._step, rows)
             return
         if not self._records(ids):
             return
@@ -232,6 +238,8 @@ class McapRecorder(StepObserver):
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Update the views after a reset; start or pause recording (`record.every`)."""
+        for part in self._drawing:
+            part.on_reset(env_ids)
         if self._gate.open:
             self._views.on_reset(env_ids)
         was_open = self._gate.open
@@ -287,7 +295,7 @@ class McapRecorder(StepObserver):
         if held is not None:
             with self._writing.writes():
                 self._write_start()
-            self._views.show(self._view_envs)
+            self._show_again()
             for event in held:
                 self.on_event(env, event)
 
@@ -318,11 +326,17 @@ class McapRecorder(StepObserver):
                 self._log.roll(self._step)
                 self._write_start()
                 self._log.began()
-                self._views.show(self._view_envs)
+                self._show_again()
             elif keyframe or (not every and self._since_start > START_SHARE * self._start_bytes):
                 self._write_start()
             if now - self._flushed > FLUSH_SECONDS:
                 self._flush()
+
+    def _show_again(self) -> None:
+        """Write scenes and pictures that need nothing before them, in the next step."""
+        self._views.show(self._view_envs)
+        for part in self._drawing:
+            part.restart()
 
     def _write_steps(self) -> None:
         steps, self._steps = self._steps, []
@@ -447,6 +461,23 @@ def _step_kind(arrays: Sequence[NDArray[Any]]) -> CallKind:
     names = ("action", "reward", "terminated", "truncated", "episode_ids")
     named = zip(names, arrays, strict=True)
     return CallKind("step", arrays=tuple(ArrayKind(n, a.dtype.str, a.shape) for n, a in named))
+
+
+def _drawing(
+    env: ObservedEnv, options: RecordOptions, sink: Queue, now: Callable[[], int]
+) -> list[FirstPictures | Images]:
+    """What draws pictures for the log; empty if there are no cameras to draw."""
+    found: list[FirstPictures | Images] = []
+    sensors = getattr(env.sim, "sensors", {})  # other classes may have none
+    if options.state != "none" and any(isinstance(s.cfg, CameraCfg) for s in sensors.values()):
+        from embodichain.recording.pictures import FirstPictures
+
+        found.append(FirstPictures(env, sink, now))
+    if options.images is not None:
+        from embodichain.recording.views.images import Images
+
+        found.append(Images(env, options.images, sink, now))
+    return found
 
 
 def _close_if_alive(recorder: weakref.ref[McapRecorder]) -> None:

@@ -16,6 +16,7 @@ from google.protobuf.descriptor import FileDescriptor
 
 __all__ = [
     "MESSAGES",
+    "PICTURES_TOPIC",
     "START_TOPIC",
     "STEPS_TOPIC",
     "descriptor_set",
@@ -28,6 +29,9 @@ STEPS_TOPIC = "/sim/steps"
 """Control steps, as `embodichain.Steps`."""
 START_TOPIC = "/sim/start"
 """State of the simulation between two control steps, as `embodichain.Steps` with one call."""
+
+PICTURES_TOPIC = "/pictures"
+"""Hashes of the first pictures of episodes, as `embodichain.Pictures`."""
 
 _F = descriptor_pb2.FieldDescriptorProto
 _KINDS = {
@@ -69,6 +73,21 @@ MESSAGES: Mapping[str, Sequence[str]] = {
         "uint32 count = 2",
         "repeated Call calls = 3",
         "bytes data = 4",  # must be the last field: see `block.pack_steps`
+    ),
+    # First pictures of episodes that begin with a control step, as one camera draws them.
+    # `pictures` defines what is hashed; `sha256` has 32 bytes for each environment.
+    "Pictures": (
+        "uint64 step = 1",
+        "string camera = 2",
+        "uint32 width = 3",
+        "uint32 height = 4",
+        "double near = 5",
+        "double far = 6",
+        "string look = 7",
+        "repeated string outputs = 8",
+        "string renderer = 9",
+        "repeated uint32 env_ids = 10",
+        "bytes sha256 = 11",
     ),
     # Episodes that ended in a control step, one entry each. Flags are one byte each, tables are
     # (n, names), row-major. `success` is empty if the task does not define it.

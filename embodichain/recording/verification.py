@@ -86,6 +86,7 @@ def verify(
     episode: int | None = None,
     num_threads: int = 0,
     progress: Progress | None = None,
+    images: bool = False,
 ) -> VerifyReport:
     """Simulate a log again and compare every row, bit for bit.
 
@@ -95,11 +96,16 @@ def verify(
         episode: Only this episode of the selected environments; None is all.
         num_threads: Physics threads; 0 is all cores. The result does not depend on it.
         progress: Called with the number of control steps done.
+        images: If all states are identical: also draw the first picture of each episode again, as
+            each camera that was read draws it, and compare its hash.
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP, or `env` or `episode` is not in it.
         LogError: If it is not an embodichain log.
+        RenderError: If `images` cannot be drawn here.
     """
+    if images and episode is not None:
+        raise ConfigError("pictures are compared in all episodes: leave the episode out")
     with LogReader(path) as reader:
         header = reader.require_header()
         selected = _select(header, env)
@@ -113,9 +119,26 @@ def verify(
                 active = _episode(reader, selected, episode)
             how = model, selected, active, exact, num_threads
             report = _follow(reader, how, replace(report, problems=problems), progress)
+            if images and report.ok:
+                report = _compare_pictures(report, reader, model, env)
         else:
             report = replace(report, problems=problems)
         return _with_notes(report, reader)
+
+
+def _compare_pictures(
+    report: VerifyReport, reader: LogReader, model: mujoco.MjModel, env: int | None
+) -> VerifyReport:
+    from embodichain.recording.pictures import compare
+
+    try:
+        equal, problems = compare(reader, model, env)
+    except LogError as error:
+        equal, problems = 0, [str(error).removeprefix(f"{reader.path}: ")]
+    note = f"the first pictures of episodes: {equal} are identical to the byte"
+    return replace(
+        report, ok=not problems, problems=problems, notes=[*report.notes, *([note] * (equal > 0))]
+    )
 
 
 def _with_notes(report: VerifyReport, reader: LogReader) -> VerifyReport:

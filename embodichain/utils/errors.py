@@ -5,10 +5,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError"]
+__all__ = [
+    "ConfigError",
+    "DataNotFoundError",
+    "DeviceError",
+    "EmbodichainError",
+    "Problem",
+    "RenderError",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +68,40 @@ class ConfigError(EmbodichainError, ValueError):
             problems = (Problem("", problems),)
         self.problems: tuple[Problem, ...] = tuple(problems)
         super().__init__("\n".join(str(p) for p in self.problems))
+
+
+class DataNotFoundError(EmbodichainError, FileNotFoundError):
+    """A robot or object file was not found in any place.
+
+    Args:
+        name: The requested name.
+        searched: Every path that was tried, in order, each with its place.
+        closest: The most similar existing names, best first.
+        command: How to get the file.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        searched: Sequence[tuple[str, str]],
+        closest: Sequence[str] = (),
+        command: str = "",
+    ) -> None:
+        self.name = name
+        self.searched = tuple(searched)
+        self.closest = tuple(closest)
+        self.command = command
+        lines = [f"no file or folder for {name!r}. Searched, in this order:"]
+        lines += [f"  {path}  ({place})" for place, path in self.searched]
+        if self.closest:
+            lines.append("Did you mean " + " or ".join(repr(match) for match in self.closest) + "?")
+        if command:
+            lines.append(command)
+        super().__init__("\n".join(lines))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle with all four arguments, not only the message as by default."""
+        return type(self), (self.name, self.searched, self.closest, self.command)
 
 
 class DeviceError(ConfigError):

@@ -183,7 +183,7 @@ def test_config_is_printed_without_running(capsys: pytest.CaptureFixture[str]) -
     ("line", "words"),
     [
         ("embodichain ", {"run", "train", "replay", "list", "doctor"}),
-        ("embodichain re", {"replay", "recover"}),
+        ("embodichain re", {"replay", "recover", "render", "report"}),
         ("embodichain list r", {"robots"}),
         ("embodichain run task=", {"task=reach", "task=random_reach"}),
         ("embodichain train task=reach alg", {"algo="}),

@@ -86,6 +86,7 @@ def test_show_tells_sensors_commands_and_curriculum(
         "contact",
         "{entity_cfg: {uid: go2, link_names: [.*_foot]}}",
     )
+    assert sensors["feet"]["reads"] == "found, force"
     noise = {row["term"]: row.get("noise") for row in data["observations"]}
     assert noise["gravity"] == "{type: uniform, operation: add, low: -0.05, high: 0.05}"
     assert noise["action"] is None
@@ -173,12 +174,12 @@ def test_max_steps_ends_a_run(capsys: pytest.CaptureFixture[str]) -> None:
 def test_without_opengl_a_run_only_warns(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import mujoco
+    import mujoco.egl
 
     def missing(*args: object, **kwargs: object) -> None:
         raise ImportError("libEGL.so.1: cannot open shared object file")
 
-    monkeypatch.setattr(mujoco, "Renderer", missing)
+    monkeypatch.setattr(mujoco.egl, "GLContext", missing)
     short = ("num_envs=1", "max_steps=2", "record=none", "--json")
     assert main(["run", "task=random_reach", *short]) == 0
     out, err = capsys.readouterr()

@@ -319,14 +319,19 @@ BAD = {
         ),
     ),
     "unknown sensor": bad(
-        "command line: task.sensors.cam.sensor_type: unknown sensor 'Camera'; one of: contact, "
-        "imu, force_torque.",
+        "command line: task.sensors.cam.sensor_type: unknown sensor 'camra'; one of: contact, "
+        "imu, force_torque, frame_pose, joint_torque, ray, height_scan, camera, stereo_camera. "
+        "Did you mean 'camera'?",
+        "command line: task.sensors.lidar.pattern.fan.horizontal_cout: unknown key; allowed: "
+        "horizontal_range, horizontal_count, vertical_range, vertical_count. Did you mean "
+        "'horizontal_count'?",
         "command line: task.sensors.touch.agianst: unknown key; allowed: sensor_type, uid, "
-        "entity_cfg, observe, against. Did you mean 'against'?",
+        "entity_cfg, observe, rate, against. Did you mean 'against'?",
         "command line: task.sensors.touch.entity_cfg.uid: no entity is called 'bal'; there are: "
         "arm, ball, box. Did you mean 'ball'?",
         overrides=(
-            "+task.sensors.cam={sensor_type: Camera, width: 64}",
+            "+task.sensors.cam={sensor_type: camra, width: 64}",
+            "+task.sensors.lidar={sensor_type: ray, pattern: {fan: {horizontal_cout: 3}}}",
             "+task.sensors.touch={sensor_type: contact, entity_cfg: {uid: bal}, agianst: {}}",
         ),
     ),
@@ -338,6 +343,17 @@ BAD = {
     "no task": bad(
         "command line: task: missing value: choose one with task=NAME; there are: {tasks}",
         task=None,
+    ),
+    "settings of a film": bad(
+        "command line: video.size.0: expected a multiple of 2, got 161",
+        "command line: video.every: must be at least 1, got 0",
+        "command line: video.max_second: unknown key; allowed: size, every, max_seconds. Did "
+        "you mean 'max_seconds'?",
+        overrides=("video.size=[161,120]", "video.every=0", "video.max_second=3"),
+    ),
+    "a film that is a number": bad(
+        "command line: video: expected true or false or a map, got 7",
+        overrides=("video=7",),
     ),
     "no task, and more": bad(
         "command line: task: missing value: choose one with task=NAME; there are: {tasks}",

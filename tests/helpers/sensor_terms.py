@@ -4,16 +4,45 @@ from typing import Any
 
 from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.sim.sensors.cfg import (
+    CameraCfg,
     ContactSensorCfg,
+    ExtrinsicsCfg,
     ForceTorqueSensorCfg,
+    FramePoseSensorCfg,
+    HeightScanSensorCfg,
     ImuSensorCfg,
+    JointsCfg,
+    JointTorqueSensorCfg,
     LinksCfg,
+    RayGridCfg,
+    RayPatternCfg,
+    RaySensorCfg,
 )
 
 SENSORS = {
     "contacts": ContactSensorCfg(entity_cfg=LinksCfg(uid="cube")),
     "imu": ImuSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="ee_link")),
     "wrench": ForceTorqueSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="wrist_3_link")),
+    "front": CameraCfg(
+        width=16,
+        height=12,
+        fovy=60,
+        data_types=["color", "mask", "position"],
+        extrinsics=ExtrinsicsCfg(eye=(2, -2, 2), target=(0.5, 0, 0.5)),
+    ),
+    "scan": HeightScanSensorCfg(
+        entity_cfg=LinksCfg(uid="ur10", link_names="ee_link"),
+        pattern=RayPatternCfg(grid=RayGridCfg(size=(0.2, 0.2), resolution=0.1)),
+        rate=10.0,
+    ),
+    "ray": RaySensorCfg(
+        entity_cfg=LinksCfg(uid="ur10", link_names="ee_link"),
+        pattern=RayPatternCfg(directions=[(1, 0, 0), (0, 1, -1), (0, 0, -1)]),
+    ),
+    "frame": FramePoseSensorCfg(
+        entity_cfg=LinksCfg(uid="cube"), relative_to=LinksCfg(uid="ur10", link_names="ee_link")
+    ),
+    "torque": JointTorqueSensorCfg(entity_cfg=JointsCfg(uid="ur10"), rate=12.0),
 }
 READ = {
     "contact_found": "contacts",
@@ -23,9 +52,29 @@ READ = {
     "imu_orientation": "imu",
     "imu_projected_gravity": "imu",
     "body_incoming_wrench": "wrench",
+    "height_scan": "scan",
+    "sensor_reading": "ray",
 }
 OBSERVATIONS = {
     name: ObservationCfg(func=name, params={"sensor": sensor}) for name, sensor in READ.items()
+} | {
+    f"{sensor}_{reading}": ObservationCfg(
+        func="sensor_reading", params={"sensor": sensor, "reading": reading}
+    )
+    for sensor, reading in (
+        ("frame", "position"),
+        ("frame", "linear_velocity"),
+        ("torque", "torque"),
+    )
+}
+OBSERVATIONS |= {
+    "camera_image": ObservationCfg(func="camera_image", params={"sensor": "front"}, group="seen"),
+    "camera_mask": ObservationCfg(
+        func="camera_mask", params={"sensor": "front", "entity_cfg": {"uid": "cube"}}, group="seen"
+    ),
+    "camera_points": ObservationCfg(func="camera_points", params={"sensor": "front", "every": 4}),
+    "camera_pose": ObservationCfg(func="camera_pose", params={"sensor": "front"}),
+    "camera_intrinsics": ObservationCfg(func="camera_intrinsics", params={"sensor": "front"}),
 }
 TOUCH = {"sensor": "contacts", "threshold": 1.0}
 REWARDS: dict[str, dict[str, Any]] = {

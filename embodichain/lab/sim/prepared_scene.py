@@ -7,6 +7,7 @@ compiled twice.
 from __future__ import annotations
 
 import dataclasses
+import operator
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep
     from embodichain.lab.sim.compiler.scene import CompiledScene, SceneParts
+    from embodichain.lab.sim.compiler.world import World
+    from embodichain.lab.sim.scene_cfg import SceneCfg
 
 __all__ = ["PreparedScene"]
 
@@ -47,6 +50,7 @@ class PreparedScene:
     def __init__(self) -> None:
         self._articulations: dict[str, _Entry] = {}
         self._scene: tuple[list[Any], Any, CompiledScene] | None = None
+        self._world: tuple[Any, World] | None = None
 
     def __deepcopy__(self, memo: Any) -> PreparedScene:
         return self
@@ -106,7 +110,7 @@ class PreparedScene:
 
     def add_scene(self, scene: CompiledScene, parts: SceneParts) -> None:
         """Store the scene that `compile_scene` made from these arguments."""
-        self._scene = [parsed.spec for parsed in parts[1]], _scene_key(parts), scene
+        self._scene = _specs(parts), _scene_key(parts), scene
 
     def take_scene(self, parts: SceneParts) -> CompiledScene | None:
         """Return the stored scene that was compiled from equal arguments, or None."""
@@ -115,19 +119,33 @@ class PreparedScene:
             return None
         specs, key, scene = found
         # Specs compare by identity: two read from one file are not equal.
-        same = len(specs) == len(parts[1]) and all(
-            spec is parsed.spec for spec, parsed in zip(specs, parts[1], strict=True)
-        )
+        here = _specs(parts)
+        same = len(specs) == len(here) and all(map(operator.is_, specs, here))
         return scene if same and key == _scene_key(parts) else None
+
+    def add_world(self, cfg: SceneCfg, world: World) -> None:
+        """Store the world that was read from a scene's file."""
+        self._world = (cfg.fpath, cfg.keyframe, _stamp(world)), world
+
+    def take_world(self, cfg: SceneCfg) -> World | None:
+        """Return the stored world of the same file and keyframe, or None."""
+        found, self._world = self._world, None
+        if found is None or found[0] != (cfg.fpath, cfg.keyframe, _stamp(found[1])):
+            return None
+        return found[1]
+
+
+def _specs(parts: SceneParts) -> list[Any]:
+    return [file.spec for file in (*parts[1], parts[5]) if file is not None]
 
 
 def _scene_key(parts: SceneParts) -> Any:
-    sim, _, *others = parts
+    sim, _, *others, _ = parts
     own = sim.physics_dt, sim.physics_config, sim.has_ground, sim.scene, sim.views
     return _key([*own, *others])
 
 
-def _stamp(parsed: ParsedArticulation) -> tuple[int, int]:
+def _stamp(parsed: ParsedArticulation | World) -> tuple[int, int]:
     """Time and size of the file."""
     try:
         status = parsed.path.stat()

@@ -6,11 +6,12 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from embodichain.lab.sim.cfg import ArticulationCfg, SimulationManagerCfg, name_of
+from embodichain.lab.sim.cfg import ArticulationCfg, RigidObjectCfg, SimulationManagerCfg, name_of
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
-from embodichain.lab.sim.compiler.scene_sensors import SensorPlan, plan_sensor
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
+from embodichain.lab.sim.compiler.world import World, read_world
 from embodichain.lab.sim.engine.api import Engine
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
@@ -40,7 +41,11 @@ class Scene:
     Attributes:
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
             contains no robots.
+        world: The file of ``cfg.scene``, or None. Its objects are in `rigid_objects`.
         compiled: The model and the indices of each entity; None before `compile`.
+
+    Raises:
+        ConfigError: If the scene's file is wrong; paths are relative to ``cfg.scene``.
     """
 
     def __init__(self, cfg: SimulationManagerCfg) -> None:
@@ -51,7 +56,15 @@ class Scene:
         self.rigid_objects: dict[str, RigidObject] = {}
         self.lights: dict[str, Light] = {}
         self.sensors: dict[str, BaseSensor] = {}
+        self.world: World | None = None
+        if cfg.scene.fpath:
+            self.world = self._prepared.take_world(cfg.scene) or read_world(cfg.scene)
         self.compiled: CompiledScene | None = None
+
+    @property
+    def inside(self) -> Mapping[str, RigidObjectCfg]:
+        """The objects of the scene's file, by uid."""
+        return {} if self.world is None else self.world.objects
 
     @property
     def jointed(self) -> dict[str, Articulation]:
@@ -112,12 +125,15 @@ class Scene:
 
         Raises:
             RuntimeError: If the scene is compiled already.
+            ValueError: If it is an object of the scene's file.
         """
         if self.compiled is not None:
             raise RuntimeError(
                 "the scene is compiled already (by a step, a reset or a pose that was read): "
                 "nothing can be removed; an object can be moved out of the way (set_local_pose)"
             )
+        if uid in self.inside:
+            raise ValueError(f"{uid!r} is part of the scene's file: it cannot be removed")
         groups = self.robots, self.articulations, self.rigid_objects, self.lights, self.sensors
         return any(group.pop(uid, None) is not None for group in groups)
 
@@ -134,9 +150,10 @@ class Scene:
             parts = (
                 self._cfg,
                 articulations,
-                {uid: obj.cfg for uid, obj in self.rigid_objects.items()},
+                {uid: o.cfg for uid, o in self.rigid_objects.items() if uid not in self.inside},
                 {uid: light.cfg for uid, light in self.lights.items()},
                 {uid: sensor.plan for uid, sensor in self.sensors.items()},
+                self.world,
             )
             self.compiled = self._prepared.take_scene(parts) or compile_scene(*parts)
             notes = [f"{parsed.uid}: {note}" for parsed in articulations for note in parsed.notes]

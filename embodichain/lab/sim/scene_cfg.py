@@ -168,7 +168,7 @@ class ViewCfg:
     direction: Point | None = None
     """From the scene to the camera, which is as far away as needed to show robots and objects."""
     camera: str | None = None
-    """A camera of a robot's file, ``uid/NAME``, or of the scene's file, ``NAME``."""
+    """A camera of a robot's file, ``uid/NAME``, or of the scene's, ``scene/NAME``."""
     target: Point | None = None
     """The point it looks at; None is the middle of robots and objects, or of `body`."""
     up: Point = (0.0, 0.0, 1.0)

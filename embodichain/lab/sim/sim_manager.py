@@ -52,7 +52,11 @@ _instances: dict[int, weakref.ref[SimulationManager]] = {}
 _SENSORS = {
     "contact": "ContactSensor",
     "force_torque": "ForceTorqueSensor",
+    "frame_pose": "FramePoseSensor",
+    "height_scan": "HeightScanSensor",
     "imu": "ImuSensor",
+    "joint_torque": "JointTorqueSensor",
+    "ray": "RaySensor",
     "camera": "Camera",
     "stereo_camera": "StereoCamera",
     "Camera": "Camera",
@@ -111,12 +115,17 @@ class SimulationManager:
         self.instance_id = max(_instances, default=-1) + 1
         _instances[self.instance_id] = weakref.ref(self)
         self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
-        self._scene = Scene(self.sim_config)
+        try:
+            self._scene = Scene(self.sim_config)
+        except ConfigError as error:
+            raise ConfigError(p.below("scene") for p in error.problems) from error
         self.robots = self._scene.robots
         self.articulations = self._scene.articulations
         self.rigid_objects = self._scene.rigid_objects
         self.lights = self._scene.lights
         self.sensors = self._scene.sensors
+        for uid, inside in self._scene.inside.items():
+            self.rigid_objects[uid] = RigidObject(inside, uid, self)
         self._destroyed = False
         self._engine: CpuEngine | None = None
         self._initial_row: F64 = np.zeros(0)

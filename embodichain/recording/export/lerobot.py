@@ -16,9 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.export.formats import Part, demonstrations, required
+from embodichain.recording.frames import FilmCamera, frames
 from embodichain.recording.log_error import LogError
 from embodichain.recording.playback import Playback, Span
 from embodichain.recording.views.channels import scalar_joints
@@ -70,11 +72,10 @@ class _Feature(NamedTuple):
 
 
 class _Camera(NamedTuple):
-    """A camera of the event `record_camera_data`: size in pixels, camera or view."""
+    """A camera of the event `record_camera_data`."""
 
     key: str
-    size: tuple[int, int]
-    look: Any
+    films: FilmCamera
 
 
 def write_lerobot(log: Log, part: Part, path: Path) -> None:
@@ -274,11 +275,11 @@ def _cameras(log: Log) -> Iterator[_Camera]:
         if look is None:
             where = {key: params.get(key) for key in ("eye", "target", "up", "intrinsics")}
             look = filmed_from((width, height), **where)
-        yield _Camera(f"observation.images.{name}", (width, height), look)
+        yield _Camera(f"observation.images.{name}", FilmCamera(look, (width, height)))
 
 
 def _video_info(camera: _Camera, fps: int) -> dict[str, Any]:
-    width, height = camera.size
+    width, height = camera.films.size
     about = {
         "video.height": height,
         "video.width": width,
@@ -302,30 +303,24 @@ def _film(
     fps: int,
 ) -> None:
     """Film every episode with every camera; add to its row and its statistics."""
-    from embodichain.lab.sim.rendering import SceneRenderer
-
-    with ExitStack() as stack:
-        renderers = {
-            size: stack.enter_context(closing(SceneRenderer(log.model, *size)))
-            for size in {camera.size for camera in cameras}
-        }
+    with closing(OffscreenRenderer(log.model)) as renderer:
         for row, own in zip(rows, stats, strict=True):
             chunk, file = divmod(row["episode_index"], _CHUNK)
             first, length = row["source/first_step"], row["length"]
             samples: list[list[NDArray[np.uint8]]] = [[] for _ in cameras]
-            playback = Playback(log, row["source/env"])
+            span = Span(first, first + length - 1)
             with ExitStack() as files:
                 films = []
                 for camera in cameras:
                     name = _VIDEO.format(video_key=camera.key, chunk_index=chunk, file_index=file)
-                    film = VideoFile(root / name, camera.size, fps, _ENCODER)
+                    film = VideoFile(root / name, camera.films.size, fps, _ENCODER)
                     films.append(files.enter_context(film))
-                for step in playback.steps(Span(first, first + length - 1)):
-                    for camera, film, kept in zip(cameras, films, samples, strict=True):
-                        picture = renderers[camera.size].draw(playback.engine, 0, camera.look)
+                playback = Playback(log, row["source/env"])
+                for frame in frames(renderer, playback, [c.films for c in cameras], span):
+                    for film, picture, kept in zip(films, frame.pictures, samples, strict=True):
                         film.write(picture)
-                        if not (step - first) % max(1, length // _SAMPLES):
-                            stride = max(1, max(camera.size) // _PIXELS)
+                        if not (frame.step - first) % max(1, length // _SAMPLES):
+                            stride = max(1, max(picture.shape) // _PIXELS)
                             kept.append(picture[::stride, ::stride].copy())
             for camera, kept in zip(cameras, samples, strict=True):
                 at = f"videos/{camera.key}"

@@ -41,6 +41,8 @@ _SEEN = (
     *("geom_sameframe", "body_pos", "body_quat", "body_sameframe", "jnt_pos", "jnt_axis", "qpos0"),
 )
 """Prefixes of the model fields that affect poses or colours."""
+_LINE_NS = 1_000_000_000
+"""Smallest distance of two lines of an interval term, in ns of simulated time."""
 
 
 class Sink(Protocol):
@@ -76,7 +78,6 @@ class Views:
         self._is_viewed[self._ids] = True
         self._sink, self._now = sink, now
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
-        self._period_ns = self._every * round(float(env.step_dt) * 1e9)
         self._due: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
         """Environments with a scene to write; True: even if it is unchanged."""
         self._sampled = -1
@@ -188,14 +189,14 @@ class Views:
     def on_event(self, event: EventRecord) -> None:
         """Write a line with the drawn values for each viewed environment in which a term fired.
 
-        Interval terms have lines at most at the sampling rate; the log's events are complete.
+        An interval term has at most one line a simulated second; the log's events are complete.
         """
         ids = event.env_ids
         if event.mode == "interval":
             time_ns = self._now()
             if time_ns < self._next_line.get(event.term, 0):
                 return
-            self._next_line[event.term] = time_ns + self._period_ns
+            self._next_line[event.term] = time_ns + _LINE_NS
         texts = []
         for env_id in self._viewed_of(ids):
             row = env_id if ids is None else int(np.searchsorted(ids, env_id))

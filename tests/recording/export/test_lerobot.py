@@ -15,7 +15,9 @@ import pytest
 
 import embodichain.recording as recording
 from embodichain.cli import main
-from embodichain.lab.sim.rendering import SceneRenderer, View
+from embodichain.lab.gym.envs.mdp.events.record import filmed_from
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+from embodichain.lab.sim.drawing.states import DataState
 from embodichain.recording import McapRecorder
 from embodichain.recording.export import Part, export
 from embodichain.recording.export.lerobot import merged, of_pictures, of_values
@@ -126,13 +128,8 @@ def test_films_show_the_states(filmed, tmp_path):
     key = "observation.images.front"
     assert info["features"][key]["shape"] == [48, 64, 3]
     data, state = filmed.read(), mujoco.MjData(MODEL)
-    eye = View.look_at((1.5, -1, 1), (0.2, 0, 0.3), (0, 0, 1), _fovy(48))
-
-    class One:
-        def data_of(self, env_id):
-            return state
-
-    renderer = SceneRenderer(filmed.model, 64, 48)
+    view = filmed_from((64, 48), [1.5, -1, 1], [0.2, 0, 0.3])  # a focal length of 600 pixels
+    renderer = OffscreenRenderer(filmed.model)
     seen = []
     for row, episode in zip(episodes, filmed.episodes, strict=True):
         where = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
@@ -147,7 +144,8 @@ def test_films_show_the_states(filmed, tmp_path):
             state.mocap_pos[:] = data["mocap_pos"][step, episode.env].reshape(-1, 3)
             state.mocap_quat[:] = data["mocap_quat"][step, episode.env].reshape(-1, 4)
             mujoco.mj_forward(MODEL, state)
-            expected = renderer.draw(One(), 0, eye).astype(np.int64)
+            color = renderer.draw(DataState(state), [view])[0]["color"]
+            expected = color[0, ..., :3].astype(np.int64)
             found = np.frombuffer(picture, np.uint8).reshape(48, 64, 3)
             assert np.abs(found - expected).mean() < 6  # what the encoder loses
             seen.append(expected)
@@ -157,10 +155,6 @@ def test_films_show_the_states(filmed, tmp_path):
     stats = json.loads((root / "meta/stats.json").read_text())[key]
     assert np.array(stats["mean"]).shape == (3, 1, 1)
     assert np.ravel(stats["mean"]) == pytest.approx(means, abs=0.01)
-
-
-def _fovy(height):
-    return 2 * np.degrees(np.arctan(height / 1200))
 
 
 def test_rerun_reads_the_data_set(filmed, tmp_path):

@@ -196,7 +196,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self._judge = StepJudge(self, self.overridden)
         own_code = self.overridden & {"get_obs", "_extend_obs"}
         self.observation_buffer = buffer = ObservationBuffer(
-            robot, joints, self.observation_manager, not own_code
+            robot, joints, self.observation_manager, not own_code, self.sensors
         )
         saved = self.streams.state_dict()
         first = buffer.store(buffer.build(self.get_obs(**kwargs)))
@@ -400,13 +400,14 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
     # -- the rest ------------------------------------------------------------------------------
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self, view: str = "default") -> NDArray[np.uint8] | None:
         """Draw environment 0 as (480, 640, 3) RGB; None unless `render_mode` is ``rgb_array``.
 
         Raises:
             RenderError: If no OpenGL library works; names the package to install.
+            ValueError: If there is no such view or camera.
         """
-        return self.sim.render() if self.render_mode == "rgb_array" else None
+        return self.sim.render(camera=view) if self.render_mode == "rgb_array" else None
 
     def restore(
         self,

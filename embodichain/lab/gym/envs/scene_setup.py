@@ -30,7 +30,6 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.appearance import check_light
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
-from embodichain.lab.sim.compiler.cameras import check_memory
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
     DriveOperation,
@@ -43,6 +42,8 @@ from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose,
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
 from embodichain.lab.sim.compiler.scene import compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
+from embodichain.lab.sim.compiler.views import check_views, places_of_views
+from embodichain.lab.sim.compiler.world import WORLD, read_world
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.scene_cfg import SceneCfg
 from embodichain.lab.sim.viewer import has_display
@@ -216,7 +217,12 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
     physics = _physics(cfg)
     step, changes = physics_step(physics), drive_changes(cfg.events)
     parsed, problems = _parse(entities, step, changes)
-    problems = _check_names(entities) + _check_surroundings(cfg) + problems
+    try:
+        world = read_world(physics.scene) if physics.scene.fpath else None
+    except ConfigError as error:
+        world, problems = None, [*problems, *(p.below("scene") for p in error.problems)]
+    inside = {} if world is None else dict.fromkeys(world.objects, "the scene's file")
+    problems = _check_names(entities, inside) + _check_surroundings(cfg) + problems
     objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
     lights = {e.uid: e.cfg for e in entities if isinstance(e.cfg, LightCfg)}
     known: dict[str, ParsedArticulation | str | None] = {}
@@ -224,16 +230,24 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
         kind = "rigid object" if isinstance(entity, RigidObjectCfg) else None
         kind = "light" if isinstance(entity, LightCfg) else kind
         known.setdefault(uid, kind or parsed.get(path))
-    open_scene = cfg.id is not None
+    known |= dict.fromkeys(inside, "rigid object")
+    open_scene = cfg.id is not None or bool(physics.scene.fpath and world is None)
+    incomplete = open_scene or None in known.values()
+    found = check_views(physics.views, *places_of_views(known, world, incomplete))
+    problems += [p.below("views") for p in found]
     problems += check_references(cfg, known, open_scene=open_scene)
     ground = physics.has_ground
-    sensors, found = plan_sensors(cfg.sensors, known, ground=ground, open_scene=open_scene)
-    problems += found + check_memory(cfg.sensors, cfg.num_envs)
+    sensors, found = plan_sensors(
+        cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=cfg.num_envs
+    )
+    problems += found
     if problems:
         return problems
     for path, articulation in parsed.items():
         prepared.add_articulation(path, articulation, step, changes.get(articulation.uid, ()))
-    parts = physics, [*parsed.values()], objects, lights, sensors
+    if world is not None:
+        prepared.add_world(physics.scene, world)
+    parts = physics, [*parsed.values()], objects, lights, sensors, world
     try:  # MuJoCo finds further mistakes, such as a broken mesh file
         prepared.add_scene(compile_scene(*parts), parts)
     except ConfigError as error:
@@ -241,10 +255,11 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
     return []
 
 
-def _check_names(entities: Sequence[_Entity]) -> list[Problem]:
+def _check_names(entities: Sequence[_Entity], inside: Mapping[str, str]) -> list[Problem]:
     """Every entity name that is empty, taken, malformed, or different from its key."""
     problems: list[Problem] = []
-    taken = {GROUND: "the ground plane"}
+    taken = {GROUND: "the ground plane", **inside}
+    taken |= {WORLD: "the scene's file"} if inside else {}
     for entity in entities:
         single = entity.path == "robot"
         path = "robot.uid" if single else entity.path

@@ -145,6 +145,11 @@ class ParsedArticulation:
     keyframe: Keyframe | None
     notes: tuple[str, ...]
 
+    @property
+    def site_names(self) -> tuple[str, ...]:
+        """Its sites that have a name."""
+        return tuple(site.name for site in self.spec.sites if site.name)
+
     def with_given_armature(self, armature: Mapping[str, float]) -> ParsedArticulation:
         """Return it as if the config gave the added armature: joint -> kg m^2 or kg."""
         drives = self.cfg.drive_pros

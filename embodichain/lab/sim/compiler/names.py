@@ -90,6 +90,10 @@ class Jointed(Protocol):
         """The root link."""
 
     @property
+    def site_names(self) -> tuple[str, ...]:
+        """Its sites that have a name."""
+
+    @property
     def mimic_ids(self) -> tuple[int, ...]:
         """Joints that follow another one."""
 

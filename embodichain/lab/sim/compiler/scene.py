@@ -17,7 +17,7 @@ from embodichain.lab.sim.compiler.appearance import (
     set_look,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
-from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
+from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids, ranges
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
 from embodichain.lab.sim.compiler.rigid_objects import (
     add_object,
@@ -29,12 +29,13 @@ from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, com
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
 from embodichain.lab.sim.compiler.scene_sensors import (
     SensorIndex,
-    SensorPlan,
     add_sensors,
     index_sensors,
     silent_sensors,
 )
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
 from embodichain.lab.sim.compiler.views import add_views, place_views, scene_bounds
+from embodichain.lab.sim.compiler.world import PREFIX, World, add_world, index_world, start_world
 from embodichain.lab.sim.scene_cfg import GroundCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
@@ -156,6 +157,7 @@ SceneParts = tuple[
     Mapping[str, RigidObjectCfg],
     Mapping[str, LightCfg],
     Mapping[str, SensorPlan],
+    World | None,
 ]
 """The arguments of `compile_scene`."""
 
@@ -166,6 +168,7 @@ def compile_scene(
     objects: Mapping[str, RigidObjectCfg],
     lights: Mapping[str, LightCfg],
     sensors: Mapping[str, SensorPlan] | None = None,
+    world: World | None = None,
 ) -> CompiledScene:
     """Compile one model, in which elements of an entity are named ``uid/NAME``.
 
@@ -175,20 +178,26 @@ def compile_scene(
         objects: Rigid objects by uid.
         lights: Lights by uid.
         sensors: Sensors by uid.
+        world: The file of `sim_cfg.scene`, if it has one.
 
     Raises:
         ConfigError: If names clash, an object is wrong, or MuJoCo refuses the model.
     """
     sensors = sensors or {}
-    _check(articulations, objects, (*lights, *sensors))
+    inside = () if world is None else tuple(world.objects)
+    _check(articulations, objects, (*lights, *sensors, *inside))
     spec = mujoco.MjSpec()
     spec.modelname = "embodichain"
     spec.compiler.degree = False
     _apply_options(spec, sim_cfg)
-    set_look(spec, sim_cfg.scene)
-    add_lights(spec, lights)
     masked = 0
     notes: list[str] = []
+    if world is not None:
+        child = world.spec.copy()
+        notes += [*world.notes, *_options(child, spec, f"scene.fpath: {world.path}")]
+        add_world(spec, child)
+    set_look(spec, sim_cfg.scene)
+    add_lights(spec, lights)
     for parsed in articulations:
         child = parsed.spec.copy()
         if parsed.cfg.disable_self_collision:
@@ -204,11 +213,10 @@ def compile_scene(
         from embodichain.lab.sim.compiler.furniture import finish_table  # few scenes have one
 
         finish_table(spec, table)
-    add_sensors(spec, sensors)
     roots = {p.uid: f"{p.uid}/{p.root_link_name}" for p in articulations}
-    problems = add_views(spec, sim_cfg.views, roots)
-    if problems:
-        raise ConfigError(p.below("views") for p in problems)
+    roots |= {uid: f"{PREFIX}{uid}" for uid in inside}
+    add_views(spec, sim_cfg.views, roots)
+    add_sensors(spec, sensors)
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
@@ -220,7 +228,9 @@ def compile_scene(
         if index.free_qvel_adr >= 0:
             dofs = slice(index.free_qvel_adr, index.free_qvel_adr + 6)
             model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
-    data = _start(model, articulations, entities)
+    if world is not None:
+        entities |= index_world(model, world)
+    data = _start(model, articulations, entities, world)
     row = np.zeros(mujoco.mj_stateSize(model, _STATE))
     mujoco.mj_getState(model, data, row, _STATE)
     mujoco.mj_kinematics(model, data)
@@ -255,12 +265,17 @@ def _check(
 
 def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:
     """Attach an articulation at its pose; return messages for the user."""
-    what = "; ".join(_replace_options(child, spec))
-    options = f"{parsed.uid}: the scene's physics replaces options of {parsed.path}: {what}"
+    notes = _options(child, spec, f"{parsed.uid}: {parsed.path}")
     pos, quat = initial_pose(parsed.cfg)
     frame = spec.worldbody.add_frame(pos=pos, quat=quat)
     spec.attach(child, frame=frame, prefix=f"{parsed.uid}/")
-    return [options] if what else []
+    return notes
+
+
+def _options(child: mujoco.MjSpec, spec: mujoco.MjSpec, file: str) -> list[str]:
+    """Replace a file's options by the scene's; return a message about those that differ."""
+    what = "; ".join(_replace_options(child, spec))
+    return [f"{file}: the scene's physics replaces its options: {what}"] if what else []
 
 
 def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> EntityIndex:
@@ -295,8 +310,8 @@ def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> En
         ctrl_ids=_first_controls(model, targets),
         velocity_ctrl_ids=_first_controls(model, speeds),
         own_actuator_ids=np.array(own, np.int64),
-        own_ctrl_ids=_ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
-        own_act_ids=_ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
+        own_ctrl_ids=ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
+        own_act_ids=ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
     )
 
 
@@ -306,12 +321,6 @@ def _first_controls(model: mujoco.MjModel, actuators: Ids) -> Ids:
     known = actuators >= 0
     columns[known] = model.actuator_ctrladr[actuators[known]]
     return columns
-
-
-def _ranges(starts: Ids, counts: Ids) -> Ids:
-    """Return the concatenation of ``start + arange(count)``."""
-    parts = [np.arange(a, a + n) for a, n in zip(starts, counts, strict=True)]
-    return np.concatenate([np.zeros(0), *parts]).astype(np.int64)
 
 
 def _index_object(model: mujoco.MjModel, uid: str, cfg: RigidObjectCfg) -> EntityIndex:
@@ -336,9 +345,12 @@ def _start(
     model: mujoco.MjModel,
     articulations: Sequence[ParsedArticulation],
     entities: Mapping[str, EntityIndex],
+    world: World | None,
 ) -> mujoco.MjData:
     """Return the scene's initial state."""
     data = mujoco.MjData(model)
+    if world is not None:
+        start_world(data, world)
     for index in entities.values():
         pose: F64 = np.concatenate([index.pos0, index.quat0])
         if index.mocap_id >= 0:

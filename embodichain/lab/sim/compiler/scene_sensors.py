@@ -1,10 +1,9 @@
-"""Sensors of a scene: their links, MuJoCo's sensors for them, and their columns."""
+"""Sensors of a scene: MuJoCo's sensors for the declared ones, and their columns."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -13,18 +12,19 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.compiler.cameras import (
     add_camera,
     camera_names,
-    check_camera,
+    check_memory,
     entity_of_geom,
-    mount,
 )
-from embodichain.lab.sim.compiler.index import EntityIndex
-from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
+from embodichain.lab.sim.compiler.index import EntityIndex, Ids, Mask
+from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.sensors.cfg import (
     CameraCfg,
     ContactSensorCfg,
-    ForceTorqueSensorCfg,
+    FramePoseSensorCfg,
     ImuSensorCfg,
-    LinksCfg,
+    JointTorqueSensorCfg,
+    RayCastCfg,
     SensorCfg,
 )
 from embodichain.utils.errors import Problem
@@ -32,42 +32,24 @@ from embodichain.utils.errors import Problem
 __all__ = [
     "CameraIndex",
     "SensorIndex",
-    "SensorPlan",
     "add_sensors",
     "index_sensors",
-    "plan_sensor",
     "plan_sensors",
     "silent_sensors",
 ]
 
 _OBJECT = mujoco.mjtObj
-_TYPES = (ContactSensorCfg, ImuSensorCfg, ForceTorqueSensorCfg, CameraCfg)
-
-
-@dataclass(frozen=True)
-class SensorPlan:
-    """A declared sensor with checked names.
-
-    Attributes:
-        uid: Its name.
-        cfg: Its config.
-        links: (n,) names of the links it is fixed on; none for a camera fixed in the environment.
-        bodies: (n,) names of their bodies in the model.
-        others: Objects with which contacts count: MuJoCo's object type and name of each; empty is
-            any object.
-    """
-
-    uid: str
-    cfg: SensorCfg
-    links: tuple[str, ...]
-    bodies: tuple[str, ...]
-    others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
 
 
 def plan_sensors(
-    sensors: Mapping[str, SensorCfg], known: Known, *, ground: bool, open_scene: bool
+    sensors: Mapping[str, SensorCfg],
+    known: Known,
+    *,
+    ground: bool,
+    open_scene: bool,
+    num_envs: int,
 ) -> tuple[dict[str, SensorPlan], list[Problem]]:
-    """Look up the links of all declared sensors; see `plan_sensor`.
+    """Look up the links of all declared sensors of N environments; see `plan_sensor`.
 
     Returns:
         The plans of valid sensors, and every mistake, with paths relative to the task.
@@ -82,139 +64,12 @@ def plan_sensors(
         if cfg.uid not in (None, "", uid):
             message = f"the key {uid!r} is its uid; it cannot be {cfg.uid!r}: leave uid out"
             found = [Problem("uid", message), *found]
+        if isinstance(cfg, CameraCfg):
+            found = [*found, *check_memory(cfg, num_envs)]
         problems += [p.below(path) for p in found]
         if plan is not None:
             plans[uid] = plan
     return plans, problems
-
-
-def plan_sensor(
-    uid: str, cfg: SensorCfg, known: Known, *, ground: bool = True, open_scene: bool = False
-) -> tuple[SensorPlan | None, list[Problem]]:
-    """Look up the links of a sensor.
-
-    Args:
-        uid: Its name.
-        cfg: Its config.
-        known: The entities of the scene.
-        ground: Whether the scene has the ground plane.
-        open_scene: Whether Python code may add entities, so that unknown ones are allowed.
-
-    Returns:
-        The plan (None if something is wrong or unknown), and every mistake, with paths relative to
-        the sensor's config.
-    """
-    if not isinstance(cfg, _TYPES):
-        types = ", ".join(str(kind().sensor_type) for kind in _TYPES)
-        name = getattr(cfg, "sensor_type", "") or type(cfg).__name__
-        return None, [Problem("sensor_type", f"no sensor {name!r}; there are: {types}")]
-    if isinstance(cfg, CameraCfg):
-        return _plan_camera(uid, cfg, known, open_scene)
-    links, problems = _links("entity_cfg", cfg.entity_cfg, known, open_scene)
-    problems += _check_rate(cfg)
-    if isinstance(cfg, ImuSensorCfg):
-        links, found = _one(cfg.entity_cfg, links, known)
-        problems += found + _check_mount(cfg)
-    others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
-    if isinstance(cfg, ContactSensorCfg) and cfg.against is not None:
-        others, found = _others(cfg.against, known, ground, open_scene)
-        problems += found
-        if not others:
-            links = ()
-    if problems or not links:
-        return None, problems
-    bodies = tuple(_body(cfg.entity_cfg.uid, link, known) for link in links)
-    return SensorPlan(uid, cfg, links, bodies, others), []
-
-
-def _plan_camera(
-    uid: str, cfg: CameraCfg, known: Known, open_scene: bool
-) -> tuple[SensorPlan | None, list[Problem]]:
-    problems = check_camera(cfg) + _check_rate(cfg)
-    where, found = mount(cfg, known)
-    problems += found
-    links: tuple[str, ...] = ()
-    if where is not None:
-        links, found = _links("entity_cfg", where, known, open_scene)
-        problems += found
-        links, found = _one(where, links, known)
-        problems += found
-    if problems or (where is not None and not links):
-        return None, problems
-    bodies = tuple(_body(where.uid, link, known) for link in links if where is not None)
-    return SensorPlan(uid, cfg, links, bodies), []
-
-
-def _check_rate(cfg: SensorCfg) -> list[Problem]:
-    if cfg.rate is None or 0 < cfg.rate < np.inf:
-        return []
-    return [Problem("rate", f"must be positive and finite, Hz, got {cfg.rate!r}")]
-
-
-def _links(
-    path: str, cfg: LinksCfg, known: Known, open_scene: bool
-) -> tuple[tuple[str, ...], list[Problem]]:
-    """The links that a config picks; by default all."""
-    picked, problems = pick(path, vars(cfg), known, open_scene)
-    entity = known.get(cfg.uid)
-    if problems or entity is None:
-        return (), problems
-    names = (cfg.uid,) if isinstance(entity, str) else entity.link_names
-    if cfg.link_names is None:
-        return names, []
-    if not picked.links:
-        return (), [Problem(f"{path}.link_names", "names no link; leave it out for all")]
-    return tuple(names[i] for i in picked.links), []
-
-
-def _one(
-    cfg: LinksCfg, links: tuple[str, ...], known: Known
-) -> tuple[tuple[str, ...], list[Problem]]:
-    """The one link that an IMU is fixed on: the picked one, else the root."""
-    entity = known.get(cfg.uid)
-    if cfg.link_names is None and links and not isinstance(entity, str) and entity is not None:
-        return (entity.root_link_name,), []
-    if len(links) > 1:
-        message = f"one link is wanted, these match: {', '.join(links)}"
-        return (), [Problem("entity_cfg.link_names", message)]
-    return links, []
-
-
-def _check_mount(cfg: ImuSensorCfg) -> list[Problem]:
-    """Check the pose of an IMU on its link."""
-    problems = []
-    for key, size in (("pos", 3), ("quat", 4)):
-        value: Any = getattr(cfg, key)
-        array = np.asarray(value, np.float64)
-        if array.shape != (size,) or not np.isfinite(array).all():
-            problems.append(Problem(key, f"must be {size} finite numbers, got {value!r}"))
-        elif key == "quat" and not array.any():
-            problems.append(Problem(key, "must not be zero: it is a rotation, wxyz"))
-    return problems
-
-
-def _others(
-    cfg: LinksCfg, known: Known, ground: bool, open_scene: bool
-) -> tuple[tuple[tuple[mujoco.mjtObj, str], ...], list[Problem]]:
-    """Objects with which contacts count: the ground's geom, an entity's tree, or links."""
-    if cfg.uid == GROUND and ground:
-        if cfg.link_names is not None:
-            return (), [Problem("against.link_names", f"{GROUND!r} has no links")]
-        return ((_OBJECT.mjOBJ_GEOM, GROUND),), []
-    if ground:
-        known = {GROUND: "ground plane", **known}  # for the list in messages
-    links, problems = _links("against", cfg, known, open_scene)
-    entity = known.get(cfg.uid)
-    if not links or entity is None:
-        return (), problems
-    if cfg.link_names is None and not isinstance(entity, str):
-        return ((_OBJECT.mjOBJ_XBODY, f"{cfg.uid}/{entity.root_link_name}"),), []
-    return tuple((_OBJECT.mjOBJ_BODY, _body(cfg.uid, link, known)) for link in links), []
-
-
-def _body(uid: str, link: str, known: Known) -> str:
-    """The name of a link's body in the model."""
-    return uid if isinstance(known[uid], str) else f"{uid}/{link}"
 
 
 _SENSOR = mujoco.mjtSensor
@@ -227,21 +82,32 @@ _KINDS: dict[str, tuple[mujoco.mjtSensor, ...]] = {
     "contact": (_SENSOR.mjSENS_CONTACT,),
     "imu": (_SENSOR.mjSENS_FRAMEQUAT, _SENSOR.mjSENS_GYRO, _SENSOR.mjSENS_ACCELEROMETER),
     "force_torque": (_SENSOR.mjSENS_FORCE, _SENSOR.mjSENS_TORQUE),
+    "frame_pose": (
+        _SENSOR.mjSENS_FRAMEPOS,
+        _SENSOR.mjSENS_FRAMEQUAT,
+        _SENSOR.mjSENS_FRAMELINVEL,
+        _SENSOR.mjSENS_FRAMEANGVEL,
+    ),
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SensorIndex:
     """Columns of one sensor in the compiled model.
 
     Attributes:
-        columns: Its columns in ``sensordata``.
+        columns: Its columns in ``sensordata``; none if no sensor of MuJoCo's measures it.
         shape: Shape of its data: (links, others, 4) for contacts (count, then force in N), (10,)
-            for an IMU (wxyz, rad/s, m/s^2), (links, 6) for force and torque (N, N m).
+            for an IMU (wxyz, rad/s, m/s^2), (links, 6) for force and torque (N, N m), (13,) for a
+            frame (m, wxyz, m/s, rad/s).
+        dofs: (n,) columns in qvel of its joints.
+        geoms: (ngeom,) geoms that its rays can hit.
     """
 
-    columns: slice
-    shape: tuple[int, ...]
+    columns: slice = field(default_factory=lambda: slice(0, 0))
+    shape: tuple[int, ...] = ()
+    dofs: Ids = field(default_factory=lambda: np.zeros(0, np.int64))
+    geoms: Mask = field(default_factory=lambda: np.zeros(0, np.bool_))
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,8 +119,8 @@ class CameraIndex(SensorIndex):
         entity_of_geom: (ngeom + 1,) int32 number in masks of each geom; the last is -1.
     """
 
-    ids: tuple[int, ...]
-    entity_of_geom: NDArray[np.int32]
+    ids: tuple[int, ...] = ()
+    entity_of_geom: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
 
 
 def add_sensors(spec: mujoco.MjSpec, plans: Mapping[str, SensorPlan]) -> None:
@@ -264,7 +130,7 @@ def add_sensors(spec: mujoco.MjSpec, plans: Mapping[str, SensorPlan]) -> None:
             add_camera(spec, plan.uid, plan.cfg, next(iter(plan.bodies), None))
         elif isinstance(plan.cfg, ContactSensorCfg):
             _add_contacts(spec, plan)
-        else:
+        elif plan.cfg.sensor_type in _KINDS:
             _add_sites(spec, plan)
 
 
@@ -279,17 +145,21 @@ def _add_contacts(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
 
 
 def _add_sites(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
-    """Add a site on every link, and the sensors at it."""
+    """Add a site on every link, unless the sensor has one, and the sensors at it."""
     cfg = plan.cfg
     for i, name in enumerate(plan.bodies):
-        site = spec.body(name).add_site(name=f"{plan.uid}/{i}", size=[1e-3] * 3, group=5)
-        if isinstance(cfg, ImuSensorCfg):
-            site.pos = np.asarray(cfg.pos, np.float64)
-            quat = np.asarray(cfg.quat, np.float64)
-            site.quat = quat / np.sqrt((quat * quat).sum())
+        site = plan.site or f"{plan.uid}/{i}"
+        if not plan.site:
+            added = spec.body(name).add_site(name=site, size=[1e-3] * 3, group=5)
+            if isinstance(cfg, (ImuSensorCfg, FramePoseSensorCfg)):
+                added.pos = np.asarray(cfg.pos, np.float64)
+                quat = np.asarray(cfg.quat, np.float64)
+                added.quat = quat / np.sqrt((quat * quat).sum())
         for j, kind in enumerate(_KINDS[cfg.sensor_type]):
             sensor = spec.add_sensor(name=f"{plan.uid}/{i}/{j}", type=kind)
-            sensor.objtype, sensor.objname = _OBJECT.mjOBJ_SITE, site.name
+            sensor.objtype, sensor.objname = _OBJECT.mjOBJ_SITE, site
+            for reference, other in plan.others:
+                sensor.reftype, sensor.refname = reference, other
 
 
 def index_sensors(
@@ -297,15 +167,14 @@ def index_sensors(
     plans: Mapping[str, SensorPlan],
     entities: Mapping[str, EntityIndex],
 ) -> dict[str, SensorIndex]:
-    """Find every sensor's columns, or cameras, in the compiled model."""
-    found: dict[str, SensorIndex] = {}
-    for uid, plan in plans.items():
-        if isinstance(plan.cfg, CameraCfg):
-            ids = tuple(int(model.camera(name).id) for name in camera_names(uid, plan.cfg))
-            found[uid] = CameraIndex(slice(0, 0), (), ids, entity_of_geom(model, entities))
-        else:
-            found[uid] = _index(model, plan)
-    return found
+    """Find every sensor's columns, joints, geoms and cameras in the compiled model.
+
+    Args:
+        model: The model.
+        plans: The sensors by uid.
+        entities: Indices of the entities in the model, by uid.
+    """
+    return {uid: _index(model, plan, entities) for uid, plan in plans.items()}
 
 
 def silent_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> list[str]:
@@ -321,14 +190,25 @@ def silent_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> li
     ]
 
 
-def _index(model: mujoco.MjModel, plan: SensorPlan) -> SensorIndex:
-    count = len(plan.links)
-    if isinstance(plan.cfg, ContactSensorCfg):
+def _index(
+    model: mujoco.MjModel, plan: SensorPlan, entities: Mapping[str, EntityIndex]
+) -> SensorIndex:
+    cfg, count = plan.cfg, len(plan.names)
+    if isinstance(cfg, CameraCfg):
+        ids = tuple(int(model.camera(name).id) for name in camera_names(plan.uid, cfg))
+        return CameraIndex(ids=ids, entity_of_geom=entity_of_geom(model, entities))
+    if isinstance(cfg, RayCastCfg):
+        return SensorIndex(geoms=_targets(model, cfg, entities))
+    if isinstance(cfg, JointTorqueSensorCfg):
+        dofs = [model.joint(name).dofadr[0] for name in plan.joints]
+        return SensorIndex(dofs=np.array(dofs, np.int64))
+    if isinstance(cfg, ContactSensorCfg):
         parts = max(1, len(plan.others))
         shape: tuple[int, ...] = (count, parts, 4)
     else:
-        parts = len(_KINDS[plan.cfg.sensor_type])
-        shape = (10,) if isinstance(plan.cfg, ImuSensorCfg) else (count, 6)
+        parts = len(_KINDS[cfg.sensor_type])
+        shapes = {"imu": (10,), "frame_pose": (13,), "force_torque": (count, 6)}
+        shape = shapes[cfg.sensor_type]
     first = model.sensor(f"{plan.uid}/0/0").id
     last = model.sensor(f"{plan.uid}/{count - 1}/{parts - 1}").id
     start = int(model.sensor_adr[first])
@@ -336,3 +216,21 @@ def _index(model: mujoco.MjModel, plan: SensorPlan) -> SensorIndex:
     if stop - start != int(np.prod(shape)):
         raise RuntimeError(f"{plan.uid}: MuJoCo keeps its numbers in columns {start} to {stop}")
     return SensorIndex(slice(start, stop), shape)
+
+
+def _targets(model: mujoco.MjModel, cfg: RayCastCfg, entities: Mapping[str, EntityIndex]) -> Mask:
+    """(ngeom,) geoms that a sensor's rays can hit."""
+    hits: Mask = np.isin(model.geom_group, cfg.geom_groups)
+    if cfg.hit is not None:
+        hits &= _geoms(model, cfg.hit, entities)
+    own = cfg.entity_cfg.uid
+    excluded = [own] if own and own not in (cfg.hit or ()) else []
+    return hits & ~_geoms(model, excluded if cfg.exclude is None else cfg.exclude, entities)
+
+
+def _geoms(model: mujoco.MjModel, uids: Sequence[str], entities: Mapping[str, EntityIndex]) -> Mask:
+    """(ngeom,) the geoms of these entities."""
+    found: Mask = np.zeros(model.ngeom, np.bool_)
+    for uid in uids:
+        found[model.geom(GROUND).id if uid == GROUND else entities[uid].geom_ids] = True
+    return found

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Mapping, Sequence
 
 import mujoco
 import numpy as np
 
 from embodichain.lab.sim.compiler.appearance import FOVY
+from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import Known
+from embodichain.lab.sim.compiler.world import WORLD, World
 from embodichain.lab.sim.scene_cfg import ViewCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
-if TYPE_CHECKING:
-    pass
-
-__all__ = ["DEFAULT_VIEW", "add_views", "check_view", "place_views", "scene_bounds"]
+__all__ = [
+    "DEFAULT_VIEW",
+    "add_views",
+    "check_views",
+    "place_views",
+    "places_of_views",
+    "scene_bounds",
+]
 
 DEFAULT_VIEW = "default"
 """The view that every scene has."""
@@ -36,8 +42,60 @@ _OPTICS = (
 )
 
 
-def check_view(cfg: ViewCfg) -> list[Problem]:
-    """Return what is wrong with a view itself, with paths below it."""
+def check_views(
+    views: Mapping[str, ViewCfg], cameras: Collection[str], bodies: Collection[str] | None
+) -> list[Problem]:
+    """Return every mistake in views, with paths relative to them.
+
+    Args:
+        views: The views by name.
+        cameras: The cameras of files and sensors.
+        bodies: Entities and links that a view may follow; None if not all are known: then unknown
+            ones, and unknown cameras, are no mistakes.
+    """
+    problems: list[Problem] = []
+    for name, cfg in views.items():
+        found = [Problem(f"{name}.{p.path}".rstrip("."), p.message) for p in _check_view(cfg)]
+        if "/" in name:
+            found.append(Problem(name, "a view's name must not contain '/', as those of files do"))
+        elif name in cameras:
+            found.append(Problem(name, f"a camera is called {name!r}: choose another name"))
+        if bodies is not None:
+            kinds = ("camera", "camera", cameras), ("body", "entity or link", bodies)
+            for key, what, there in kinds:
+                given = getattr(cfg, key)
+                if given is not None and given not in there:
+                    message = f"no {what} is called {given!r}; there are: "
+                    message += listing([*there], given) or "none"
+                    hint = did_you_mean(given, there).strip()
+                    found.append(Problem(f"{name}.{key}", message, hint))
+        problems += found
+    return problems
+
+
+def places_of_views(
+    known: Known, world: World | None, incomplete: bool
+) -> tuple[list[str], list[str] | None]:
+    """Return the cameras of files, and the entities and links that a view may follow.
+
+    Args:
+        known: The declared entities.
+        world: The scene's file.
+        incomplete: Whether there may be more entities; then the second is None.
+    """
+    cameras = [] if world is None else [f"{WORLD}/{c.name}" for c in world.spec.cameras]
+    bodies = [] if world is None else [f"{WORLD}/{b.name}" for b in world.spec.bodies[1:]]
+    for uid, entity in known.items():
+        if isinstance(entity, ParsedArticulation):
+            cameras += [f"{uid}/{camera.name}" for camera in entity.spec.cameras]
+            bodies += [uid, *(f"{uid}/{link}" for link in entity.link_names)]
+        elif entity != "light":
+            bodies.append(uid)
+    return cameras, None if incomplete else bodies
+
+
+def _check_view(cfg: ViewCfg) -> list[Problem]:
+    """What is wrong with a view itself, with paths below it."""
     given = [name for name in _PLACES if getattr(cfg, name) is not None]
     if len(given) != 1:
         got = " and ".join(given) or "none"
@@ -61,9 +119,7 @@ def check_view(cfg: ViewCfg) -> list[Problem]:
     return problems
 
 
-def add_views(
-    spec: mujoco.MjSpec, views: Mapping[str, ViewCfg], roots: Mapping[str, str]
-) -> list[Problem]:
+def add_views(spec: mujoco.MjSpec, views: Mapping[str, ViewCfg], roots: Mapping[str, str]) -> None:
     """Add a camera for each view, and the default one.
 
     Args:
@@ -71,37 +127,26 @@ def add_views(
         views: The declared views.
         roots: Uid -> the name of its root body.
 
-    Returns:
-        Every mistake, with paths relative to the views.
+    Raises:
+        ConfigError: If a view is wrong; lists every mistake.
     """
-    problems = []
     own = {camera.name: camera for camera in spec.cameras}
-    bodies = {body.name: body for body in spec.bodies if body.name and body.name != "world"}
+    bodies = {body.name: body for body in spec.bodies if body.name != "world"}
     bodies |= {uid: bodies[root] for uid, root in roots.items()}
-    for name, cfg in {DEFAULT_VIEW: ViewCfg(direction=_DIRECTION), **views}.items():
-        found = [Problem(f"{name}.{p.path}".rstrip("."), p.message) for p in check_view(cfg)]
-        if not found and (name in own or "/" in name):
-            what = "must not contain '/'" if "/" in name else "is a camera of the scene's file"
-            found = [Problem(name, f"{name!r} {what}: choose another name")]
-        if not found and cfg.camera is not None and cfg.camera not in own:
-            found = [_unknown(f"{name}.camera", "camera", cfg.camera, [*own])]
-        if not found and cfg.body is not None and cfg.body not in bodies:
-            found = [_unknown(f"{name}.body", "entity or link", cfg.body, [*bodies])]
-        problems += found
-        if found:
-            continue
+    problems = check_views(views, own, bodies)
+    if problems:
+        raise ConfigError(p.below("views") for p in problems)
+    for name, cfg in _with_default(views).items():
         if cfg.camera is not None:
             _copy_camera(own[cfg.camera], name, cfg.fovy)
             continue
         body = spec.worldbody if cfg.body is None else bodies[cfg.body]
         camera = body.add_camera(name=name, fovy=FOVY if cfg.fovy is None else float(cfg.fovy))
         camera.mode = _TRACK if cfg.body is not None and cfg.follow == "position" else _FIXED
-    return problems
 
 
-def _unknown(path: str, what: str, name: str, there: Sequence[str]) -> Problem:
-    message = f"no {what} is called {name!r}; there are: {listing(there, name) or 'none'}"
-    return Problem(path, message, did_you_mean(name, there).strip())
+def _with_default(views: Mapping[str, ViewCfg]) -> dict[str, ViewCfg]:
+    return {DEFAULT_VIEW: ViewCfg(direction=_DIRECTION), **views}
 
 
 def _copy_camera(camera: mujoco.MjsCamera, name: str, fovy: float | None) -> None:
@@ -129,7 +174,7 @@ def place_views(
     middle = 0.5 * (shown.min(axis=0) + shown.max(axis=0))
     at_rest = mujoco.MjData(model)
     mujoco.mj_kinematics(model, at_rest)
-    for name, cfg in {DEFAULT_VIEW: ViewCfg(direction=_DIRECTION), **views}.items():
+    for name, cfg in _with_default(views).items():
         if cfg.camera is not None:
             continue
         camera, written = model.camera(name), spec.camera(name)

@@ -80,20 +80,27 @@ class ClassicRenderer:
                 part = getattr(self._model, name)
                 part[...] = values[min(row, len(values) - 1)].reshape(part.shape)
             for view, pictures in zip(views, found, strict=True):
-                self._aim(view, row)
+                self._fill(view, row)
                 for name, picture in self._draw(view).items():
                     pictures[name][place] = picture
         return found
 
-    def _aim(self, view: View, row: int) -> None:
+    def _fill(self, view: View, row: int) -> None:
         """Fill the scene with one environment, as its camera sees it."""
-        scene, optics = self._scene, view.optics
+        scene = self._scene
+        self._aim(view, row)  # an endless plane is drawn around the camera before the update
         mujoco.mjv_updateScene(
             self._model, self._data, self._option, None, self._camera, _EVERYTHING, scene
         )
+        self._aim(view, row)
+        scene.flags[_EXPENSIVE] = int(view.look == "full")
+
+    def _aim(self, view: View, row: int) -> None:
+        """Set the scene's cameras, and the light at the camera."""
+        scene, optics = self._scene, view.optics
         position, axes = (a[min(row, len(a) - 1)] for a in (view.position, view.axes))
-        fx, fy = optics.focal if view.focal is None else view.focal[row]
-        near, (cx, cy) = optics.near, optics.centre
+        fx, fy, cx, cy = view.lens[min(row, len(view.lens) - 1)]
+        near = optics.near
         for camera in scene.camera:
             camera.pos, camera.forward, camera.up = position, -axes[:, 2], axes[:, 1]
             camera.frustum_near, camera.frustum_far = near, optics.far
@@ -104,7 +111,6 @@ class ClassicRenderer:
         for light in scene.lights[: scene.nlight]:
             if light.headlight:
                 light.pos, light.dir = position, -axes[:, 2]
-        scene.flags[_EXPENSIVE] = int(view.look == "full")
 
     def _draw(self, view: View) -> Pictures:
         """One picture of each output, of the scene as it is."""

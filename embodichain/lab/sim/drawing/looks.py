@@ -106,8 +106,9 @@ class SurfaceTable:
             table[env, geom, 2, column] = of(name)
         texture = of("mat_texid")[:, _RGB]
         has = texture >= 0
+        repeat, uniform = of("mat_texrepeat")[has], of("mat_texuniform")[has]
         env, geom, texture = env[has], geom[has], texture[has]
         table[env, geom, 2, 3] = self._layers[texture, 0]
         table[env, geom, 3, 2] = self._layers[texture, 1]
-        table[env, geom, 3, :2] = of("mat_texrepeat")[has]
-        table[env, geom, 3, 3] = of("mat_texuniform")[has]
+        table[env, geom, 3, :2] = repeat
+        table[env, geom, 3, 3] = uniform

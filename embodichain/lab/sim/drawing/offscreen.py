@@ -39,14 +39,15 @@ class OffscreenRenderer:
     EMBODICHAIN_RENDERER names:
 
     - ``layered``: `BatchRenderer`, for OpenGL with layered rendering;
-    - ``classic``: `ClassicRenderer`, for any other OpenGL.
+    - ``classic``: `ClassicRenderer`, for any other OpenGL;
+    - ``rays``: `RayRenderer`, depth and masks only, without OpenGL.
 
     Args:
         model: The compiled scene.
 
     Attributes:
         kind: Which one is used.
-        about: OpenGL's renderer and version, as the driver says.
+        about: OpenGL's renderer and version as the driver says, or what draws instead.
 
     Raises:
         ConfigError: If EMBODICHAIN_RENDERER names no renderer.
@@ -111,6 +112,9 @@ def _close_at_exit() -> None:
     def close() -> None:
         for renderer in list(_opened):
             renderer.close()
+        thread = render_thread()
+        if not thread.forked:
+            thread.call(lambda: None)  # what is to be called later is called before
 
     atexit.register(close)
 
@@ -133,9 +137,17 @@ def _classic(model: mujoco.MjModel) -> Opened:
     return "classic", renderer.about, renderer
 
 
+def _rays(model: mujoco.MjModel) -> Opened:
+    from embodichain.lab.sim.drawing.rays import RayRenderer
+
+    renderer = RayRenderer(model)
+    return "rays", renderer.about, renderer
+
+
 _RENDERERS: dict[str, Callable[[mujoco.MjModel], Opened]] = {
     "layered": _layered,
     "classic": _classic,
+    "rays": _rays,
 }
 
 
@@ -155,19 +167,19 @@ def _kinds() -> list[str]:
 
 def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> Opened:
     """The first renderer of `kinds` that works here; called in the render thread."""
-    errors: list[RenderError] = []
+    error: RenderError | None = None
     for kind in kinds:
         try:
             opened = _RENDERERS[kind](model)
-        except RenderError as error:
-            errors.append(error)
+        except RenderError as found:
+            error = error or found
         else:
-            if errors:
-                _say_once(f"pictures are drawn by the {kind} renderer: {errors[0]}")
+            if error is not None:
+                _say_once(f"pictures are drawn by the renderer {kind!r}: {error}")
             return opened
-    raise errors[0]
+    raise error or RenderError("there is no renderer")
 
 
 @cache
 def _say_once(message: str) -> None:
-    _log.warning(message)
+    _log.info(message)

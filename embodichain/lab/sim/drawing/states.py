@@ -15,9 +15,12 @@ __all__ = ["DRAWN_FIELDS", "DRAWN_POSES", "DataState", "StoredStates"]
 
 DRAWN_POSES = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir")
 """Fields of MjData that pictures depend on."""
-DRAWN_FIELDS = tuple(sorted(f for f in MODEL_FIELDS if f.startswith(("geom_", "mat_", "light_"))))
-"""Fields of MjModel that pictures depend on and that can differ between environments; those of
-cameras are part of a view."""
+DRAWN_FIELDS = (
+    *sorted(f for f in MODEL_FIELDS if f.startswith(("geom_", "mat_", "light_"))),
+    "cam_fovy",
+    "cam_intrinsic",
+)
+"""Fields of MjModel that pictures depend on and that can differ between environments."""
 
 
 class DataState:

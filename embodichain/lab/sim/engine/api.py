@@ -19,6 +19,7 @@ __all__ = [
     "EngineListener",
     "EnvIndex",
     "PhysicsEvent",
+    "RayHits",
     "Write",
     "WriteOp",
     "row_layout",
@@ -74,6 +75,20 @@ class PhysicsEvent(NamedTuple):
     failed: EnvIndex | None = None
 
 
+class RayHits(NamedTuple):
+    """What R rays hit in n environments.
+
+    Attributes:
+        distance: (n, R) in lengths of the ray's direction; -1 where nothing is hit.
+        geom: (n, R) geom ids; -1 where nothing is hit.
+        normal: (n, R, 3) unit normals of the surfaces, 0 where nothing is hit; None if not wanted.
+    """
+
+    distance: F64
+    geom: NDArray[np.int32]
+    normal: F64 | None = None
+
+
 class EngineListener(Protocol):
     """Is called for everything that changes the simulation."""
 
@@ -98,6 +113,10 @@ class Engine(Protocol):
     model: mujoco.MjModel
     num_envs: int
     listeners: list[EngineListener]
+
+    @property
+    def versions(self) -> NDArray[np.int64]:
+        """(N,) `version` of the last change of each environment's positions or model."""
 
     @property
     def rows(self) -> F64:
@@ -125,6 +144,25 @@ class Engine(Protocol):
 
         After `forward` it is that of the current state. The first request of a field computes it
         at the current state. The array is valid until the next step or full `forward`.
+        """
+
+    def cast_rays(
+        self,
+        origins: F64,
+        directions: F64,
+        geoms: NDArray[np.bool_],
+        env_ids: EnvIndex | None = None,
+        *,
+        normal: bool = False,
+    ) -> RayHits:
+        """Intersect rays with geoms at the current positions (`mj_ray`), visual geoms included.
+
+        Args:
+            origins: Broadcasts to (n, R, 3), metres.
+            directions: Broadcasts to (n, R, 3); not zero.
+            geoms: (ngeom,) geoms that rays can hit; invisible ones (alpha 0) are left out as well.
+            env_ids: (n,) environments, or None for all.
+            normal: Whether to return normals.
         """
 
     def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:

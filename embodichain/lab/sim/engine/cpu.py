@@ -21,6 +21,7 @@ from embodichain.lab.sim.engine.api import (
     EngineListener,
     EnvIndex,
     PhysicsEvent,
+    RayHits,
     Write,
     row_layout,
 )
@@ -107,11 +108,17 @@ class CpuEngine(Engine):
         # derived fields overwrites the batch's outputs.
         self._accelerations: dict[str, tuple[F64, F64]] = {}
         self._dirty = np.ones(num_envs, np.bool_)
+        self._changed: NDArray[np.int64] = np.zeros(num_envs, np.int64)
+        self._all_changed = 0
         self._any_dirty = True
         self._all_dirty = True
         self._divergence = _Divergence(self._batch)
 
     # -- reads ---------------------------------------------------------------------------------
+
+    @property
+    def versions(self) -> NDArray[np.int64]:
+        return np.maximum(self._changed, self._all_changed)
 
     @property
     def rows(self) -> F64:
@@ -166,6 +173,29 @@ class CpuEngine(Engine):
                 copy[...] = output
             else:
                 copy[env_ids] = output[env_ids]
+
+    def cast_rays(
+        self,
+        origins: F64,
+        directions: F64,
+        geoms: NDArray[np.bool_],
+        env_ids: EnvIndex | None = None,
+        *,
+        normal: bool = False,
+    ) -> RayHits:
+        if self._fields.stale:
+            self._set_const_now()
+        # mj_ray chooses geoms by group: put them into group 0 during the call, others into 5.
+        group = self._fields.internal("geom_group")
+        kept = group.copy()
+        group[:] = np.where(geoms, 0, 5)
+        try:
+            found = self._batch.ray(
+                origins, directions, geomgroup=[1, 0, 0, 0, 0, 0], ids=env_ids, normal=normal
+            )
+        finally:
+            group[...] = kept
+        return RayHits(*found)
 
     # -- physics -------------------------------------------------------------------------------
 
@@ -278,7 +308,10 @@ class CpuEngine(Engine):
         self._any_dirty = True
         if env_ids is None:
             self._all_dirty = True
-        elif not self._all_dirty:
+            self._all_changed = self.version
+            return
+        self._changed[env_ids] = self.version
+        if not self._all_dirty:
             self._dirty[env_ids] = True
 
     def _notify(self, write: Write) -> None:

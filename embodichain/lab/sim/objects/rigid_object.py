@@ -311,10 +311,16 @@ class RigidObject(BatchEntity):
         """The shape's formulas for other sizes.
 
         Raises:
-            ValueError: If the shape is a mesh or a plane, which cannot change size.
+            ValueError: If the shape is a mesh or a plane, which cannot change size, or not the
+                only one.
         """
         if self._solid is None:
-            self._solid = Solid.of(self.uid, self.engine.model, int(self.index.geom_ids[0]))
+            geoms = self.index.geom_ids.tolist()
+            solids = [Solid.of(self.uid, self.engine.model, geom) for geom in geoms]
+            if len(solids) != 1:
+                message = f"{self.uid} has {len(solids)} shapes: only a single one has a size"
+                raise ValueError(f"{message} per environment")
+            self._solid = solids[0]
         return self._solid
 
     def write_scale(self, scale: F64, ids: EnvIndex | None, fixed_density: bool = True) -> None:
@@ -403,10 +409,11 @@ class RigidObject(BatchEntity):
         mass, _ = field_values(model, fields, "body_mass", self._columns(1))
         inertia, _ = field_values(model, fields, "body_inertia", self._columns(3))
         self._inertia[where] = inertia * (self._mass0 / mass) if mass[0] > 0 else inertia
-        geom = int(self.index.geom_ids[0])
-        columns = slice(3 * geom, 3 * geom + 3)
-        size, compiled = field_values(model, fields, "geom_size", columns)
-        self._scale[where] = np.divide(size, compiled, out=np.ones(3), where=compiled > 0)
+        if len(self.index.geom_ids):
+            geom = int(self.index.geom_ids[0])
+            columns = slice(3 * geom, 3 * geom + 3)
+            size, compiled = field_values(model, fields, "geom_size", columns)
+            self._scale[where] = np.divide(size, compiled, out=np.ones(3), where=compiled > 0)
         if self._dofs is None:
             return
         damping, _ = field_values(model, fields, "dof_damping", self._dofs)

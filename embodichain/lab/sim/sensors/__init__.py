@@ -1,4 +1,4 @@
-"""Sensors: contacts, inertial measurements, joint forces, cameras."""
+"""Sensors: contacts, inertial measurements, forces, poses of frames, rays, cameras."""
 
 from typing import TYPE_CHECKING
 
@@ -10,20 +10,31 @@ from embodichain.lab.sim.sensors.cfg import (
     ContactSensorCfg,
     ExtrinsicsCfg,
     ForceTorqueSensorCfg,
+    FramePoseSensorCfg,
+    HeightScanSensorCfg,
     ImuSensorCfg,
+    JointsCfg,
+    JointTorqueSensorCfg,
     LinksCfg,
     OffsetCfg,
+    RayFanCfg,
+    RayGridCfg,
+    RayPatternCfg,
+    RaySensorCfg,
     SensorCfg,
     StereoCameraCfg,
 )
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.sensors.camera import Camera, StereoCamera
+    from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensor, RaySensor
     from embodichain.lab.sim.sensors.sensor_handles import (
         BaseSensor,
         ContactSensor,
         ForceTorqueSensor,
+        FramePoseSensor,
         ImuSensor,
+        JointTorqueSensor,
     )
 
 # Handles import torch, configs do not.
@@ -31,7 +42,15 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "camera": ["Camera", "StereoCamera"],
-        "sensor_handles": ["BaseSensor", "ContactSensor", "ForceTorqueSensor", "ImuSensor"],
+        "ray_sensors": ["HeightScanSensor", "RaySensor"],
+        "sensor_handles": [
+            "BaseSensor",
+            "ContactSensor",
+            "ForceTorqueSensor",
+            "FramePoseSensor",
+            "ImuSensor",
+            "JointTorqueSensor",
+        ],
     },
 )
 
@@ -45,10 +64,22 @@ __all__ = [
     "ExtrinsicsCfg",
     "ForceTorqueSensor",
     "ForceTorqueSensorCfg",
+    "FramePoseSensor",
+    "FramePoseSensorCfg",
+    "HeightScanSensor",
+    "HeightScanSensorCfg",
     "ImuSensor",
     "ImuSensorCfg",
+    "JointTorqueSensor",
+    "JointTorqueSensorCfg",
+    "JointsCfg",
     "LinksCfg",
     "OffsetCfg",
+    "RayFanCfg",
+    "RayGridCfg",
+    "RayPatternCfg",
+    "RaySensor",
+    "RaySensorCfg",
     "SensorCfg",
     "StereoCamera",
     "StereoCameraCfg",

@@ -37,7 +37,8 @@ from embodichain.utils.math import (
 )
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.scene_sensors import CameraIndex, SensorPlan
+    from embodichain.lab.sim.compiler.scene_sensors import CameraIndex
+    from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
     from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
@@ -66,8 +67,12 @@ class Camera(BaseSensor):
     (N, H, W, 3) in the environment's frame, computed from depth, 0 where nothing is drawn.
 
     Poses have OpenGL's axes: x right, y up, view along -z.
+
+    Attributes:
+        was_drawn: Whether its images were read since it was built.
     """
 
+    reads_images = True
     SUPPORTED_DATA_TYPES: ClassVar[tuple[str, ...]] = (
         *("color", "depth", "distance", "mask", "normal", "position"),
     )
@@ -78,7 +83,9 @@ class Camera(BaseSensor):
         if not isinstance(plan.cfg, CameraCfg):
             raise TypeError(f"{plan.uid}: the config of a camera is wanted, got {plan.cfg!r}")
         self.cfg: CameraCfg = plan.cfg
-        self.reads = tuple(self.cfg.get_data_types())  # type: ignore[misc]
+        self._images: Readings = ()
+        self._version = -1
+        self.was_drawn = False
 
     # -- images --------------------------------------------------------------------------------
 
@@ -103,6 +110,22 @@ class Camera(BaseSensor):
         """No effect: images are drawn when they are read. EmbodiChain's name."""
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        if env_ids is not None:
+            return self._drawn(env_ids)
+        changed = self.engine.versions > self._version
+        if changed.all() or not self._images:
+            self._images = self._drawn(None)
+        elif changed.any():  # after some environments were reset, the others are not drawn again
+            ids = np.flatnonzero(changed)
+            images = tuple(image.copy() for image in self._images)
+            for image, drawn in zip(images, self._drawn(ids), strict=True):
+                image[ids] = drawn
+            self._images = images
+        self._version = self.engine.version
+        return self._images
+
+    def _drawn(self, env_ids: EnvIndex | None) -> Readings:
+        self.was_drawn = True
         seen = self._draw(env_ids)
         return tuple(self._image(name, seen) for name in self.reads)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -16,13 +18,24 @@ __all__ = [
     "ContactSensorCfg",
     "ExtrinsicsCfg",
     "ForceTorqueSensorCfg",
+    "FramePoseSensorCfg",
+    "HeightScanSensorCfg",
     "ImuSensorCfg",
+    "JointTorqueSensorCfg",
+    "JointsCfg",
     "LinksCfg",
     "OffsetCfg",
+    "RayCastCfg",
+    "RayFanCfg",
+    "RayGridCfg",
+    "RayPatternCfg",
+    "RaySensorCfg",
     "SensorCfg",
     "StereoCameraCfg",
     "readings",
 ]
+
+_Pair = Annotated[Sequence[float], Field(min_length=2, max_length=2)]
 
 
 @configclass
@@ -36,6 +49,14 @@ class LinksCfg:
     link_names: str | list[str] | None = None
     """Names or regexes, matched in full."""
     preserve_order: bool = False
+
+
+@configclass
+class JointsCfg(LinksCfg):
+    """An entity and, optionally, some of its joints (`link_names` is refused)."""
+
+    joint_names: str | list[str] | None = None
+    """Names or regexes, matched in full; without it, all joints that follow no other joint."""
 
 
 @configclass
@@ -93,6 +114,109 @@ class ForceTorqueSensorCfg(SensorCfg):
     """Force and torque that parents exert on links."""
 
     sensor_type: Literal["force_torque"] = "force_torque"
+
+
+@configclass
+class FramePoseSensorCfg(SensorCfg):
+    """Pose and velocity of a frame: of one link (without `link_names`, the root), or of a site."""
+
+    sensor_type: Literal["frame_pose"] = "frame_pose"
+    site: str | None = None
+    """A site of the entity's file, in place of a link."""
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    """The frame's origin, metres in the link's frame."""
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    """The frame's orientation, wxyz in the link's frame."""
+    relative_to: LinksCfg | None = None
+    """A link (without `link_names`, the root) in whose frame to measure; None is the world."""
+
+
+@configclass
+class JointTorqueSensorCfg(SensorCfg):
+    """Generalized forces at joints: N m of hinges, N of slides."""
+
+    sensor_type: Literal["joint_torque"] = "joint_torque"
+    entity_cfg: JointsCfg = JointsCfg()
+    """The joints."""
+
+
+@configclass
+class RayGridCfg:
+    """Parallel rays that start on a grid in the x-y plane, centred on the origin."""
+
+    size: _Pair
+    """Lengths along x and y, metres."""
+    resolution: float
+    """Distance between neighbours, metres."""
+    direction: Vec3 = (0.0, 0.0, -1.0)
+
+
+@configclass
+class RayFanCfg:
+    """Rays from the origin at even angles: of a planar or rotating range finder."""
+
+    horizontal_range: _Pair = (-math.pi, math.pi)
+    """Lowest and highest azimuth, rad from x towards y. A full turn has no ray twice."""
+    horizontal_count: int = 36
+    vertical_range: _Pair = (0.0, 0.0)
+    """Lowest and highest elevation, rad from the x-y plane towards z."""
+    vertical_count: int = 1
+
+
+@configclass
+class RayPatternCfg:
+    """Rays in a sensor's frame; exactly one of the keys."""
+
+    grid: RayGridCfg | None = None
+    fan: RayFanCfg | None = None
+    directions: list[Vec3] | None = None
+    """Of rays from the origin; any length but zero."""
+
+
+@configclass
+class RayCastCfg(SensorCfg):
+    """Rays from one link (without `link_names`, the root), or from a fixed place without `uid`."""
+
+    pattern: RayPatternCfg = RayPatternCfg()
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    """The sensor's origin, metres in the frame that `alignment` chooses."""
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    """The sensor's orientation in that frame, wxyz."""
+    alignment: Literal["base", "yaw", "world"] = "base"
+    """Axes at the link's origin: of the link, of its heading (z up), or of the world."""
+    max_range: float = 10.0
+    """Metres; surfaces further away count as not hit."""
+    no_hit: Literal["max", "inf", "zero"] = "max"
+    """Reading of a ray that hits nothing: as at `max_range`, infinity or 0."""
+    hit: list[str] | None = None
+    """Uids of the entities that rays can hit (or ``default_plane``); None is everything."""
+    exclude: list[str] | None = None
+    """Uids of entities that rays pass through; None is the entity that the sensor is fixed on."""
+    geom_groups: list[int] = [0, 1, 2]
+    """Groups of geoms that rays can hit: 0 to 2 are drawn, collision geoms are often in 3."""
+
+
+RayReading = Literal["distance", "position", "normal"]
+
+
+@configclass
+class RaySensorCfg(RayCastCfg):
+    """A range finder: distances along rays."""
+
+    sensor_type: Literal["ray"] = "ray"
+    data_types: list[RayReading] = ["distance"]
+    """Entries of `get_data`."""
+
+
+@configclass
+class HeightScanSensorCfg(RayCastCfg):
+    """Heights of the sensor above the surface below it, on a grid."""
+
+    sensor_type: Literal["height_scan"] = "height_scan"
+    pattern: RayPatternCfg = RayPatternCfg(grid=RayGridCfg(size=(1.6, 1.0), resolution=0.1))
+    alignment: Literal["base", "yaw", "world"] = "yaw"
+    start_height: float = 1.0
+    """Metres above the sensor where rays start, so that higher ground beside it is found."""
 
 
 CameraData = Literal["color", "depth", "distance", "mask", "normal", "position", "disparity"]
@@ -205,6 +329,10 @@ _SENSORS: dict[str, type[SensorCfg]] = {
     "contact": ContactSensorCfg,
     "imu": ImuSensorCfg,
     "force_torque": ForceTorqueSensorCfg,
+    "frame_pose": FramePoseSensorCfg,
+    "joint_torque": JointTorqueSensorCfg,
+    "ray": RaySensorCfg,
+    "height_scan": HeightScanSensorCfg,
     "camera": CameraCfg,
     "stereo_camera": StereoCameraCfg,
     # EmbodiChain's names
@@ -212,22 +340,35 @@ _SENSORS: dict[str, type[SensorCfg]] = {
     "StereoCamera": StereoCameraCfg,
 }
 
-_READINGS = {
+_READINGS: dict[str, tuple[str, ...]] = {
     "contact": ("found", "force"),
     "imu": ("orientation", "angular_velocity", "acceleration", "projected_gravity"),
     "force_torque": ("force", "torque"),
+    "frame_pose": ("position", "orientation", "linear_velocity", "angular_velocity"),
+    "joint_torque": ("torque", "actuator", "passive", "constraint"),
+    "height_scan": ("height",),
 }
 
 
 def readings(cfg: SensorCfg) -> tuple[str, ...]:
     """Return the names of the entries of a sensor's `get_data`."""
+    if isinstance(cfg, RaySensorCfg):
+        return tuple(cfg.data_types)
     if isinstance(cfg, CameraCfg):
         return tuple(cfg.get_data_types())
     return _READINGS.get(cfg.sensor_type, ())
 
 
 AnySensorCfg = Annotated[
-    ContactSensorCfg | ImuSensorCfg | ForceTorqueSensorCfg | CameraCfg | StereoCameraCfg,
+    ContactSensorCfg
+    | ImuSensorCfg
+    | ForceTorqueSensorCfg
+    | FramePoseSensorCfg
+    | JointTorqueSensorCfg
+    | RaySensorCfg
+    | HeightScanSensorCfg
+    | CameraCfg
+    | StereoCameraCfg,
     Field(discriminator="sensor_type"),
 ]
 """The union that YAML is checked against; `sensor_type` selects the member."""

@@ -1,4 +1,4 @@
-"""Handles of sensors: contacts, joint forces, inertial measurements."""
+"""Handles of sensors: contacts, forces at joints, inertial measurements, poses of frames."""
 
 from __future__ import annotations
 
@@ -11,39 +11,50 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
 from embodichain.lab.sim.objects.entity import Handle
+from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.lab.sim.sensors.sampling import Readings, Sampler
 from embodichain.utils.math import quat_conjugate, quat_rotate
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.scene_sensors import SensorIndex, SensorPlan
+    from embodichain.lab.sim.compiler.scene_sensors import SensorIndex
+    from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
     from embodichain.lab.sim.sensors.cfg import SensorCfg
 
-__all__ = ["BaseSensor", "ContactSensor", "ForceTorqueSensor", "ImuSensor"]
+__all__ = [
+    "BaseSensor",
+    "ContactSensor",
+    "ForceTorqueSensor",
+    "FramePoseSensor",
+    "ImuSensor",
+    "JointTorqueSensor",
+]
 
 
 class BaseSensor(Handle["SensorIndex"]):
     """One sensor in N environments.
 
     Args:
-        plan: Its config and the links it is fixed on.
+        plan: Its config and the links or joints that it measures.
         host: The simulation.
 
     Attributes:
         reads: Names of its measurements; each has a method ``read_NAME``.
         cfg: Its config.
         uid: Its name.
-        names: (n,) the links it is fixed on.
+        names: (n,) the links it is fixed on, or the joints that it measures.
+        reads_images: Whether its data are images, which observations contain as they are.
     """
 
-    reads: ClassVar[tuple[str, ...]]
+    reads_images: ClassVar[bool] = False
 
     def __init__(self, plan: SensorPlan, host: Host) -> None:
         super().__init__(plan.uid, host)
         self.plan = plan
         self.cfg: SensorCfg = plan.cfg
-        self.names = plan.links
+        self.names = plan.names
+        self.reads = readings(plan.cfg)
 
     @property
     def observe(self) -> bool:
@@ -119,8 +130,6 @@ class ContactSensor(_LastStepSensor):
     reset, of the reset state. Shapes that cannot collide report nothing.
     """
 
-    reads = ("found", "force")
-
     def read_found(self) -> NDArray[np.bool_]:
         """(N, n) whether each link is touched."""
         found = self._readings()[0][..., 0] > 0
@@ -147,8 +156,6 @@ class ForceTorqueSensor(_LastStepSensor):
     descendants.
     """
 
-    reads = ("force", "torque")
-
     def read_force(self) -> F64:
         """(N, n, 3) N, link axes."""
         return self._readings()[0][..., 0:3].copy()
@@ -168,8 +175,6 @@ class ImuSensor(_LastStepSensor):
     the acceleration stage: it is that of the last physics step or, after a reset, of the reset
     state.
     """
-
-    reads = ("orientation", "angular_velocity", "acceleration", "projected_gravity")
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
         state = self._columns(self.engine.derived("sensordata"), env_ids)
@@ -195,3 +200,61 @@ class ImuSensor(_LastStepSensor):
         quat = self.read_orientation()
         down: F64 = quat_rotate(quat_conjugate(quat), np.broadcast_to(_DOWN, (len(quat), 3)))
         return down
+
+
+class FramePoseSensor(BaseSensor):
+    """Pose and velocity of a frame, in the world or in the frame of another link.
+
+    They are those of the current state. In the frame of another link, velocities are those that an
+    observer on that link measures, along its axes: its own motion is subtracted.
+    """
+
+    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        return (self._columns(self.engine.derived("sensordata"), env_ids),)
+
+    def read_position(self) -> F64:
+        """(N, 3) m."""
+        return self._readings()[0][:, 0:3].copy()
+
+    def read_orientation(self) -> F64:
+        """(N, 4) wxyz."""
+        return self._readings()[0][:, 3:7].copy()
+
+    def read_linear_velocity(self) -> F64:
+        """(N, 3) m/s of the frame's origin."""
+        return self._readings()[0][:, 7:10].copy()
+
+    def read_angular_velocity(self) -> F64:
+        """(N, 3) rad/s."""
+        return self._readings()[0][:, 10:13].copy()
+
+
+class JointTorqueSensor(BaseSensor):
+    """Generalized forces that act at n joints: N m of hinges, N of slides.
+
+    They are those of the last physics step or, after a reset, of the reset state. At rest their sum
+    balances gravity (``qfrc_bias``) and forces that are applied from outside.
+    """
+
+    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        rows = slice(None) if env_ids is None else env_ids[:, None]
+        fields = ("qfrc_actuator", "qfrc_passive", "qfrc_constraint")
+        return tuple(self.engine.acceleration(name)[rows, self.index.dofs] for name in fields)
+
+    def read_torque(self) -> F64:
+        """(N, n) sum of the other three."""
+        actuator, passive, constraint = self._readings()
+        total: F64 = actuator + passive + constraint
+        return total
+
+    def read_actuator(self) -> F64:
+        """(N, n) of drives and other actuators (``qfrc_actuator``, `jointactuatorfrc`)."""
+        return self._readings()[0].copy()
+
+    def read_passive(self) -> F64:
+        """(N, n) of springs, dampers and gravity compensation (``qfrc_passive``)."""
+        return self._readings()[1].copy()
+
+    def read_constraint(self) -> F64:
+        """(N, n) of limits, dry friction, equalities and contacts (``qfrc_constraint``)."""
+        return self._readings()[2].copy()

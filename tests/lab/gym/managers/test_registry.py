@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.registry import (
     KINDS,
     LEADING,
@@ -52,16 +51,13 @@ def test_every_kind_has_builtin_terms_with_documentation() -> None:
             assert len(spec.doc) > 20, f"{kind} {name} has no docstring"
 
 
-def test_every_parameter_of_a_builtin_term_is_typed_and_documented() -> None:
+def test_every_parameter_of_a_builtin_term_is_typed() -> None:
     for kind in KINDS:
         for spec in TERMS[kind].values():
             hints = spec.hints()
             for name, parameter in spec.params.items():
                 assert parameter.annotation is not parameter.empty, f"{spec.label}: {name}"
                 assert name in hints
-                if not isinstance(spec, AliasSpec):  # what it stands for is documented
-                    documented = f"{parameter.name}: " in spec.doc
-                    assert documented, f"{spec.label}: {name} is not documented"
 
 
 def test_listing_terms_imports_neither_torch_nor_mujoco() -> None:

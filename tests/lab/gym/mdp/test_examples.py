@@ -47,7 +47,7 @@ def example_of(entry: TermEntry, kind: str) -> dict[str, Any]:
 
 
 def undocumented(entry: TermEntry) -> list[str]:
-    return [name for name in entry.spec.params if not entry.doc.params.get(name)]
+    return [row["parameter"] for row in entry.parameters() if not row["what"]]
 
 
 def report(wrong: dict[str, str]) -> str:

@@ -23,10 +23,16 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
 )
 from embodichain.lab.sim.sensors import (
+    CameraCfg,
     ContactSensorCfg,
     ForceTorqueSensorCfg,
+    FramePoseSensorCfg,
+    HeightScanSensorCfg,
     ImuSensorCfg,
     LinksCfg,
+    RayGridCfg,
+    RayPatternCfg,
+    RaySensorCfg,
 )
 from embodichain.lab.sim.shapes import CubeCfg
 from embodichain.utils.errors import ConfigError
@@ -262,3 +268,59 @@ def test_a_wrong_sensor_is_named_where_it_stands(make, section, cfg, message) ->
         make(**{section: {"it": cfg}})
     key = "threshold" if "threshold" in cfg.params else "sensor"
     assert [p.path for p in error.value.problems] == [f"{section}.it.params.{key}"]
+
+
+def spatial() -> dict[str, Any]:
+    """Sensors on the cube: a frame, two rays (up and down), a height scan of three points."""
+    cube = LinksCfg(uid="cube")
+    grid = RayGridCfg(size=(0.2, 0.0), resolution=0.1)
+    up_and_down = RayPatternCfg(directions=[(0, 0, 1), (0, 0, -1)])
+    return {
+        "frame": FramePoseSensorCfg(entity_cfg=cube),
+        "rays": RaySensorCfg(entity_cfg=cube, pattern=up_and_down, max_range=2.0, observe=True),
+        "scan": HeightScanSensorCfg(entity_cfg=cube, pattern=RayPatternCfg(grid=grid)),
+    }
+
+
+def test_heights_distances_and_poses_are_observed(make) -> None:
+    def of(sensor: str, **params: Any) -> ObservationCfg:
+        return ObservationCfg(func="sensor_reading", params={"sensor": sensor, **params})
+
+    scan = ObservationCfg(func="height_scan", params={"sensor": "scan", "offset": 0.3})
+    terms = {"scan": scan, "rays": of("rays"), "where": of("frame", reading="position")}
+    env = make(sensors=spatial(), observations=terms)
+    env.reset()
+    put(env, "cube", [[0, 0, 0.5], [0, 0, 1.0]])
+    obs = env.get_obs()
+    np.testing.assert_allclose(obs["scan"], [[0.2] * 3, [0.7] * 3], atol=1e-6)
+    np.testing.assert_allclose(obs["rays"], [[2.0, 0.5], [2.0, 1.0]], atol=1e-6)
+    np.testing.assert_allclose(obs["where"], [[0, 0, 0.5], [0, 0, 1.0]], atol=1e-6)
+    observed = obs["sensor"]["rays"]["distance"]
+    np.testing.assert_allclose(observed, [[2.0, 0.5], [2.0, 1.0]], atol=1e-6)
+
+
+def test_a_reading_is_a_reward(make) -> None:
+    params = {"sensor": "rays", "reading": "distance"}
+    terms = {"near": RewardCfg(func="sensor_reading", shape="l1", params=params)}
+    env = make(sensors=spatial(), rewards=terms)
+    env.reset()
+    _, value, *_ = env.step(np.zeros((env.num_envs, 0), np.float32))
+    # nothing above the cube within 2 m, the floor 5 cm below its middle
+    np.testing.assert_allclose(value, 2.0 + 0.05, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("func", "params", "path", "match"),
+    [
+        ("sensor_reading", {"sensor": "ray"}, "sensor", "Did you mean 'rays'"),
+        ("sensor_reading", {"sensor": "rays", "reading": "normal"}, "reading", "has: distance"),
+        ("sensor_reading", {"sensor": "frame", "reading": "positon"}, "reading", "'position'"),
+        ("sensor_reading", {"sensor": "eye"}, "sensor", "'eye' is a camera"),
+        ("height_scan", {"sensor": "rays"}, "sensor", "is no height_scan sensor"),
+    ],
+)
+def test_a_wrong_reading_is_refused(make, func, params, path, match) -> None:
+    sensors = {**spatial(), "eye": CameraCfg(width=8, height=8)}
+    with pytest.raises(ConfigError, match=match) as error:
+        make(sensors=sensors, observations={"o": ObservationCfg(func=func, params=params)})
+    assert [p.path for p in error.value.problems] == [f"observations.o.params.{path}"]

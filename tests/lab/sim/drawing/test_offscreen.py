@@ -12,7 +12,7 @@ from embodichain.lab.sim.drawing.offscreen import VARIABLE, OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState, StoredStates
 from embodichain.lab.sim.drawing.views import Optics, View, Viewpoint, view_of
 from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, RenderError
 
 SCENE = """
 <mujoco>
@@ -146,19 +146,61 @@ def test_a_wrong_name_is_refused(engine, monkeypatch):
         OffscreenRenderer(engine.model)
 
 
+def test_rays_draw_depth_and_masks_only(engine, monkeypatch):
+    found = []
+    for kind in ("layered", "rays"):
+        monkeypatch.setenv(VARIABLE, kind)
+        renderer = OffscreenRenderer(engine.model)
+        found.append(renderer.draw(engine, [lens(("depth", "mask"))])[0])
+        if kind == "rays":
+            with pytest.raises(RenderError, match="colours need OpenGL.*libegl1 libgl1-mesa-dri"):
+                renderer.pictures(engine, "front", (64, 48))
+        renderer.close()
+    both = found[0]["mask"] == found[1]["mask"]
+    assert both.mean() > 0.99
+    flat = both & (found[0]["mask"] < BALL)
+    assert np.abs(found[0]["depth"] - found[1]["depth"])[flat].max() < 2e-3
+
+
 @pytest.mark.parametrize("kind", ["", "layered", "classic"])
 def test_without_a_driver_one_error_names_the_packages(tmp_path, kind):
     """EGL finds its drivers in a folder of JSON files; here it is empty."""
     script = f"""
 import mujoco
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
-OffscreenRenderer(mujoco.MjModel.from_xml_string({SCENE!r}))
+from embodichain.lab.sim.engine.cpu import CpuEngine
+engine = CpuEngine(mujoco.MjModel.from_xml_string({SCENE!r}), 1)
+renderer = OffscreenRenderer(engine.model)
+print(renderer.kind)
+renderer.pictures(engine, "front", (64, 48))
 """
     none = {"__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path), "MUJOCO_GL": "egl", VARIABLE: kind}
     command = [sys.executable, "-c", script]
     env = {**os.environ, **none}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=env)
     last = done.stderr.strip().splitlines()[-1]
-    assert done.returncode == 1 and "RenderError: no picture can be made here" in last
+    message = "no picture can be made here" if kind else "colours need OpenGL"
+    assert done.returncode == 1 and f"RenderError: {message}" in last
+    assert done.stdout == ("" if kind else "rays\n")
     assert "libegl1 libgl1-mesa-dri" in last
     assert "ignored" not in done.stderr
+
+
+def test_nothing_loads_opengl_until_something_draws():
+    script = """
+import sys
+import embodichain
+env = embodichain.make("cart_pole", num_envs=2)
+env.reset()
+env.step(env.action_space.sample())
+loaded = [m for m in sys.modules if m.startswith(("OpenGL", "mujoco.egl"))]
+drawing = [m for m in sys.modules if m.startswith("embodichain.lab.sim.drawing.")]
+print(loaded, [m for m in drawing if m.rpartition(".")[2] not in ("views", "states")])
+env.sim.render(width=16, height=16)
+print("OpenGL" in sys.modules)
+env.close()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=240
+    )
+    assert done.stdout.splitlines()[-2:] == ["[] []", "True"]

@@ -91,7 +91,10 @@ model = mujoco.MjModel.from_xml_string({SCENE!r})
 data = mujoco.MjData(model)
 mujoco.mj_forward(model, data)
 renderer = OffscreenRenderer(model)
-assert renderer.pictures(DataState(data), Viewpoint.look_at([3, 0, 1], [0, 0, 0]), (8, 8)).any()
+for kind in ("classic", "layered"):
+    os.environ["EMBODICHAIN_RENDERER"] = kind
+    renderer = OffscreenRenderer(model)  # the other one is garbage
+    assert renderer.pictures(DataState(data), Viewpoint.look_at([3, 0, 1], [0, 0, 0]), (8, 8)).any()
 def fork():
     child = os.fork()
     if not child:
@@ -109,4 +112,4 @@ def fork():
     assert done.returncode == (1 if "/" in last else 0), done.stderr
     assert ("ZeroDivisionError" in done.stderr) == ("/" in last)
     assert done.stdout == ("refused\n" if last == "fork()" else "")
-    assert "ignored" not in done.stderr  # nothing failed in a destructor
+    assert "ignored" not in done.stderr and "EGL" not in done.stderr  # in a destructor

@@ -8,16 +8,27 @@ import pytest
 from embodichain.lab.sim.sensors import (
     ContactSensorCfg,
     ForceTorqueSensorCfg,
+    FramePoseSensorCfg,
+    HeightScanSensorCfg,
     ImuSensorCfg,
     LinksCfg,
+    RaySensorCfg,
     SensorCfg,
 )
+from embodichain.lab.sim.sensors.cfg import JointsCfg, JointTorqueSensorCfg
 from embodichain.utils.errors import ConfigError
 
 
 @pytest.mark.parametrize(
     ("kind", "cls"),
-    [("contact", ContactSensorCfg), ("imu", ImuSensorCfg), ("force_torque", ForceTorqueSensorCfg)],
+    [
+        ("contact", ContactSensorCfg),
+        ("imu", ImuSensorCfg),
+        ("force_torque", ForceTorqueSensorCfg),
+        ("frame_pose", FramePoseSensorCfg),
+        ("ray", RaySensorCfg),
+        ("height_scan", HeightScanSensorCfg),
+    ],
 )
 def test_the_type_chooses_the_class(kind, cls):
     cfg = SensorCfg.from_dict(
@@ -29,6 +40,20 @@ def test_the_type_chooses_the_class(kind, cls):
     assert cls.from_dict(cfg.to_dict()).to_dict() == cfg.to_dict()
 
 
+def test_a_sensor_of_joints_names_joints():
+    given = {"sensor_type": "joint_torque", "entity_cfg": {"uid": "go", "joint_names": "hip"}}
+    cfg = SensorCfg.from_dict(given)
+    assert isinstance(cfg, JointTorqueSensorCfg)
+    assert cfg.entity_cfg == JointsCfg(uid="go", joint_names="hip")
+
+
+def test_a_pattern_is_nested():
+    given = {"sensor_type": "ray", "pattern": {"grid": {"size": [1, 2], "resolution": 0.5}}}
+    cfg = SensorCfg.from_dict(given)
+    assert isinstance(cfg, RaySensorCfg) and cfg.pattern.grid is not None
+    assert list(cfg.pattern.grid.size) == [1.0, 2.0] and cfg.pattern.fan is None
+
+
 @pytest.mark.parametrize(
     ("given", "path", "match"),
     [
@@ -37,6 +62,8 @@ def test_the_type_chooses_the_class(kind, cls):
         ({}, "sensor_type", "unknown sensor_type ''"),
         ({"sensor_type": "imu", "agianst": {}}, "agianst", "unknown key"),
         ({"sensor_type": "contact", "entity_cfg": {"uid": 3}}, "entity_cfg.uid", "expected text"),
+        ({"sensor_type": "ray", "pattern": {"gird": {}}}, "pattern.gird", "unknown key"),
+        ({"sensor_type": "ray", "no_hit": "mx"}, "no_hit", "Did you mean 'max'"),
     ],
 )
 def test_a_wrong_config_is_refused_with_what_exists(given, path, match):

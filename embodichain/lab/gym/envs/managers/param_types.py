@@ -23,7 +23,10 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.sensors.camera import Camera
+    from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensor
     from embodichain.lab.sim.sensors.sensor_handles import (
+        BaseSensor,
         ContactSensor,
         ForceTorqueSensor,
         ImuSensor,
@@ -40,10 +43,12 @@ __all__ = [
     "Box1",
     "Box2",
     "Box3",
+    "CameraOf",
     "Command",
     "ContactOf",
     "ForceTorqueOf",
     "Fraction",
+    "HeightScanOf",
     "ImuOf",
     "JointRange",
     "Joints",
@@ -58,6 +63,7 @@ __all__ = [
     "Ranges",
     "Reference",
     "ScaleRange",
+    "SensorOf",
     "UnitInterval",
     "Vec3",
     "VelocityCommand",
@@ -206,6 +212,12 @@ def references(hint: Any) -> Iterator[Reference]:
             yield from references(part)
 
 
+def _reference(mark: Reference, description: str) -> Any:
+    """The type of a parameter; its description is that of parameters without their own."""
+    written = ResolvedEntity if isinstance(mark, (_Joints, _Body)) else str
+    return Annotated[written, mark, Field(description=description)]
+
+
 class _Joints(Reference):
     def resolve(self, env: TermContext, value: Any) -> Any:
         value.require_joints()
@@ -224,12 +236,15 @@ class _Sensor(Reference):
 
     kind: str
     method: str
+    others: tuple[str, ...] = ()
+    """Further values of ``sensor_type`` of this kind."""
 
     def check(self, task: EnvCfg, value: Any) -> list[Problem]:
         types = {uid: cfg.sensor_type for uid, cfg in task.sensors.items()}
-        if types.get(str(value), self.kind) == self.kind:
+        kinds = (self.kind, *self.others)
+        if types.get(str(value), self.kind) in kinds:
             return []
-        return [self._another(value, [uid for uid, kind in types.items() if kind == self.kind])]
+        return [self._another(value, [uid for uid, kind in types.items() if kind in kinds])]
 
     def resolve(self, env: TermContext, value: Any) -> Any:
         there = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, self.method)]
@@ -245,6 +260,17 @@ class _Sensor(Reference):
 
     def _known(self, there: Iterable[str]) -> str:
         return f"{self.kind} sensors: {', '.join(there) or 'none'}"
+
+
+class _AnySensor(Reference):
+    """A sensor of any kind with named readings."""
+
+    def resolve(self, env: TermContext, value: Any) -> Any:
+        there = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, "reads")]
+        if value in there:
+            return env.sensors[value]
+        message = f"no sensor is called {value!r}; sensors: {', '.join(there) or 'none'}"
+        raise ConfigError([Problem("", message, did_you_mean(value, there).strip())])
 
 
 @dataclass(frozen=True)
@@ -266,30 +292,37 @@ class _Command(Reference):
 if TYPE_CHECKING:
     Joints = ResolvedEntity
     Body = ResolvedEntity
+    CameraOf = Camera
     ContactOf = ContactSensor
     ImuOf = ImuSensor
     ForceTorqueOf = ForceTorqueSensor
+    HeightScanOf = HeightScanSensor
+    SensorOf = BaseSensor
     Command = Callable[[], F64]
     PlanarCommand = Command
     PositionCommand = Command
     VelocityCommand = Command
     PoseCommand = Command
 else:
-    Joints = Annotated[ResolvedEntity, _Joints()]
-    """A robot or articulation, and joints of it."""
-    Body = Annotated[ResolvedEntity, _Body()]
-    """An entity, or one link of it."""
-    ContactOf = Annotated[str, _Sensor("contact", "read_force")]
-    """A contact sensor."""
-    ImuOf = Annotated[str, _Sensor("imu", "read_acceleration")]
-    """An inertial measurement unit."""
-    ForceTorqueOf = Annotated[str, _Sensor("force_torque", "read_torque")]
-    """A force-torque sensor."""
-    Command = Annotated[str, _Command()]
-    """A command: a function that returns it, (N, K) float64, a live view."""
-    PlanarCommand = Annotated[str, _Command(2)]
-    """A command whose first two columns are vx and vy, m/s."""
-    PositionCommand = VelocityCommand = Annotated[str, _Command(3)]
-    """A command of three columns at least: x, y, z in m; or vx, vy in m/s and wz in rad/s."""
-    PoseCommand = Annotated[str, _Command(7)]
-    """A command (N, 7): x, y, z in m and a wxyz quaternion."""
+    Joints = _reference(_Joints(), "The robot; its joint names or control parts pick joints.")
+    Body = _reference(_Body(), "The entity, or a link of one.")
+    CameraOf = _reference(
+        _Sensor("camera", "get_intrinsics", ("stereo_camera", "Camera", "StereoCamera")),
+        "A camera.",
+    )
+    ContactOf = _reference(_Sensor("contact", "read_force"), "A contact sensor.")
+    ImuOf = _reference(_Sensor("imu", "read_acceleration"), "An IMU.")
+    ForceTorqueOf = _reference(_Sensor("force_torque", "read_torque"), "A force-torque sensor.")
+    HeightScanOf = _reference(_Sensor("height_scan", "read_height"), "A height scan.")
+    SensorOf = _reference(_AnySensor(), "A sensor of any kind.")
+    Command = _reference(_Command(), "The command.")
+    PlanarCommand = _reference(_Command(2), "A command whose first two columns are vx and vy, m/s.")
+    PositionCommand = _reference(
+        _Command(3), "A command whose first columns are x, y, z in the root's frame, m."
+    )
+    VelocityCommand = _reference(
+        _Command(3), "A command whose columns are vx, vy (m/s) and wz (rad/s)."
+    )
+    PoseCommand = _reference(
+        _Command(7), "A command of x, y, z in m and a wxyz quaternion, in the root's frame."
+    )

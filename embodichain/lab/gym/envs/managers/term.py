@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +26,13 @@ class Term:
     A term class takes ``(env, **params)`` and is called with the arguments that its manager passes
     to functions of that kind, without the parameters. Subclassing is optional: any class with
     `__call__` works; `reset`, `state_dict` and `load_state_dict` are called if it has them.
+
+    Attributes:
+        saved: Names of the attributes that are its state: arrays of constant shape, changed in
+            place. Terms with another state extend `state_dict` and `load_state_dict`.
     """
+
+    saved: ClassVar[tuple[str, ...]] = ()
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Clear the state of the episode of these environments.
@@ -37,10 +43,12 @@ class Term:
 
     def state_dict(self) -> dict[str, Any]:
         """The state from which the term continues bit for bit (copies)."""
-        return {}
+        return {name: getattr(self, name).copy() for name in self.saved}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
+        for name in self.saved:
+            getattr(self, name)[...] = state[name]
 
 
 _UNLIMITED = 2.0 * np.pi
@@ -123,6 +131,7 @@ class CommandTerm(Term):
         marker: How viewers draw it, if they can.
     """
 
+    saved: ClassVar[tuple[str, ...]] = ("values",)
     names: tuple[str, ...] = ()
     values: F64
     marker: CommandMarker | None = None
@@ -145,14 +154,6 @@ class CommandTerm(Term):
     def metrics(self) -> Mapping[str, F64]:
         """Tracking errors of the commands now: name -> (N,). The default is empty."""
         return {}
-
-    def state_dict(self) -> dict[str, Any]:
-        """The commands in force (copies); terms with more state add it."""
-        return {"values": self.values.copy()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        self.values[:] = state["values"]
 
 
 class Uniform:

@@ -67,6 +67,7 @@ class UniformVelocityCommand(CommandTerm):
         rel_heading_envs: Fraction of draws with a heading; 0 without the range ``heading``.
     """
 
+    saved = ("values", "heading_target", "is_heading", "is_standing")
     names = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
 
     def __init__(
@@ -123,22 +124,6 @@ class UniformVelocityCommand(CommandTerm):
             "error_vel_xy": norm(difference),
             "error_vel_yaw": np.abs(turning - self.values[:, 2]),
         }
-
-    def state_dict(self) -> dict[str, Any]:
-        """Commands, headings, and which environments stand or turn to a heading."""
-        return {
-            **super().state_dict(),
-            "heading_target": self.heading_target.copy(),
-            "is_heading": self.is_heading.copy(),
-            "is_standing": self.is_standing.copy(),
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        super().load_state_dict(state)
-        self.heading_target[:] = state["heading_target"]
-        self.is_heading[:] = state["is_heading"]
-        self.is_standing[:] = state["is_standing"]
 
 
 @register_term("command", name="uniform_pose")

@@ -137,25 +137,7 @@ class Randomize:
         fixed_density: bool = True,
         shared_sample: bool = False,
     ) -> None:
-        given: dict[str, Any] = {
-            "scale": scale,
-            "mass": mass,
-            "com": com,
-            "inertia": inertia,
-            "friction": friction,
-            "torsional_friction": torsional_friction,
-            "rolling_friction": rolling_friction,
-            "stiffness": stiffness,
-            "damping": damping,
-            "effort_limit": effort_limit,
-            "joint_friction": joint_friction,
-            "armature": armature,
-            "joint_damping": joint_damping,
-            "lower_limit": lower_limit,
-            "upper_limit": upper_limit,
-            "strength": strength,
-            "gravity": gravity,
-        }
+        given = {k: v for k, v in locals().items() if k in FIELDS or k in SCENE_FIELDS}
         self._ranges = {name: value for name, value in given.items() if value is not None}
         self._operation = operation
         self._options = Options(recompute_inertia, min_mass, same_scale_all_axes, fixed_density)

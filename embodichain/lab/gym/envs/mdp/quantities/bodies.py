@@ -5,9 +5,10 @@ Robots' bases above all. Axes are the environment's unless `frame` says otherwis
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.param_types import Body, Positive, Vec3
 from embodichain.lab.gym.envs.managers.registry import quantity
@@ -108,7 +109,10 @@ def pose_matrix(position: F64, quat: F64) -> F64:
     return out
 
 
-Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
+Axes = Annotated[
+    Literal["xyz", "xy", "xz", "yz", "x", "y", "z"],
+    Field(description="The columns: letters of xyz."),
+]
 
 
 def _of_axes(vectors: F64, axes: Axes) -> F64:
@@ -121,10 +125,6 @@ def _of_axes(vectors: F64, axes: Axes) -> F64:
 def position(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
     """(N, 3) position of an entity's origin in the environment's frame, m.
 
-    Args:
-        of: The entity, or a link of one.
-        axes: The columns: letters of xyz.
-
     Example:
         ``{func: position, params: {of: {uid: cube}}}``
     """
@@ -136,7 +136,6 @@ def height(env: TermContext, of: Body, above: float = 0.0) -> F64:
     """(N,) height of an entity's origin above a level, m.
 
     Args:
-        of: The entity, or a link of one.
         above: The level, metres above z = 0.
 
     Example:
@@ -150,7 +149,6 @@ def orientation(env: TermContext, of: Body, representation: Rotation = "rot6d") 
     """Orientation of an entity in the environment's frame, in a chosen representation.
 
     Args:
-        of: The entity, or one link of it.
         representation: ``quat`` (N, 4) wxyz with w >= 0; ``matrix`` (N, 3, 3); ``rot6d`` (N, 6),
             the matrix's first column, then its second (Zhou et al., CVPR 2019): continuous.
 
@@ -182,7 +180,6 @@ def yaw(env: TermContext, of: Body, representation: Heading = "yaw") -> F64:
     """Heading of an entity: the direction of its x axis in the horizontal plane.
 
     Args:
-        of: The entity, or one link of it.
         representation: ``yaw`` (N, 1), the angle in (-pi, pi] rad about z; ``sin_cos`` (N, 2), its
             sine and cosine, which are continuous.
 
@@ -198,10 +195,6 @@ def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
 
     It measures roll and pitch, and not yaw.
 
-    Args:
-        of: The entity, or a link of one.
-        axes: The columns: letters of xyz.
-
     Example:
         ``{func: projected_gravity, params: {of: {uid: go}}}``
     """
@@ -211,9 +204,6 @@ def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
 @quantity()
 def tilt(env: TermContext, of: Body) -> F64:
     """(N,) angle of a body's z axis from the vertical, rad: 0 when upright, pi upside down.
-
-    Args:
-        of: The entity, or a link of one.
 
     Example:
         ``{func: tilt, params: {of: {uid: go}}}``
@@ -231,7 +221,6 @@ def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
     The second is mjlab's of the same name; it is the same upright and upside down.
 
     Args:
-        of: The entity, or a link of one.
         std: The width of the second formula; None is the first.
 
     Example:
@@ -250,10 +239,8 @@ def linear_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Ax
     Isaac Lab's is that of the root link's centre of mass; mjlab's ``link`` velocities are the same.
 
     Args:
-        of: The entity, or a link of one.
         frame: The axes: of the ``world``, of the ``body`` itself, or of its heading (``yaw``),
             which are level and turned to where its x axis points.
-        axes: The columns: letters of xyz.
 
     Example:
         ``{func: linear_velocity, params: {of: {uid: go}, frame: body}}``
@@ -266,9 +253,7 @@ def angular_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: A
     """(N, 3) angular velocity of an entity, rad/s; with ``frame: body`` that of a gyroscope.
 
     Args:
-        of: The entity, or a link of one.
         frame: The axes: of the ``world``, of the ``body`` itself, or of its heading (``yaw``).
-        axes: The columns: letters of xyz.
 
     Example:
         ``{func: angular_velocity, params: {of: {uid: go}, frame: body}}``
@@ -279,9 +264,6 @@ def angular_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: A
 @quantity()
 def velocity(env: TermContext, of: Body) -> F64:
     """(N, 6) linear velocity of an entity's origin in m/s, then angular in rad/s, world axes.
-
-    Args:
-        of: The entity, or a link of one.
 
     Example:
         ``{func: velocity, params: {of: {uid: cube}}}``
@@ -331,7 +313,6 @@ def at_rest(
     """True where the linear and angular speed of an entity are below thresholds.
 
     Args:
-        of: The entity, or a link of one.
         linear_threshold: m/s; None is no condition.
         angular_threshold: rad/s; None is no condition.
 

@@ -44,9 +44,6 @@ __all__ = [
 def command(env: TermContext, command_name: Command) -> F64:
     """(N, K) the command in force, in the units of the command.
 
-    Args:
-        command_name: The command.
-
     Example:
         ``{func: command, params: {command_name: velocity}}``
     """
@@ -60,8 +57,6 @@ def linear_velocity_error(
     """(N, 2) velocity in the plane minus a commanded one, m/s.
 
     Args:
-        of: The robot, or a link of it.
-        command_name: A command whose first two columns are vx and vy, m/s.
         frame: The axes of the velocity: those of the ``body``, of its heading (``yaw``), which are
             level, or of the environment (``world``).
 
@@ -81,8 +76,6 @@ def angular_velocity_error(
     """(N,) turning rate about z minus a commanded one, rad/s.
 
     Args:
-        of: The robot, or a link of it.
-        command_name: A command whose third column is wz, rad/s.
         frame: The z axis of the rate: that of the ``body`` or of the ``world``.
 
     Example:
@@ -102,8 +95,6 @@ def follows_velocity(
     """True where velocity in the heading frame and turning rate are close to a command.
 
     Args:
-        of: The robot, or a link of it.
-        command_name: A command whose columns are vx, vy (m/s) and wz (rad/s).
         linear_threshold: Largest error in the plane, m/s.
         angular_threshold: Largest error about the vertical, rad/s; None is no condition.
 
@@ -125,7 +116,6 @@ def position_command_error(env: TermContext, of: Body, command_name: PositionCom
 
     Args:
         of: The robot and one link of it.
-        command_name: A command whose first three columns are x, y, z in the root's frame, metres.
 
     Example:
         ``{func: position_command_error, params: {of: {uid: ur10, link_names: [ee_link]},
@@ -144,7 +134,6 @@ def orientation_command_error(env: TermContext, of: Body, command_name: PoseComm
 
     Args:
         of: The robot and one link of it.
-        command_name: A command (N, 7); columns 3 to 6 are a wxyz quaternion in the root's frame.
 
     Example:
         ``{func: orientation_command_error, params: {of: {uid: ur10, link_names: [ee_link]},

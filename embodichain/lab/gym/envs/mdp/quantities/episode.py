@@ -134,6 +134,8 @@ def time_out(env: TermContext, time_limit_s: Positive) -> Mask:
 class _Clock(Term):
     """Seconds since each episode's first observation."""
 
+    saved = ("_start", "_fresh")
+
     def __init__(self, env: TermContext) -> None:
         self._env = env
         self._start: F64 = np.zeros(env.num_envs)
@@ -161,14 +163,6 @@ class _Clock(Term):
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Restart the time of these environments at the next observation."""
         self._fresh[slice(None) if env_ids is None else env_ids] = True
-
-    def state_dict(self) -> dict[str, Any]:
-        """Start times of the episodes (copies)."""
-        return {"start": self._start.copy(), "fresh": self._fresh.copy()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        self._start, self._fresh = state["start"].copy(), state["fresh"].copy()
 
 
 @quantity("observation", name="current_time_s")

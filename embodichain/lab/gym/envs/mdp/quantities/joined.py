@@ -67,12 +67,13 @@ class _Joined(Term):
         self._inner.reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
-        """The states of the inner terms."""
-        return self._inner.state_dict()
+        """The states of this term and of the inner ones."""
+        return {**super().state_dict(), "inner": self._inner.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
-        self._inner.load_state_dict(state)
+        super().load_state_dict(state)
+        self._inner.load_state_dict(state["inner"])
 
 
 @register_term("reward", "metric", "termination", name="all_of")
@@ -139,6 +140,8 @@ class HeldFor(_Joined):
         {from: {uid: cube}, to: {uid: goal}}}}}``
     """
 
+    saved = ("_held",)
+
     def __init__(
         self,
         env: TermContext,
@@ -163,12 +166,3 @@ class HeldFor(_Joined):
         super().reset(env_ids)
         self._held = self._held.copy()
         self._held[slice(None) if env_ids is None else env_ids] = 0
-
-    def state_dict(self) -> dict[str, Any]:
-        """Steps held so far, and the inner term (copies)."""
-        return {**super().state_dict(), "held": self._held.copy()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        super().load_state_dict(state)
-        self._held = state["held"].copy()

@@ -59,23 +59,19 @@ def joint_position(
     """(N, K) positions of the picked joints, rad or m.
 
     Args:
-        of: The robot; its joint names or control parts pick joints.
         relative: Whether the initial positions are subtracted.
         periodic: Whether positions are angles, which are wrapped to [-pi, pi).
 
     Example:
         ``{func: joint_position, params: {of: {uid: ur10}, relative: true}}``
     """
-    qpos = of.qpos() - of.initial_qpos if relative else of.qpos()
+    qpos = of.displacement() if relative else of.qpos()
     return wrapped(qpos) if periodic else qpos
 
 
 @quantity()
 def joint_velocity(env: TermContext, of: Joints) -> F64:
     """(N, K) velocities of the picked joints, rad/s or m/s.
-
-    Args:
-        of: The robot; its joint names or control parts pick joints.
 
     Example:
         ``{func: joint_velocity, params: {of: {uid: ur10}}}``
@@ -86,9 +82,6 @@ def joint_velocity(env: TermContext, of: Joints) -> F64:
 @quantity()
 def joint_speed(env: TermContext, of: Joints) -> F64:
     """(N, K) absolute velocities of the picked joints, rad/s or m/s.
-
-    Args:
-        of: The robot; its joint names or control parts pick joints.
 
     Example:
         ``{func: joint_speed, params: {of: {uid: ur10}}}``
@@ -102,9 +95,6 @@ def joint_effort(env: TermContext, of: Joints) -> F64:
 
     The sum of the efforts of drives, their damping and effort actions: Isaac Lab's applied torque.
     The damping of a joint without a drive counts as well.
-
-    Args:
-        of: The robot; its joint names or control parts pick joints.
 
     Example:
         ``{func: joint_effort, params: {of: {uid: ur10}}}``
@@ -120,7 +110,6 @@ def joint_power(env: TermContext, of: Joints, positive_only: bool = False) -> F6
     `electrical_power_cost` counts only positive power: `positive_only`.
 
     Args:
-        of: The robot; its joint names or control parts pick joints.
         positive_only: Whether negative power (braking) counts as 0.
 
     Example:
@@ -133,9 +122,6 @@ def joint_power(env: TermContext, of: Joints, positive_only: bool = False) -> F6
 @quantity()
 def joint_target_error(env: TermContext, of: Joints) -> F64:
     """(N,) mean of |target - qpos| over the picked joints, rad or m; 0 for joints without a drive.
-
-    Args:
-        of: The robot; its joint names or control parts pick joints.
 
     Example:
         ``{func: joint_target_error, params: {of: {uid: ur10}}}``
@@ -150,7 +136,6 @@ def joint_position_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1
     Limits in MuJoCo are soft: positive values under load are possible with a `soft_ratio` of 1.
 
     Args:
-        of: The robot; its joint names or control parts pick joints.
         soft_ratio: Allowed fraction of the range, about its middle.
 
     Example:
@@ -170,7 +155,6 @@ def joint_velocity_excess(
     The limit is the smaller of the drive's `max_velocity` and the file's; physics enforces neither.
 
     Args:
-        of: The robot; its joint names or control parts pick joints.
         soft_ratio: Allowed fraction of the limit.
         max_velocity: Replaces the limit, rad/s or m/s.
 
@@ -189,7 +173,6 @@ def joint_effort_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0
     file's. A drive with a finite `max_effort` saturates there: use a `soft_ratio` below 1.
 
     Args:
-        of: The robot; its joint names or control parts pick joints.
         soft_ratio: Allowed fraction of the limit.
 
     Example:
@@ -207,23 +190,19 @@ def stand_still(
     Isaac Lab's `stand_still_joint_deviation_l1`, over all columns of the command.
 
     Args:
-        of: The robot; its joint names or control parts pick joints.
         command_name: A velocity command.
         command_threshold: Euclidean norm below which the command counts as zero, in its units.
 
     Example:
         ``{func: stand_still, weight: -0.5, params: {of: {uid: go}, command_name: velocity}}``
     """
-    deviation = total(np.abs(of.qpos() - of.initial_qpos))
+    deviation = total(np.abs(of.displacement()))
     return np.where(norm(command_name()) < command_threshold, deviation, 0.0)
 
 
 @quantity("observation")
 def joint_sin_cos(env: TermContext, of: Joints) -> F64:
     """(N, 2 K) sines of the picked joints' positions, then their cosines.
-
-    Args:
-        of: The robot; its joint names or control parts pick joints.
 
     Example:
         ``{func: joint_sin_cos, params: {of: {uid: ur10}}}``
@@ -239,9 +218,6 @@ def joint_pos_limit_normalized(env: TermContext, of: Joints) -> F64:
 
     2 (q - low) / (high - low) - 1, with the limits in force, not clipped. Isaac Lab's observation
     of the same name.
-
-    Args:
-        of: The robot; its joint names or control parts pick joints.
 
     Example:
         ``{func: joint_pos_limit_normalized, params: {of: {uid: ur10}}}``

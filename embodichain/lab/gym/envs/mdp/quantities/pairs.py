@@ -34,8 +34,6 @@ def distance(env: TermContext, from_: Body, to: Body, use_xy_only: bool = False)
     """(N,) distance between the origins of two entities, m.
 
     Args:
-        from_: An entity, or a link of one.
-        to: Likewise.
         use_xy_only: Whether heights are ignored.
 
     Example:
@@ -50,7 +48,6 @@ def angle(env: TermContext, from_: Body, to: Body | None = None) -> F64:
     """(N,) angle of the rotation from one orientation to another, rad in [0, pi].
 
     Args:
-        from_: An entity, or a link of one.
         to: Likewise; None gives the angle of the z axis from the vertical, as `tilt`.
 
     Example:
@@ -72,8 +69,6 @@ def within_pose(
     """True where the positions and the orientations of two entities are close.
 
     Args:
-        from_: An entity, or a link of one.
-        to: Likewise.
         position_threshold: Metres.
         orientation_threshold: Radians, of the rotation from the first to the second.
 
@@ -89,11 +84,9 @@ def within_pose(
 def relative_position(
     env: TermContext, from_: Body, to: Body, in_source_frame: bool = False
 ) -> F64:
-    """(N, 3) position of one entity minus that of another, m.
+    """(N, 3) position of `to` minus that of `from`, m.
 
     Args:
-        from_: An entity, or a link of one.
-        to: Likewise; the vector points to it.
         in_source_frame: Whether the vector is in the axes of `from`, instead of the environment's.
 
     Example:
@@ -111,8 +104,6 @@ def relative_orientation(
     """Orientation of `to` in the frame of `from`: conj(q_from) q_to.
 
     Args:
-        from_: An entity, or a link of one.
-        to: Likewise.
         representation: ``quat`` (N, 4) wxyz with w >= 0; ``matrix`` (N, 3, 3); ``rot6d`` (N, 6),
             the matrix's first column, then its second (Zhou et al., CVPR 2019).
 
@@ -130,8 +121,6 @@ def relative_pose(
     """Pose of `to` in the frame of `from`: position in m, then orientation.
 
     Args:
-        from_: An entity, or a link of one.
-        to: Likewise.
         representation: ``quat`` gives (N, 7), wxyz with w >= 0; ``rot6d`` (N, 9); ``matrix``
             (N, 4, 4).
 
@@ -155,8 +144,6 @@ def relative_velocity(
     The difference of the velocities of the two origins; the rotation of `from` is not subtracted.
 
     Args:
-        from_: An entity, or a link of one.
-        to: Likewise.
         in_source_frame: Whether it is in the axes of `from`, instead of the world's.
 
     Example:

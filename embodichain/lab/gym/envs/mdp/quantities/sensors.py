@@ -1,4 +1,4 @@
-"""Quantities of sensors: contacts, inertial measurements, forces at joints.
+"""Quantities of sensors: contacts, inertial measurements, forces at joints, heights, any reading.
 
 Sensors are declared under `sensors:`; contact forces, specific forces and joint forces are those of
 the last physics step (Isaac Lab's contact rewards take the largest of several physics steps). n is
@@ -7,6 +7,7 @@ the number of links of a sensor.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,25 +15,34 @@ import numpy as np
 from embodichain.lab.gym.envs.managers.param_types import (
     ContactOf,
     ForceTorqueOf,
+    HeightScanOf,
     ImuOf,
     NonNegative,
     PlanarCommand,
+    SensorOf,
 )
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.lab.sim.body_motion import origin_velocities
+from embodichain.lab.sim.sensors.cfg import CameraCfg, readings
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.sensors.cfg import SensorCfg
 
 __all__ = [
     "FeetAirTime",
+    "SensorReading",
     "body_incoming_wrench",
     "contact_force",
     "contact_found",
     "feet_slide",
+    "height_scan",
     "imu_acceleration",
     "imu_angular_velocity",
     "imu_orientation",
@@ -52,7 +62,6 @@ def contact_found(env: TermContext, sensor: ContactOf, threshold: NonNegative | 
     """(N, n) 1 where a link of a contact sensor is touched, else 0.
 
     Args:
-        sensor: A contact sensor.
         threshold: N; if given, a link counts as touched where its net force is larger.
 
     Example:
@@ -68,7 +77,6 @@ def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> F6
     """(N, n, 3) net contact force on each link of a contact sensor, N, world axes.
 
     Args:
-        sensor: A contact sensor.
         norm: Whether to give lengths, (N, n), instead of vectors.
 
     Example:
@@ -98,6 +106,8 @@ class FeetAirTime(Term):
         threshold: 0.5}}``
     """
 
+    saved = ("_air",)
+
     def __init__(
         self,
         env: TermContext,
@@ -126,14 +136,6 @@ class FeetAirTime(Term):
         """Set the clocks of these environments to 0."""
         self._air[slice(None) if env_ids is None else env_ids] = 0.0
 
-    def state_dict(self) -> dict[str, Any]:
-        """The clocks (a copy)."""
-        return {"air": self._air.copy()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        self._air = state["air"].copy()
-
 
 @quantity("reward", "metric")
 def feet_slide(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0) -> F64:
@@ -160,9 +162,6 @@ def imu_acceleration(env: TermContext, sensor: ImuOf) -> F64:
 
     Isaac Lab's `imu_lin_acc`.
 
-    Args:
-        sensor: An IMU.
-
     Example:
         ``{func: imu_acceleration, params: {sensor: imu}}``
     """
@@ -173,9 +172,6 @@ def imu_acceleration(env: TermContext, sensor: ImuOf) -> F64:
 def imu_angular_velocity(env: TermContext, sensor: ImuOf) -> F64:
     """(N, 3) angular velocity that an IMU measures, rad/s, in its axes. Isaac Lab's `imu_ang_vel`.
 
-    Args:
-        sensor: An IMU.
-
     Example:
         ``{func: imu_angular_velocity, params: {sensor: imu}}``
     """
@@ -185,9 +181,6 @@ def imu_angular_velocity(env: TermContext, sensor: ImuOf) -> F64:
 @quantity("observation")
 def imu_orientation(env: TermContext, sensor: ImuOf) -> F64:
     """(N, 4) orientation of an IMU in the world, wxyz. Isaac Lab's observation of the same name.
-
-    Args:
-        sensor: An IMU.
 
     Example:
         ``{func: imu_orientation, params: {sensor: imu}}``
@@ -201,9 +194,6 @@ def imu_projected_gravity(env: TermContext, sensor: ImuOf) -> F64:
 
     Isaac Lab's observation of the same name.
 
-    Args:
-        sensor: An IMU.
-
     Example:
         ``{func: imu_projected_gravity, params: {sensor: imu}}``
     """
@@ -216,12 +206,67 @@ def body_incoming_wrench(env: TermContext, sensor: ForceTorqueOf) -> F64:
 
     Isaac Lab's observation of the same name; the sign is the sensor's.
 
-    Args:
-        sensor: A force-torque sensor.
-
     Example:
         ``{func: body_incoming_wrench, params: {sensor: wrench}}``
     """
     force = sensor.read_force()
     wrench: F64 = np.concatenate([force, sensor.read_torque()], axis=2).reshape(len(force), -1)
     return wrench
+
+
+@quantity()
+def height_scan(env: TermContext, sensor: HeightScanOf, offset: float = 0.5) -> F64:
+    """(N, R) m: heights of a height scan's origin above the surface, minus an offset.
+
+    Isaac Lab's observation of the same name.
+
+    Args:
+        offset: m; the height at which the sensor usually is.
+
+    Example:
+        ``{func: height_scan, clip: [-1, 1], params: {sensor: scan, offset: 0.3}}``
+    """
+    return sensor.read_height() - offset
+
+
+@quantity(name="sensor_reading")
+class SensorReading(Term):
+    """A reading of any sensor but a camera, (N, K).
+
+    Distances of rays, the position of a frame, torques of joints.
+
+    Args:
+        reading: One of its readings, such as ``position`` of a frame; None is the first of them.
+
+    Example:
+        ``{func: sensor_reading, params: {sensor: load, reading: torque}}``
+    """
+
+    def __init__(self, env: TermContext, sensor: SensorOf, reading: str | None = None) -> None:
+        problems = _check_reading(sensor.uid, sensor.cfg, reading)
+        if problems:
+            raise ConfigError(problems)
+        self._read = getattr(sensor, f"read_{sensor.reads[0] if reading is None else reading}")
+
+    @classmethod
+    def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
+        """Return mistakes that depend on the whole task: whether the sensor has the reading."""
+        cfg = task.sensors.get(params["sensor"])
+        if cfg is None:
+            return []  # added in Python, or reported as missing
+        return _check_reading(params["sensor"], cfg, params.get("reading"))
+
+    def __call__(self) -> F64:
+        """(N, K) the reading; its dimensions after the first are flattened."""
+        values = np.asarray(self._read(), np.float64)
+        return values.reshape(len(values), -1)
+
+
+def _check_reading(sensor: str, cfg: SensorCfg, reading: str | None) -> list[Problem]:
+    if isinstance(cfg, CameraCfg):
+        return [Problem("sensor", f"{sensor!r} is a camera: its images are not columns")]
+    there = readings(cfg)
+    if reading is None or reading in there:
+        return []
+    message = f"sensor {sensor!r} has no reading {reading!r}; it has: {', '.join(there)}"
+    return [Problem("reading", message, did_you_mean(reading, there).strip())]

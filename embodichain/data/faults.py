@@ -1,0 +1,47 @@
+"""`fault_of`: why a robot's file cannot load, as far as its text shows."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from embodichain.data.lookup import resolve_package_uri
+from embodichain.utils.errors import DataNotFoundError
+
+__all__ = ["fault_of"]
+
+
+def fault_of(path: Path) -> str:
+    """Return why a URDF or MJCF file cannot load, as far as its text shows, or ``""``."""
+    try:
+        root = ET.fromstring(path.read_bytes())
+    except ET.ParseError as error:
+        return f"not well-formed XML: {error}"
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+    return _of_mjcf(root) if root.tag == "mujoco" else _of_urdf(path, root)
+
+
+def _of_mjcf(root: ET.Element) -> str:
+    whole = root.find("worldbody") is not None or root.find(".//include") is not None
+    return "" if whole else "it has no <worldbody>: a part that other files include"
+
+
+def _of_urdf(path: Path, root: ET.Element) -> str:
+    if any("xacro" in str(element.tag) for element in root.iter()):
+        return "xacro has to be expanded to URDF first"
+    if root.find("link") is None:
+        return "the robot has no <link>"
+    names = {mesh.get("filename", "") for mesh in root.iterfind("link/*/geometry/mesh")}
+    missing = sorted(name for name in names if not _exists(name, path))
+    if not missing:
+        return ""
+    return f"{len(missing)} of {len(names)} mesh files are missing, such as {missing[0]}"
+
+
+def _exists(name: str, path: Path) -> bool:
+    try:
+        resolve_package_uri(name, near=path)
+    except (DataNotFoundError, ValueError):
+        return False
+    return True

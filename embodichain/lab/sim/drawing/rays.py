@@ -1,0 +1,114 @@
+"""`RayRenderer`: depth and masks of pinhole cameras by MuJoCo's rays, without OpenGL."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.drawing.geometry import VISIBLE_GROUPS
+from embodichain.lab.sim.drawing.gl import HINT
+from embodichain.lab.sim.drawing.views import DrawnState, Pictures, View
+from embodichain.utils.errors import RenderError
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.api import F64, EnvIndex, RayHits
+
+__all__ = ["RayCaster", "RayRenderer"]
+
+_RAYS_AT_ONCE = 2**20
+"""About 100 MB of origins, directions and hits."""
+
+
+@runtime_checkable
+class RayCaster(Protocol):
+    """Environments in which rays can be cast: an engine."""
+
+    def cast_rays(
+        self,
+        origins: F64,
+        directions: F64,
+        geoms: NDArray[np.bool_],
+        env_ids: EnvIndex | None = None,
+        *,
+        normal: bool = False,
+    ) -> RayHits:
+        """See `Engine.cast_rays`."""
+
+
+class RayRenderer:
+    """Draws depth and masks with a ray through the middle of each pixel.
+
+    Geoms of visible groups are hit, unless their alpha is 0; meshes and round shapes are exact.
+    It costs more than OpenGL, but for small images.
+
+    Args:
+        model: The compiled scene.
+    """
+
+    about = "rays of MuJoCo, depth and masks only"
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._geoms: NDArray[np.bool_] = np.asarray(model.geom_group) < VISIBLE_GROUPS
+
+    def draw(
+        self, state: DrawnState, views: Sequence[View], envs: NDArray[np.int64] | None = None
+    ) -> list[Pictures]:
+        """Draw every view of n environments; see `Renderer`.
+
+        Raises:
+            RenderError: If a view has the output ``color``, or `state` is not an engine.
+        """
+        if any("color" in view.outputs for view in views):
+            raise RenderError(f"colours need OpenGL, which does not work here; {HINT}")
+        if not isinstance(state, RayCaster):
+            raise RenderError(f"stored states are drawn with OpenGL, not with rays; {HINT}")
+        wanted = np.arange(state.num_envs) if envs is None else envs
+        rows, places = np.unique(wanted, return_inverse=True)  # rays are cast in sorted ones
+        drawn = [_draw(state, view, rows, self._geoms) for view in views]
+        if np.array_equal(rows, wanted):
+            return drawn
+        return [{name: values[places] for name, values in made.items()} for made in drawn]
+
+    def close(self) -> None:
+        """No effect: it has no memory of its own."""
+
+
+def _draw(
+    caster: RayCaster, view: View, rows: NDArray[np.int64], geoms: NDArray[np.bool_]
+) -> Pictures:
+    """Draw a view of n environments, as many at once as memory allows."""
+    optics = view.optics
+    pixels = optics.width * optics.height
+    depth = np.empty((len(rows), pixels), np.float32)
+    mask = np.empty((len(rows), pixels), np.int32)
+    most = max(1, _RAYS_AT_ONCE // pixels)
+    for start in range(0, len(rows), most):
+        part = slice(start, start + most)
+        eye, ray = _rays(view, rows[part])
+        found = caster.cast_rays(eye + optics.near * ray, ray, geoms, rows[part])
+        # Rays are 1 m long along the axis, so that distances in their lengths are depths.
+        along = found.distance + optics.near
+        hit = (found.distance >= 0.0) & (along <= optics.far)
+        depth[part], mask[part] = np.where(hit, along, 0.0), np.where(hit, found.geom, -1)
+    size = len(rows), optics.height, optics.width
+    made = {"depth": depth.reshape(size), "mask": mask.reshape(size)}
+    return {name: made[name] for name in view.outputs}
+
+
+def _rays(view: View, rows: NDArray[np.int64]) -> tuple[F64, F64]:
+    """(n, 1, 3) positions of the camera, and (n, H W, 3) rays of 1 m along its axis."""
+    position, axes, lens = (
+        values if len(values) == 1 else values[rows]
+        for values in (np.asarray(view.position), np.asarray(view.axes), view.lens)
+    )
+    fx, fy, cx, cy = (lens[:, i, None] for i in range(4))
+    right = (np.arange(view.optics.width) + 0.5 - cx) / fx
+    up = (cy - np.arange(view.optics.height) - 0.5) / fy
+    across, above = right[:, None, :, None], up[:, :, None, None]
+    to = axes.reshape(-1, 1, 1, 3, 3)
+    rays: F64 = across * to[..., 0] + above * to[..., 1] - to[..., 2]
+    return position[:, None], rays.reshape(len(rays), -1, 3)

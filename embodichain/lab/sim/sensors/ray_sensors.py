@@ -1,0 +1,159 @@
+"""Sensors that cast rays: range finders and height scans. They need no OpenGL."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.sensors.cfg import HeightScanSensorCfg, RayCastCfg, RaySensorCfg
+from embodichain.lab.sim.sensors.ray_patterns import pattern_rays
+from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
+from embodichain.utils.math import quat_to_matrix, rotate
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.api import F64, EnvIndex, RayHits
+    from embodichain.lab.sim.sensors.sampling import Readings
+
+__all__ = ["HeightScanSensor", "RayCaster", "RaySensor"]
+
+
+class RayCaster(BaseSensor):
+    """R rays from a link or a fixed place, against the geoms that its config chooses.
+
+    Rays are cast when they are read, at the current positions. Geoms with alpha 0 are not hit.
+    """
+
+    cfg: RayCastCfg
+
+    @cached_property
+    def _rays(self) -> tuple[F64, F64]:
+        """(R, 3) starts and unit directions in the frame that `alignment` chooses."""
+        starts, directions = pattern_rays(self.cfg.pattern)
+        quat = np.asarray(self.cfg.quat, np.float64)
+        axes = quat_to_matrix(quat / np.linalg.norm(quat))
+        return rotate(axes, starts) + np.asarray(self.cfg.pos, np.float64), rotate(axes, directions)
+
+    @property
+    def num_rays(self) -> int:
+        """R."""
+        return len(self._rays[0])
+
+    @cached_property
+    def _body(self) -> int:
+        """Id of the body that it is fixed on; body 0 is the world."""
+        return int(self.body_ids[0]) if len(self.names) else 0
+
+    def _mount(self, env_ids: EnvIndex | None) -> tuple[F64, F64]:
+        """(n, 3) origin and (n, 3, 3) axes of the frame that `alignment` chooses."""
+        rows = slice(None) if env_ids is None else env_ids
+        position = self.engine.derived("xpos")[rows, self._body]
+        axes = self.engine.derived("xmat").reshape(self.num_instances, -1, 3, 3)[rows, self._body]
+        if self.cfg.alignment == "yaw":
+            axes = _heading(axes)
+        elif self.cfg.alignment == "world":
+            axes = np.broadcast_to(np.eye(3), axes.shape)
+        return position, axes
+
+    def _cast(
+        self, origins: F64, directions: F64, env_ids: EnvIndex | None, normal: bool = False
+    ) -> tuple[F64, NDArray[np.bool_], RayHits]:
+        """(n, R) distances, as `no_hit` says where nothing is hit, and whether each ray hits."""
+        cfg = self.cfg
+        found = self.engine.cast_rays(origins, directions, self.index.geoms, env_ids, normal=normal)
+        hit: NDArray[np.bool_] = (found.distance >= 0.0) & (found.distance <= cfg.max_range)
+        missing = {"max": cfg.max_range, "inf": np.inf, "zero": 0.0}[cfg.no_hit]
+        return np.where(hit, found.distance, missing), hit, found
+
+
+class RaySensor(RayCaster):
+    """A range finder: distances along R rays, and the points and surfaces that they hit."""
+
+    cfg: RaySensorCfg
+
+    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        position, axes = self._mount(env_ids)
+        starts, directions = self._rays
+        directions = rotate(axes[:, None], directions)
+        origins = position[:, None] + rotate(axes[:, None], starts)
+        distance, hit, found = self._cast(
+            origins, directions, env_ids, normal="normal" in self.cfg.data_types
+        )
+        reached = np.where(np.isfinite(distance), distance, 0.0)[..., None]
+        points = origins + directions * reached
+        if self.cfg.no_hit == "inf":
+            points = np.where(hit[..., None], points, np.inf)
+        if found.normal is None:
+            return distance, points
+        return distance, points, np.where(hit[..., None], found.normal, 0.0)
+
+    def read_distance(self) -> F64:
+        """(N, R) m along the rays; where nothing is hit, what `no_hit` says."""
+        return self._readings()[0].copy()
+
+    def read_position(self) -> F64:
+        """(N, R, 3) m: points that are hit, in the environment's frame.
+
+        Where nothing is hit: the point at the distance that is read.
+        """
+        return self._readings()[1].copy()
+
+    def read_normal(self) -> F64:
+        """(N, R, 3) unit normals of the surfaces that are hit, world axes; 0 where nothing is.
+
+        Raises:
+            ValueError: If the config's `data_types` does not contain ``normal``.
+        """
+        readings = self._readings()
+        if len(readings) < 3:
+            raise ValueError(f"{self.uid}: normals are not measured; add normal to data_types")
+        return readings[2].copy()
+
+
+class HeightScanSensor(RayCaster):
+    """Heights of the sensor's origin above what is below the points of a grid.
+
+    Rays start `start_height` above the sensor.
+    """
+
+    cfg: HeightScanSensorCfg
+
+    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        position, axes = self._mount(env_ids)
+        starts, directions = self._rays
+        directions = rotate(axes[:, None], directions)
+        origins = position[:, None] + rotate(axes[:, None], starts)
+        origins[..., 2] += self.cfg.start_height
+        distance, hit, _ = self._cast(origins, directions, env_ids)
+        own = position + rotate(axes, np.asarray(self.cfg.pos, np.float64))
+        # A ray without a hit reads what the surface at its distance would give, or 0.
+        height = own[:, None, 2] - (origins[..., 2] + directions[..., 2] * distance)
+        if self.cfg.no_hit == "zero":
+            height = np.where(hit, height, 0.0)
+        return (height,)
+
+    def read_height(self) -> F64:
+        """(N, R) m; negative where the surface is above the sensor.
+
+        Where nothing is hit: as if the surface were at `max_range`, infinite or 0 (`no_hit`).
+        """
+        return self._readings()[0].copy()
+
+
+def _heading(axes: F64) -> F64:
+    """(n, 3, 3) axes of headings: z up, x along the horizontal part of x of (n, 3, 3) axes.
+
+    The world's axes where x is vertical.
+    """
+    ahead, left = axes[:, 0, 0], axes[:, 1, 0]
+    length = np.sqrt(ahead * ahead + left * left)
+    vertical = length < 1e-9
+    divisor = np.where(vertical, 1.0, length)
+    cos, sin = np.where(vertical, 1.0, ahead / divisor), np.where(vertical, 0.0, left / divisor)
+    found: F64 = np.zeros_like(axes)
+    found[:, 0, 0], found[:, 0, 1] = cos, -sin
+    found[:, 1, 0], found[:, 1, 1] = sin, cos
+    found[:, 2, 2] = 1.0
+    return found
