@@ -46,6 +46,17 @@ def test_a_grid_has_the_environments_row_by_row() -> None:
     env.close()
 
 
+def test_a_view_of_the_task_is_drawn() -> None:
+    side = "++task.views.side={eye: [0, -3, 1], target: [0, 0, 1]}"
+    assert render("reach", "side.png", "--view", "side", side, *SMALL) == 0
+    assert render("reach", "default.png", side, *SMALL) == 0
+    env = embodichain.make("reach", num_envs=1, seed=3, overrides=[side])
+    env.reset()
+    np.testing.assert_array_equal(pixels("side.png"), env.sim.render(0, "side", 96, 64))
+    assert (pixels("side.png") != pixels("default.png")).any()
+    env.close()
+
+
 def test_what_was_drawn_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["render", "reach", "a.jpg", "--size", "96x64", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)

@@ -30,7 +30,6 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.appearance import check_light
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
-from embodichain.lab.sim.compiler.cameras import check_memory
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
     DriveOperation,
@@ -241,8 +240,10 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
     problems += [p.below("views") for p in found]
     problems += check_references(cfg, known, open_scene=open_scene)
     ground = physics.has_ground
-    sensors, found = plan_sensors(cfg.sensors, known, ground=ground, open_scene=open_scene)
-    problems += found + check_memory(cfg.sensors, cfg.num_envs)
+    sensors, found = plan_sensors(
+        cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=cfg.num_envs
+    )
+    problems += found
     if problems:
         return problems
     for path, articulation in parsed.items():

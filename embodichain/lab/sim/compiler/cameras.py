@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.names import Known, exact_pattern, no_such
+from embodichain.lab.sim.compiler.views import DEFAULT_VIEW
 from embodichain.lab.sim.sensors.cfg import (
     CameraCfg,
     ExtrinsicsCfg,
     LinksCfg,
-    SensorCfg,
     StereoCameraCfg,
 )
 from embodichain.utils.errors import ConfigError, Problem
@@ -164,28 +164,19 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
     return None, [Problem("extrinsics.parent", message)]
 
 
-def check_memory(sensors: Mapping[str, SensorCfg], num_envs: int) -> list[Problem]:
-    """Return a problem for every camera whose images of all environments exceed the memory.
-
-    Args:
-        sensors: The declared sensors by uid.
-        num_envs: N.
-    """
-    problems = []
+def check_memory(cfg: CameraCfg, num_envs: int) -> list[Problem]:
+    """Return a problem if a camera's images of all N environments exceed the memory."""
     limit = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    for uid, cfg in sensors.items():
-        if not isinstance(cfg, CameraCfg):
-            continue
-        images = cfg.get_data_types()
-        each = sum(_BYTES.get(name.removesuffix("_right"), 4) for name in images)
-        needed = each * cfg.width * cfg.height * num_envs
-        if needed > limit:
-            message = (
-                f"{num_envs} environments x {cfg.width} x {cfg.height} pixels of "
-                f"{', '.join(images)} need {needed / 2**30:.1f} GiB; there are {limit / 2**30:.1f}"
-            )
-            problems.append(Problem(f"sensors.{uid}.width", message))
-    return problems
+    images = cfg.get_data_types()
+    each = sum(_BYTES.get(name.removesuffix("_right"), 4) for name in images)
+    needed = each * cfg.width * cfg.height * num_envs
+    if needed <= limit:
+        return []
+    message = (
+        f"{num_envs} environments x {cfg.width} x {cfg.height} pixels of "
+        f"{', '.join(images)} need {needed / 2**30:.1f} GiB; there are {limit / 2**30:.1f}"
+    )
+    return [Problem("width", message)]
 
 
 # -- the model -------------------------------------------------------------------------------------
@@ -221,7 +212,7 @@ def add_camera(spec: mujoco.MjSpec, uid: str, cfg: CameraCfg, body: str | None) 
     if isinstance(cfg, StereoCameraCfg):
         lenses.append(cfg.intrinsics_right or cfg.intrinsics)
     for side, (name, lens) in enumerate(zip(camera_names(uid, cfg), lenses, strict=True)):
-        if name in names:
+        if name in (*names, DEFAULT_VIEW):
             message = f"the scene has a camera {name!r} already: choose another name"
             raise ConfigError([Problem(f"sensors.{uid}", message)])
         at, turned = pos, quat

@@ -9,7 +9,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.cameras import add_camera, camera_names, entity_of_geom
+from embodichain.lab.sim.compiler.cameras import (
+    add_camera,
+    camera_names,
+    check_memory,
+    entity_of_geom,
+)
 from embodichain.lab.sim.compiler.index import EntityIndex, Ids, Mask
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
@@ -37,9 +42,14 @@ _OBJECT = mujoco.mjtObj
 
 
 def plan_sensors(
-    sensors: Mapping[str, SensorCfg], known: Known, *, ground: bool, open_scene: bool
+    sensors: Mapping[str, SensorCfg],
+    known: Known,
+    *,
+    ground: bool,
+    open_scene: bool,
+    num_envs: int,
 ) -> tuple[dict[str, SensorPlan], list[Problem]]:
-    """Look up the links of all declared sensors; see `plan_sensor`.
+    """Look up the links of all declared sensors of N environments; see `plan_sensor`.
 
     Returns:
         The plans of valid sensors, and every mistake, with paths relative to the task.
@@ -54,6 +64,8 @@ def plan_sensors(
         if cfg.uid not in (None, "", uid):
             message = f"the key {uid!r} is its uid; it cannot be {cfg.uid!r}: leave uid out"
             found = [Problem("uid", message), *found]
+        if isinstance(cfg, CameraCfg):
+            found = [*found, *check_memory(cfg, num_envs)]
         problems += [p.below(path) for p in found]
         if plan is not None:
             plans[uid] = plan
