@@ -36,6 +36,7 @@ from embodichain.lab.sim.compiler.drives import (
     PhysicsStep,
     physics_step,
 )
+from embodichain.lab.sim.compiler.furniture import check_pedestal, furniture_of
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
@@ -104,19 +105,13 @@ def _surroundings(cfg: EnvCfg) -> list[_Entity]:
     """The furniture and the lights of the section ``scene``."""
     scene = _scene(cfg)
     lights = [_Entity(f"scene.lights.{uid}", uid, light) for uid, light in scene.lights.items()]
-    if scene.table is None and scene.pedestal is None:
-        return lights
-    from embodichain.lab.sim.compiler.furniture import furniture_of  # few scenes have any
-
-    furniture = furniture_of(scene, _base(cfg)).items()
-    return [_Entity(f"scene.{uid}", uid, thing) for uid, thing in furniture] + lights
+    furniture = furniture_of(scene, _base(cfg)) if scene.table or scene.pedestal else {}
+    return [_Entity(f"scene.{uid}", uid, thing) for uid, thing in furniture.items()] + lights
 
 
 def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
     if (scene := _scene(cfg)).pedestal is None:
         return []
-    from embodichain.lab.sim.compiler.furniture import check_pedestal
-
     return [p.below("scene.pedestal") for p in check_pedestal(scene.pedestal, _base(cfg))]
 
 

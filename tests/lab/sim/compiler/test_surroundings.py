@@ -6,7 +6,7 @@ import pytest
 
 from embodichain.lab.gym.envs import BaseEnv, EnvCfg
 from embodichain.lab.sim.cfg import RigidObjectCfg, RobotCfg, SimulationManagerCfg
-from embodichain.lab.sim.compiler.wood import wood
+from embodichain.lab.sim.compiler.appearance import wood
 from embodichain.lab.sim.scene_cfg import (
     GroundCfg,
     LightCfg,
