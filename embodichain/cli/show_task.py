@@ -302,12 +302,14 @@ def _leaves(space: Any, path: str = "") -> dict[str, Any]:
 
 
 def _sensors(env: BaseEnv) -> Rows:
+    from embodichain.lab.sim.sensors.cfg import readings
+
     rows = []
     for uid, cfg in env.cfg.sensors.items():
         values = _set_fields(cfg)
         values.pop("uid", None)
-        kind = values.pop("sensor_type", "")
-        rows.append({"sensor": uid, "type": kind, "params": _flow(values)})
+        kind, reads = values.pop("sensor_type", ""), ", ".join(readings(cfg))
+        rows.append({"sensor": uid, "type": kind, "reads": reads, "params": _flow(values)})
     return rows
 
 

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from embodichain.lab.gym.envs.managers.observation_manager import no_vector
 from embodichain.lab.gym.envs.observation import entry_spaces
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.vector import NumpyVectorEnv
@@ -86,9 +87,13 @@ def observation_box(env: BaseEnv, group: str) -> spaces.Box:
     """Return the space of one environment's flat observation: (K,), unbounded.
 
     Raises:
-        ConfigError: If no observation is in the group; lists the groups.
+        ConfigError: If no observation is in the group (lists the groups), or one is an image.
     """
-    width = sum(math.prod(space.shape or ()) for space in observation_dict(env, group).values())
+    found = observation_dict(env, group)
+    images = env.observation_manager.image_terms(group)
+    if images:
+        raise ConfigError(no_vector(group, images))
+    width = sum(math.prod(space.shape or ()) for space in found.values())
     return spaces.Box(-np.inf, np.inf, (width,), np.float32)
 
 

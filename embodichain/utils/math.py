@@ -37,9 +37,9 @@ _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 # quaternion's components.
 _FIRST = np.array([10, 6, 7, 6, 5, 11, 7, 11, 5])
 _SECOND = np.array([15, 3, 2, 3, 15, 1, 2, 1, 10])
-_SECOND_SIGN = np.array([1.0, -1, 1, 1, 1, -1, -1, 1, 1])
-_FACTOR = np.array([-2.0, 2, 2, 2, -2, 2, 2, 2, -2])
-_IDENTITY = np.eye(3).reshape(9)
+_SECOND_SIGN = np.array([[1.0, -1, 1, 1, 1, -1, -1, 1, 1]]).T
+_FACTOR = np.array([[-2.0, 2, 2, 2, -2, 2, 2, 2, -2]]).T
+_IDENTITY = np.eye(3).reshape(9, 1)
 # Likewise for the 9 products a[i] b[j] of two vectors.
 _CROSS_PLUS, _CROSS_MINUS = np.array([5, 6, 1]), np.array([7, 2, 3])
 
@@ -108,9 +108,11 @@ def normalize_quat(q: F64) -> F64:
 
 def quat_to_matrix(q: F64) -> F64:
     """Rotation matrices (..., 3, 3) of unit wxyz quaternions (..., 4)."""
-    products = _products(q, q)
-    sums = products.take(_FIRST, -1) + _SECOND_SIGN * products.take(_SECOND, -1)
-    found: F64 = (_IDENTITY + _FACTOR * sums).reshape(*q.shape[:-1], 3, 3)
+    # A row for each component, so that constants broadcast along contiguous rows.
+    rows = np.ascontiguousarray(q.reshape(-1, 4).T)
+    products = (rows[:, None] * rows).reshape(16, -1)
+    sums = products.take(_FIRST, 0) + _SECOND_SIGN * products.take(_SECOND, 0)
+    found: F64 = (_IDENTITY + _FACTOR * sums).T.reshape(*q.shape[:-1], 3, 3)
     return found
 
 

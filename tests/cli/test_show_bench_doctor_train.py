@@ -86,6 +86,7 @@ def test_show_tells_sensors_commands_and_curriculum(
         "contact",
         "{entity_cfg: {uid: go2, link_names: [.*_foot]}}",
     )
+    assert sensors["feet"]["reads"] == "found, force"
     noise = {row["term"]: row.get("noise") for row in data["observations"]}
     assert noise["gravity"] == "{type: uniform, operation: add, low: -0.05, high: 0.05}"
     assert noise["action"] is None

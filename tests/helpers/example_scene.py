@@ -55,6 +55,13 @@ sensors:
   contacts: {sensor_type: contact, entity_cfg: {uid: go, link_names: [".*foot.*"]}}
   imu: {sensor_type: imu, entity_cfg: {uid: go, link_names: [trunk]}}
   wrench: {sensor_type: force_torque, entity_cfg: {uid: ur10, link_names: [wrist_3_link]}}
+  scan: {sensor_type: height_scan, entity_cfg: {uid: go, link_names: [trunk]},
+         pattern: {grid: {size: [0.4, 0.4], resolution: 0.2}}}
+  load: {sensor_type: joint_torque, entity_cfg: {uid: ur10}}
+  front: {sensor_type: camera, width: 16, height: 12, fovy: 60, data_types: [color, mask, position],
+          extrinsics: {eye: [2, -2, 2], target: [0.5, 0, 0.5]}}
+  wrist: {sensor_type: camera, width: 12, height: 16, data_types: [color, depth],
+          entity_cfg: {uid: ur10, link_names: [ee_link]}}
 commands:
   velocity: {func: uniform_velocity, params: {entity_cfg: {uid: go}, ranges: {lin_vel_x: [-1, 1]}}}
   pose:

@@ -4,7 +4,9 @@ from typing import Any
 
 from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.sim.sensors.cfg import (
+    CameraCfg,
     ContactSensorCfg,
+    ExtrinsicsCfg,
     ForceTorqueSensorCfg,
     FramePoseSensorCfg,
     HeightScanSensorCfg,
@@ -21,6 +23,13 @@ SENSORS = {
     "contacts": ContactSensorCfg(entity_cfg=LinksCfg(uid="cube")),
     "imu": ImuSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="ee_link")),
     "wrench": ForceTorqueSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="wrist_3_link")),
+    "front": CameraCfg(
+        width=16,
+        height=12,
+        fovy=60,
+        data_types=["color", "mask", "position"],
+        extrinsics=ExtrinsicsCfg(eye=(2, -2, 2), target=(0.5, 0, 0.5)),
+    ),
     "scan": HeightScanSensorCfg(
         entity_cfg=LinksCfg(uid="ur10", link_names="ee_link"),
         pattern=RayPatternCfg(grid=RayGridCfg(size=(0.2, 0.2), resolution=0.1)),
@@ -57,6 +66,15 @@ OBSERVATIONS = {
         ("frame", "linear_velocity"),
         ("torque", "torque"),
     )
+}
+OBSERVATIONS |= {
+    "camera_image": ObservationCfg(func="camera_image", params={"sensor": "front"}, group="seen"),
+    "camera_mask": ObservationCfg(
+        func="camera_mask", params={"sensor": "front", "entity_cfg": {"uid": "cube"}}, group="seen"
+    ),
+    "camera_points": ObservationCfg(func="camera_points", params={"sensor": "front", "every": 4}),
+    "camera_pose": ObservationCfg(func="camera_pose", params={"sensor": "front"}),
+    "camera_intrinsics": ObservationCfg(func="camera_intrinsics", params={"sensor": "front"}),
 }
 TOUCH = {"sensor": "contacts", "threshold": 1.0}
 REWARDS: dict[str, dict[str, Any]] = {

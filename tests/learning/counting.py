@@ -36,6 +36,7 @@ class CountingEnv(gym.Env):
         )
         self.observation_manager = SimpleNamespace(
             group_terms=self._group_terms,
+            image_terms=lambda group: (),
             flat_rows=lambda obs, group: np.concatenate([obs["where", "id"], obs["time"]], axis=1),
         )
         self.judges_success = has_success

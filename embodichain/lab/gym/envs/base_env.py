@@ -196,7 +196,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self._judge = StepJudge(self, self.overridden)
         own_code = self.overridden & {"get_obs", "_extend_obs"}
         self.observation_buffer = buffer = ObservationBuffer(
-            robot, joints, self.observation_manager, not own_code
+            robot, joints, self.observation_manager, not own_code, self.sensors
         )
         saved = self.streams.state_dict()
         first = buffer.store(buffer.build(self.get_obs(**kwargs)))

@@ -1,12 +1,12 @@
 """`Observation`: one (N, W) float32 array with named columns, read as a nested mapping.
 
-`ObservationLayout` maps entries and groups to columns. Entries that are not floating point (images,
-flags) are separate tensors outside the array. Functions at the end make spaces of observations.
+`ObservationLayout` maps entries and groups to columns. Images, and entries that are not floating
+point, are separate tensors outside the array. Functions at the end make spaces of observations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -25,6 +25,7 @@ __all__ = [
     "entry_spaces",
     "flat_space",
     "named_obs",
+    "new_tensor",
     "numpy_obs",
     "observation_space",
 ]
@@ -52,23 +53,30 @@ class ObservationLayout:
         first: The first observation; later ones have the same entries.
         groups: Name -> paths of its entries, in order.
         num_envs: N.
+        images: Paths of the entries that are images.
 
     Attributes:
-        width: W, the columns of all floating point entries.
-        paths: Paths of the floating point entries, in the observation's order.
+        width: W, the columns of all floating point entries but images.
+        paths: Paths of these entries, in the observation's order.
         columns: Path -> columns of the entry.
-        shapes: Path -> shape of the entry of one environment.
+        shapes: Path -> shape of the entry of one environment, of entries in the array.
         widths: Path -> numbers of the entry of one environment.
-        groups: Name -> columns of the group; None if an entry is not floating point.
+        groups: Name -> columns of the group; None if an entry is not in the array.
     """
 
     def __init__(
-        self, first: Mapping[str, Any], groups: Mapping[str, Iterable[Path]], num_envs: int
+        self,
+        first: Mapping[str, Any],
+        groups: Mapping[str, Iterable[Path]],
+        num_envs: int,
+        images: Collection[Path] = (),
     ) -> None:
         self.num_envs = num_envs
         leaves = dict(leaves_of(first))
         self._order = list(leaves)
-        self.paths = [path for path, leaf in leaves.items() if leaf.is_floating_point()]
+        self.paths = [
+            path for path, leaf in leaves.items() if leaf.is_floating_point() and path not in images
+        ]
         grouped = dict.fromkeys(path for paths in groups.values() for path in paths)
         placed = [path for path in self.paths if path not in grouped]
         placed += [path for path in grouped if path in self.paths]
@@ -130,7 +138,7 @@ class ObservationLayout:
         """
         columns = self.columns.get(path)
         if columns is None:
-            obs.set_other(path, value if isinstance(value, torch.Tensor) else torch.tensor(value))
+            obs.set_other(path, value if isinstance(value, torch.Tensor) else new_tensor(value))
             return
         array = as_array(value)
         if array.shape[1:] != self.shapes[path]:
@@ -161,6 +169,13 @@ def _insert(tree: dict[str, Any], path: Path, leaf: torch.Tensor, batch_size: to
     for name in path[:-1]:
         tree = tree.setdefault(name, TensorMapping(batch_size=batch_size)).entries
     tree[path[-1]] = leaf
+
+
+def new_tensor(value: Any) -> torch.Tensor:
+    """Return a copy of an array or a tensor as a tensor, float32 if it is floating point."""
+    array = as_array(value)
+    wide = np.issubdtype(array.dtype, np.floating)
+    return torch.from_numpy(np.array(array, np.float32 if wide else None))
 
 
 class Observation(TensorMapping):

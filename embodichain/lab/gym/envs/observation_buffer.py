@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,6 +39,7 @@ class ObservationBuffer:
         plain: Whether only robot, sensors and terms are observed, so that all entries can be
             written into the array at once. Otherwise the hooks of the class receive the entries
             as nested tensors.
+        sensors: All sensors by uid; the data of those with `reads_images` are images.
 
     Attributes:
         layout: Columns of the entries; set by `build`.
@@ -53,12 +55,14 @@ class ObservationBuffer:
         joint_ids: Sequence[int],
         manager: ObservationManager,
         plain: bool,
+        sensors: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         self._robot = robot
         every = robot is None or list(joint_ids) == list(range(robot.dof))
         self._joints: Any = slice(None) if every else np.asarray(joint_ids, np.int64)
         self._manager = manager
         self._plain = plain
+        self._cameras = {u for u, s in sensors.items() if getattr(s, "reads_images", False)}
         self._built = False
         self._has_terms = False
 
@@ -66,7 +70,9 @@ class ObservationBuffer:
         """Make the layout from the first observation; return that observation in it."""
         first = self._with_terms(obs)
         manager = self._manager
-        self.layout = ObservationLayout(first, manager.paths, manager.num_envs)
+        images = {path for path, _ in leaves_of(first) if path[0] == "sensor"}
+        images = {path for path in images if path[1] in self._cameras} | manager.images
+        self.layout = ObservationLayout(first, manager.paths, manager.num_envs, images)
         manager.use(self.layout)
         self._built = True
         return self.layout.pack(first)

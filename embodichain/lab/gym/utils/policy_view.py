@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PolicyView"]
 
-_IMAGE_DIMENSIONS = 3
-"""Height, width and channels in either order; a history adds one."""
-
 
 class PolicyView:
     """The entries of the group ``policy`` in declared order; without that group, all entries.
@@ -30,8 +27,8 @@ class PolicyView:
         env: The environment.
 
     Attributes:
-        space: Space of one environment: an unbounded Box (K,) float32, or, if an entry has three
-            dimensions or more, a Dict of Boxes with the shape and type of each entry.
+        space: Space of one environment: an unbounded Box (K,) float32, or, if an entry is an
+            image, a Dict of Boxes with the shape and type of each entry.
     """
 
     def __init__(self, env: BaseEnv) -> None:
@@ -42,7 +39,7 @@ class PolicyView:
         self._entries = entry_spaces(env.single_observation_space, names)
         self._paths = [tuple(name.split("/")) for name in names]
         shapes = [space.shape or () for space in self._entries.values()]
-        self._flat = all(len(shape) < _IMAGE_DIMENSIONS for shape in shapes)
+        self._flat = not (declared and manager.image_terms("policy"))
         width = sum(int(np.prod(shape, dtype=np.int64)) for shape in shapes)
         self.space: spaces.Box | spaces.Dict = self._entries
         if self._flat:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.names import Known, exact_pattern, no_such
+from embodichain.lab.sim.compiler.views import DEFAULT_VIEW
 from embodichain.lab.sim.sensors.cfg import (
     CameraCfg,
     ExtrinsicsCfg,
@@ -211,7 +212,7 @@ def add_camera(spec: mujoco.MjSpec, uid: str, cfg: CameraCfg, body: str | None) 
     if isinstance(cfg, StereoCameraCfg):
         lenses.append(cfg.intrinsics_right or cfg.intrinsics)
     for side, (name, lens) in enumerate(zip(camera_names(uid, cfg), lenses, strict=True)):
-        if name in names:
+        if name in (*names, DEFAULT_VIEW):
             message = f"the scene has a camera {name!r} already: choose another name"
             raise ConfigError([Problem(f"sensors.{uid}", message)])
         at, turned = pos, quat

@@ -226,7 +226,7 @@ class BatchRenderer:
             return
         eyes = table.reshape(-1, 8, 4)[:, 4]
         rows = eyes[:, 3].astype(np.int64)
-        gaps = frame.poses[rows][:, geoms, :, 3] - eyes[:, None, :3]
+        gaps = frame.poses[rows][:, geoms][..., 3] - eyes[:, None, :3]
         ranks = np.argsort(-(gaps**2).sum(axis=2), axis=1, kind="stable")
         # The k-th geom of pictures is drawn before the next of any; pictures that agree, at once.
         order: list[NDArray[np.int64]] = []

@@ -115,6 +115,10 @@ class Engine(Protocol):
     listeners: list[EngineListener]
 
     @property
+    def versions(self) -> NDArray[np.int64]:
+        """(N,) `version` of the last change of each environment's positions or model."""
+
+    @property
     def rows(self) -> F64:
         """(N, nstate) live integration-state rows (`mjSTATE_INTEGRATION`). Do not write."""
 

@@ -108,11 +108,17 @@ class CpuEngine(Engine):
         # derived fields overwrites the batch's outputs.
         self._accelerations: dict[str, tuple[F64, F64]] = {}
         self._dirty = np.ones(num_envs, np.bool_)
+        self._changed: NDArray[np.int64] = np.zeros(num_envs, np.int64)
+        self._all_changed = 0
         self._any_dirty = True
         self._all_dirty = True
         self._divergence = _Divergence(self._batch)
 
     # -- reads ---------------------------------------------------------------------------------
+
+    @property
+    def versions(self) -> NDArray[np.int64]:
+        return np.maximum(self._changed, self._all_changed)
 
     @property
     def rows(self) -> F64:
@@ -302,7 +308,10 @@ class CpuEngine(Engine):
         self._any_dirty = True
         if env_ids is None:
             self._all_dirty = True
-        elif not self._all_dirty:
+            self._all_changed = self.version
+            return
+        self._changed[env_ids] = self.version
+        if not self._all_dirty:
             self._dirty[env_ids] = True
 
     def _notify(self, write: Write) -> None:

@@ -45,29 +45,23 @@ class JointLimits:
     """Position limits of D joints in N environments, rad or m; infinite where there are none.
 
     Args:
-        compiled: (D, 2) initial lower and upper limits of all environments.
+        limits: (D, 2) initial lower and upper limits of all environments.
         count: N.
     """
 
-    def __init__(self, compiled: F64, count: int) -> None:
-        self.compiled = compiled
-        self._count = count
-        self._low, self._high = compiled.T.copy()
-        self._varied: F64 | None = None  # (N, D, 2), once limits differ between environments
+    def __init__(self, limits: F64, count: int) -> None:
+        self._sides = tuple(np.tile(side, (count, 1)) for side in limits.T)
 
     @property
     def values(self) -> F64:
-        """(N, D, 2); do not write."""
-        shape = (self._count, *self.compiled.shape)
-        return np.broadcast_to(self.compiled, shape) if self._varied is None else self._varied
+        """(N, D, 2) copies."""
+        return np.stack(self._sides, axis=-1)
 
     def of(self, joints: Joints, ids: EnvIndex | None) -> tuple[F64, F64]:
-        """Lower and upper limits of joints (k,) in environments (n,): (k,) each, or (n, k)."""
-        if self._varied is None:
-            columns = columns_of(joints)  # slices are faster
-            return self._low[columns], self._high[columns]
-        picked = self._varied[_at(ids, joints)]
-        return picked[..., 0], picked[..., 1]
+        """Lower and upper limits (n, k) of joints in environments; do not write."""
+        where = (slice(None), columns_of(joints)) if ids is None else (ids[:, None], joints)
+        low, high = self._sides
+        return low[where], high[where]
 
     def clamp(self, values: F64, joints: Joints, ids: EnvIndex | None) -> F64:
         """Return positions (n, k) of joints, clamped to their limits."""
@@ -76,14 +70,12 @@ class JointLimits:
 
     def set(self, side: Literal[0, 1], values: F64, joints: Joints, ids: EnvIndex | None) -> None:
         """Set lower (0) or upper (1) limits (n, k) of joints in environments."""
-        if self._varied is None:
-            self._varied = self.values.copy()
-        self._varied[(*_at(ids, joints), side)] = values
+        self._sides[side][_at(ids, joints)] = values
 
     def restore(self, values: F64) -> None:
         """Set all limits, (N, D, 2)."""
-        same = bool((values == self.compiled).all())
-        self._varied = None if same else values.copy()
+        for side, limits in enumerate(self._sides):
+            limits[:] = values[..., side]
 
 
 class Drives:
@@ -400,8 +392,7 @@ class Drives:
         joints = model.dof_jntid[index.dof_adr].astype(np.int64)
         for side in (0, 1):
             limits = read("jnt_range", 2 * joints + side, parsed.qpos_limits[:, side])
-            if ids is not None or not np.array_equal(limits, self.limits.compiled[:, side]):
-                self.limits.set(side, limits, every, ids)
+            self.limits.set(side, limits, every, ids)
 
         actuators, where = index.actuator_ids[driven], _at(ids, driven)
         bias = model.actuator_biasprm.shape[1] * actuators

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
@@ -44,7 +44,10 @@ class BaseSensor(Handle["SensorIndex"]):
         cfg: Its config.
         uid: Its name.
         names: (n,) the links it is fixed on, or the joints that it measures.
+        reads_images: Whether its data are images, which observations contain as they are.
     """
+
+    reads_images: ClassVar[bool] = False
 
     def __init__(self, plan: SensorPlan, host: Host) -> None:
         super().__init__(plan.uid, host)

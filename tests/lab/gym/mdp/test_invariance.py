@@ -84,7 +84,7 @@ def rollout(make, num_envs: int) -> list[list[np.ndarray]]:
         obs, reward, terminated, truncated, info = env.step(action)
         row = [manager.flatten(obs), reward, terminated, truncated, info["success"]]
         row += [*info["rewards"].values(), *info["episode_sums"].values()]
-        row += list(info["metrics"].values())
+        row += [*info["metrics"].values(), obs["camera_image"], obs["camera_mask"]]
         found.append([v[:count].numpy() for v in row] + [env.sim.engine.rows[:count].copy()])
     return found
 
@@ -110,6 +110,7 @@ def test_a_restored_environment_continues_to_the_byte(make) -> None:
         for _ in range(12):
             obs, reward, _, _, info = env.step(action)
             row = [env.observation_manager.flatten(obs), reward, *info["metrics"].values()]
+            row.append(obs["camera_image"])
             row += list(info["episode_sums"].values())
             found += [v.numpy().tobytes() for v in row] + [env.sim.engine.rows.tobytes()]
         return found

@@ -260,11 +260,11 @@ def test_mistakes(scene, arm, case):
         scene([], [cfg], [arm])
 
 
-def test_a_name_that_is_taken_and_a_camera_that_is_not_there(scene):
+def test_a_name_that_is_taken_and_a_camera_that_is_not_there(scene, arm):
     with pytest.raises(ConfigError, match="the scene has a camera 'default' already"):
         _ = scene([], [camera("default")]).engine
-    with pytest.raises(ConfigError, match=r"no camera is called 'defalt'; .* mean 'default'\?"):
-        _ = scene([], [camera(camera="defalt")]).engine
+    with pytest.raises(ConfigError, match=r"no camera is called 'arm/wrst'; .* mean 'arm/wrist'\?"):
+        _ = scene([], [camera(camera="arm/wrst")], [arm]).engine
 
 
 def test_the_names_of_embodichain():

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Mapping, MutableMapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import Delay, Noise, Past, Rows
-from embodichain.lab.gym.envs.observation import Observation
+from embodichain.lab.gym.envs.observation import Observation, new_tensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -31,6 +31,7 @@ else:
 __all__ = [
     "ObservationEntry",
     "ObservationManager",
+    "no_vector",
 ]
 
 
@@ -48,6 +49,8 @@ class ObservationEntry:
         modifies: Whether it changes an existing entry.
         key: Its key path in the config.
         remembers: Whether it has a state between steps.
+        image: Whether its value is an image, known after the first one: that of a term class with
+            `returns_image`, or uint8 with three dimensions.
     """
 
     def __init__(self, env: TermContext, term: BuiltTerm[ObservationCfg], corrupted: bool) -> None:
@@ -73,6 +76,7 @@ class ObservationEntry:
         self.remembers = bool(self._delay or self._past or self._noise_cfg is not None)
         self._changes = self.remembers or self._clip is not None or self._scale is not None
         self._checked = False
+        self.image = False
 
     def value(self, obs: Any, rows: Rows) -> NDArray[Any]:
         """Evaluate the term.
@@ -96,15 +100,18 @@ class ObservationEntry:
         if value.dtype == np.float64:
             value = value.astype(np.float32)
         if self._noise is not None:
-            value = self._noise.apply(value, rows.stepped)
+            value = _in_type_of(value, self._noise.apply(value, rows.stepped))
         if self._clip is not None:
-            value = np.clip(value, self._clip[0], self._clip[1])
+            value = _in_type_of(value, np.clip(value, self._clip[0], self._clip[1]))
         if self._scale is not None:
             value = value * self._scale
         if self._delay is not None:
             value = self._delay(value, rows)
         if self._past is not None:
+            each = value.shape[1:]
             value = self._past.append(value, rows)
+            if self._flat and self.image:  # along the channels
+                return value.reshape(len(value), -1, *each[1:])
             return value.reshape(len(value), -1) if self._flat else value
         return value
 
@@ -116,6 +123,8 @@ class ObservationEntry:
     def _check(self, value: Any) -> None:
         """Check the shape of the first value, and build the noise that fits it."""
         count = self._env.num_envs
+        pixels = str(getattr(value, "dtype", "")).endswith("uint8") and len(value.shape) > 3
+        self.image = pixels or getattr(self.term.spec.func, "returns_image", False)
         wrong = type(value).__name__
         if hasattr(value, "shape") and hasattr(value, "dtype"):
             wrong = "" if tuple(value.shape[:1]) == (count,) else str(tuple(value.shape))
@@ -130,6 +139,9 @@ class ObservationEntry:
                 "and its last dimension counts"
             )
             raise ConfigError([Problem(f"{self.key}.scale", message)])
+        if self._scale is not None and "float" in str(value.dtype):
+            # With a row for every environment: broadcasting one row takes four times as long.
+            self._scale = np.broadcast_to(np.float32(self._scale), tuple(value.shape)).copy()
         if self._noise_cfg is not None:
             shape = tuple(value.shape[1:])
             self._noise = Noise(self._noise_cfg, shape, self.key, self._env.streams)
@@ -158,6 +170,15 @@ class ObservationEntry:
             self._delay.past.values = _copy(state["delayed"])
         if self._past is not None:
             self._past.values = _copy(state["history"])
+
+
+def _in_type_of(value: NDArray[Any], changed: NDArray[Any]) -> NDArray[Any]:
+    """A changed value; that of integers, such as an image's, is rounded to their type."""
+    if not np.issubdtype(value.dtype, np.integer):
+        return changed
+    info = np.iinfo(value.dtype)
+    rounded: NDArray[Any] = np.clip(np.rint(changed), info.min, info.max).astype(value.dtype)
+    return rounded
 
 
 def _copy(values: NDArray[Any] | None) -> NDArray[Any] | None:
@@ -260,7 +281,7 @@ class ObservationManager(Manager[ObservationCfg]):
             if entry.modifies and entry.path not in obs:
                 raise _nothing_to_modify(entry, obs)
             value = entry.value(obs[entry.path] if entry.modifies else obs, rows)
-            obs[entry.path] = _tensor_of(value)
+            obs[entry.path] = new_tensor(value)
 
     def write(self, obs: Observation, own: Mapping[tuple[str, ...], Any]) -> None:
         """Write entries into an observation whose layout is known.
@@ -280,7 +301,7 @@ class ObservationManager(Manager[ObservationCfg]):
                 obs.layout.write(obs, path, value)
         rows, numbers = self._rows(), obs.rows
         for entry, columns, shape, finished in self._plan:
-            value = entry.value(_tensor_of(unfinished[entry.path]) if entry.modifies else obs, rows)
+            value = entry.value(new_tensor(unfinished[entry.path]) if entry.modifies else obs, rows)
             if not finished:
                 unfinished[entry.path] = value
             elif columns is not None and value.shape == shape:
@@ -319,6 +340,21 @@ class ObservationManager(Manager[ObservationCfg]):
         widths = {} if layout is None else layout.widths
         return {"/".join(path): widths.get(path, 0) for path in paths}
 
+    @property
+    def images(self) -> set[tuple[str, ...]]:
+        """Paths of the entries that are images; complete after the first observation."""
+        return {entry.path for entry in self._entries if entry.image}
+
+    def image_terms(self, group: str = "policy") -> tuple[str, ...]:
+        """Names of a group's entries that are images.
+
+        Available once the environment is built.
+
+        Raises:
+            ValueError: If no term is in the group; lists the groups.
+        """
+        return tuple("/".join(path) for path in self._paths(group) if path in self.images)
+
     def flatten(self, obs: Mapping[Any, Any], group: str = "policy") -> torch.Tensor:
         """Return a group's entries in declared order, as one vector per environment.
 
@@ -330,12 +366,15 @@ class ObservationManager(Manager[ObservationCfg]):
             (N, K) float32; it may share memory with the observation.
 
         Raises:
-            ValueError: If no term is in the group; lists the groups.
+            ValueError: If no term is in the group (lists the groups), or one is an image.
         """
         return torch.from_numpy(self.flat_rows(obs, group))
 
     def flat_rows(self, obs: Mapping[Any, Any], group: str = "policy") -> NDArray[np.float32]:
         """`flatten` as an array."""
+        images = self.image_terms(group)
+        if images:
+            raise ValueError(no_vector(group, images))
         layout = self.layout
         if layout is not None and isinstance(obs, Observation) and obs.layout is layout:
             columns = layout.groups.get(group)
@@ -362,11 +401,12 @@ class ObservationManager(Manager[ObservationCfg]):
                 entry.load_state_dict(state["memories"][entry.term.name])
 
 
-def _tensor_of(value: Any) -> torch.Tensor:
-    """A new tensor, float32 or not floating point."""
-    array = value if isinstance(value, np.ndarray) else value.numpy(force=True)
-    wide = np.issubdtype(array.dtype, np.floating)
-    return torch.from_numpy(np.array(array, np.float32 if wide else None))
+def no_vector(group: str, images: Sequence[str]) -> str:
+    """Return the message that a group with images has no flat vector."""
+    return (
+        f"observation group {group!r} is no flat vector: {', '.join(images)} "
+        f"{'is an image' if len(images) == 1 else 'are images'}; read it as a dict of its entries"
+    )
 
 
 def _nothing_to_modify(entry: ObservationEntry, obs: Any) -> ConfigError:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.sensors.camera import Camera
     from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensor
     from embodichain.lab.sim.sensors.sensor_handles import (
         BaseSensor,
@@ -42,6 +43,7 @@ __all__ = [
     "Box1",
     "Box2",
     "Box3",
+    "CameraOf",
     "Command",
     "ContactOf",
     "ForceTorqueOf",
@@ -234,12 +236,15 @@ class _Sensor(Reference):
 
     kind: str
     method: str
+    others: tuple[str, ...] = ()
+    """Further values of ``sensor_type`` of this kind."""
 
     def check(self, task: EnvCfg, value: Any) -> list[Problem]:
         types = {uid: cfg.sensor_type for uid, cfg in task.sensors.items()}
-        if types.get(str(value), self.kind) == self.kind:
+        kinds = (self.kind, *self.others)
+        if types.get(str(value), self.kind) in kinds:
             return []
-        return [self._another(value, [uid for uid, kind in types.items() if kind == self.kind])]
+        return [self._another(value, [uid for uid, kind in types.items() if kind in kinds])]
 
     def resolve(self, env: TermContext, value: Any) -> Any:
         there = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, self.method)]
@@ -287,6 +292,7 @@ class _Command(Reference):
 if TYPE_CHECKING:
     Joints = ResolvedEntity
     Body = ResolvedEntity
+    CameraOf = Camera
     ContactOf = ContactSensor
     ImuOf = ImuSensor
     ForceTorqueOf = ForceTorqueSensor
@@ -300,6 +306,10 @@ if TYPE_CHECKING:
 else:
     Joints = _reference(_Joints(), "The robot; its joint names or control parts pick joints.")
     Body = _reference(_Body(), "The entity, or a link of one.")
+    CameraOf = _reference(
+        _Sensor("camera", "get_intrinsics", ("stereo_camera", "Camera", "StereoCamera")),
+        "A camera.",
+    )
     ContactOf = _reference(_Sensor("contact", "read_force"), "A contact sensor.")
     ImuOf = _reference(_Sensor("imu", "read_acceleration"), "An IMU.")
     ForceTorqueOf = _reference(_Sensor("force_torque", "read_torque"), "A force-torque sensor.")

@@ -138,6 +138,14 @@ class ResolvedEntity:
         """(N, K) joint positions, rad or m; do not write to it or store it."""
         return self._pick(self.asset.read_qpos())
 
+    @cached_property
+    def _initial_rows(self) -> F64:
+        return np.tile(self.initial_qpos, (self.asset.num_instances, 1))
+
+    def displacement(self) -> F64:
+        """(N, K) joint positions minus the initial ones, rad or m."""
+        return self.qpos() - self._initial_rows
+
     def qvel(self) -> F64:
         """(N, K) joint velocities, rad/s or m/s; do not write to it or store it."""
         return self._pick(self.asset.read_qvel())
@@ -160,7 +168,7 @@ class ResolvedEntity:
         return turns
 
     def qpos_limits(self, soft_ratio: float = 1.0) -> tuple[F64, F64]:
-        """Low and high position limits in force, (K,) or (N, K) each; infinite without a limit.
+        """Low and high position limits in force, (N, K) each; infinite without a limit.
 
         Args:
             soft_ratio: Fraction of the range, about its middle.

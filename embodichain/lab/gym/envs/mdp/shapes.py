@@ -300,8 +300,8 @@ def above(env: TermContext, threshold: float, inclusive: bool = False) -> Truths
     Example:
         ``{func: height, shape: {above: 0.1}, weight: 15.0, params: {of: {uid: cube}}}``
     """
-    compare = np.greater_equal if inclusive else np.greater
-    return lambda values: _any_column(compare(values, threshold))
+    compare, limit = np.greater_equal if inclusive else np.greater, np.asarray(threshold)
+    return lambda values: _any_column(compare(values, limit))
 
 
 @register_shape
@@ -315,8 +315,8 @@ def below(env: TermContext, threshold: float, inclusive: bool = False) -> Truths
     Example:
         ``{func: distance, shape: {below: 0.05}, params: {from: {uid: cube}, to: {uid: goal}}}``
     """
-    compare = np.less_equal if inclusive else np.less
-    return lambda values: _every_column(compare(values, threshold))
+    compare, limit = np.less_equal if inclusive else np.less, np.asarray(threshold)
+    return lambda values: _every_column(compare(values, limit))
 
 
 @register_shape

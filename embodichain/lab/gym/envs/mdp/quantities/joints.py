@@ -65,7 +65,7 @@ def joint_position(
     Example:
         ``{func: joint_position, params: {of: {uid: ur10}, relative: true}}``
     """
-    qpos = of.qpos() - of.initial_qpos if relative else of.qpos()
+    qpos = of.displacement() if relative else of.qpos()
     return wrapped(qpos) if periodic else qpos
 
 
@@ -196,7 +196,7 @@ def stand_still(
     Example:
         ``{func: stand_still, weight: -0.5, params: {of: {uid: go}, command_name: velocity}}``
     """
-    deviation = total(np.abs(of.qpos() - of.initial_qpos))
+    deviation = total(np.abs(of.displacement()))
     return np.where(norm(command_name()) < command_threshold, deviation, 0.0)
 
 

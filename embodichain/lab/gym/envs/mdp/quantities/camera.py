@@ -1,0 +1,171 @@
+"""Quantities of cameras: images for networks, points, poses and lenses.
+
+Cameras are declared under `sensors:`. Images have channels first, as networks for images take them;
+observations contain them as they are and never in a flat vector.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from embodichain.lab.gym.envs.managers.param_types import CameraOf, Positive
+from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.sensors.camera import Camera
+
+__all__ = ["CameraImage", "CameraMask", "CameraPoints", "camera_intrinsics", "camera_pose"]
+
+Side = Literal["left", "right"]
+
+
+def _named(sensor: Camera, kind: str, side: Side, key: str) -> str:
+    """The name of a camera's image; ConfigError for `key` if its config does not ask for it."""
+    name = kind if side == "left" else f"{kind}_right"
+    if name not in sensor.reads:
+        message = (
+            f"sensor {sensor.uid!r} has no image {name!r}; its data_types: "
+            f"{', '.join(sensor.reads)}"
+        )
+        raise ConfigError([Problem(key, message, did_you_mean(name, sensor.reads).strip())])
+    return name
+
+
+@quantity("observation", name="camera_image")
+class CameraImage(Term):
+    """(N, C, H, W) an image of a camera: uint8 RGB, float32 or uint8 depth, int32 masks.
+
+    With `history_length` K it is (N, K C, H, W), the oldest image first; noise on integers is
+    rounded and clipped to their type.
+
+    Args:
+        sensor: A camera.
+        channels: ``color`` (3 channels), ``depth`` in metres, or ``mask`` with the numbers of
+            entities (1 channel each).
+        max_depth: Metres; if given, depth is uint8: 255 at this depth and beyond. Images of uint8
+            are what Stable-Baselines3 gives to convolutions.
+        side: ``right`` is a stereo camera's other eye.
+
+    Example:
+        ``{func: camera_image, params: {sensor: front, channels: color}, delay: [1, 2]}``
+    """
+
+    returns_image = True
+
+    def __init__(
+        self,
+        env: TermContext,
+        sensor: CameraOf,
+        channels: Literal["color", "depth", "mask"] = "color",
+        max_depth: Positive | None = None,
+        side: Side = "left",
+    ) -> None:
+        if max_depth is not None and channels != "depth":
+            raise ConfigError([Problem("max_depth", f"belongs to depth, not to {channels}")])
+        self._sensor, self._max_depth = sensor, max_depth
+        self._color = channels == "color"
+        self._name = _named(sensor, channels, side, "channels")
+
+    def __call__(self) -> NDArray[Any]:
+        """(N, C, H, W)."""
+        image = self._sensor.read(self._name)
+        if self._color:
+            return np.ascontiguousarray(np.moveaxis(image[..., :3], 3, 1))
+        if self._max_depth is not None:
+            share = np.minimum(image / np.float32(self._max_depth), np.float32(1.0))
+            image = np.rint(share * np.float32(255.0)).astype(np.uint8)
+        return image[:, None]
+
+
+@quantity("observation", name="camera_mask")
+class CameraMask(Term):
+    """(N, 1, H, W) uint8: 255 where a camera sees an entity, else 0.
+
+    Args:
+        sensor: A camera with ``mask`` among its `data_types`.
+        entity_cfg: The entity.
+        side: ``right`` is a stereo camera's other eye.
+
+    Example:
+        ``{func: camera_mask, params: {sensor: front, of: {uid: cube}}}``
+    """
+
+    returns_image = True
+
+    def __init__(
+        self, env: TermContext, sensor: CameraOf, entity_cfg: ResolvedEntity, side: Side = "left"
+    ) -> None:
+        self._sensor, self._name = sensor, _named(sensor, "mask", side, "sensor")
+        self._number = entity_cfg.asset.entity.root_body_id
+
+    def __call__(self) -> NDArray[np.uint8]:
+        """(N, 1, H, W)."""
+        seen = self._sensor.read(self._name) == self._number
+        return np.where(seen, np.uint8(255), np.uint8(0))[:, None]
+
+
+@quantity("observation", name="camera_points")
+class CameraPoints(Term):
+    """(N, K, 3) points that a camera sees, m, environment's frame; 0 where nothing is drawn.
+
+    Args:
+        sensor: A camera with ``position`` among its `data_types`.
+        every: Every how many rows and columns of pixels there is a point: K = ceil(H / every) x
+            ceil(W / every).
+        side: ``right`` is a stereo camera's other eye.
+
+    Example:
+        ``{func: camera_points, params: {sensor: front, every: 4}}``
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        sensor: CameraOf,
+        every: Annotated[int, Field(ge=1)] = 1,
+        side: Side = "left",
+    ) -> None:
+        self._sensor, self._every = sensor, every
+        self._name = _named(sensor, "position", side, "sensor")
+
+    def __call__(self) -> NDArray[np.float32]:
+        """(N, K, 3)."""
+        points = self._sensor.read(self._name)[:, :: self._every, :: self._every]
+        return points.reshape(len(points), -1, 3)
+
+
+@quantity("observation")
+def camera_pose(env: TermContext, sensor: CameraOf) -> F64:
+    """(N, 7) pose of a camera in the environment's frame: x, y, z in m, wxyz with OpenGL's axes.
+
+    Args:
+        sensor: A camera; of a stereo camera, the point halfway between its eyes.
+
+    Example:
+        ``{func: camera_pose, params: {sensor: wrist}}``
+    """
+    return np.concatenate(sensor.read_pose(), axis=1)
+
+
+@quantity("observation")
+def camera_intrinsics(env: TermContext, sensor: CameraOf, side: Side = "left") -> F64:
+    """(N, 4) fx, fy, cx, cy of a camera, pixels.
+
+    Args:
+        sensor: A camera.
+        side: ``right`` is a stereo camera's other eye.
+
+    Example:
+        ``{func: camera_intrinsics, params: {sensor: front}}``
+    """
+    return sensor.read_intrinsics(1 if side == "right" else 0)
