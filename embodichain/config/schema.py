@@ -26,6 +26,7 @@ __all__ = [
     "RootCfg",
     "SimCfg",
     "Verb",
+    "VideoCfg",
     "ViewerCfg",
     "WandbCfg",
 ]
@@ -111,6 +112,22 @@ class ViewerCfg:
     """The environment that is shown first."""
 
 
+FilmPixels = Annotated[int, Field(ge=16, le=8192, multiple_of=2)]
+
+
+@configclass
+class VideoCfg:
+    """The film of a run, in real time."""
+
+    size: Annotated[list[FilmPixels], Field(min_length=2, max_length=2)] = [640, 480]
+    """Width and height in pixels, both even."""
+    every: PositiveInt | None = None
+    """Control steps from one picture to the next; null is the least that gives at most 60 pictures
+    a second."""
+    max_seconds: Annotated[float, Field(gt=0)] | None = None
+    """Length of the film; null is the whole log."""
+
+
 @configclass
 class PolicyCfg:
     """A policy with parameters."""
@@ -181,8 +198,8 @@ class RootCfg:
     checkpoint: CheckpointCfg = CheckpointCfg()
     eval: EvalCfg = EvalCfg()
     wandb: WandbCfg = WandbCfg()
-    video: bool | None = None
-    """Whether a video of the log's first environment is written."""
+    video: bool | VideoCfg | None = None
+    """Whether a video of the log's first environment is written; its settings turn it on."""
     scene_png: bool = True
     """Whether `run` writes a picture of the first environment at its start."""
     gym_config: str | None = None
