@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import shlex
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -46,6 +47,8 @@ __all__ = [
 LOG_FILE = "run.log"
 VIDEO = "rollout.mp4"
 """File name of a run's video in its folder."""
+_SAY_AFTER = 1.0
+"""Seconds after which a film says how long it takes."""
 FRESH: dict[str, Any] = {
     **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
     **{"max_steps": None, "video": None, "total_timesteps": None, "algo": None},
@@ -85,10 +88,12 @@ class Job:
             return None
         from embodichain.config.resolved import dump_yaml
         from embodichain.config.run_folder import LOG
-        from embodichain.recording import McapRecorder, RecordOptions
+        from embodichain.recording import ImageOptions, McapRecorder, RecordOptions
 
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
+        if record.images is not None:
+            options["images"] = ImageOptions(**vars(record.images))
         recorder = McapRecorder(
             self.folder / LOG,
             env,
@@ -146,12 +151,21 @@ class Job:
         """
         if not self.root.video or log is None:
             return {}
+        from embodichain.config.schema import VideoCfg
         from embodichain.recording.film import film_log
 
+        cfg = self.root.video if isinstance(self.root.video, VideoCfg) else VideoCfg()
         out = self.folder / VIDEO
         with ProgressDisplay("film", None, "pictures", quiet=self.quiet) as display:
-            progress = film_progress(display)
-            filmed = film_log(log, out, progress=progress, stop=self.stop.is_stopped)
+            filmed = film_log(
+                log,
+                out,
+                size=(cfg.size[0], cfg.size[1]),
+                progress=film_progress(display),
+                stop=self.stop.is_stopped,
+                every=cfg.every,
+                max_seconds=cfg.max_seconds,
+            )
         if filmed.whole:
             _log.info("%s: %d pictures", out, filmed.pictures)
         else:
@@ -325,11 +339,17 @@ def policy_of(
 
 
 def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
-    """Return a callback that shows the progress of a video."""
+    """Return a callback that shows how many pictures are made, and how long the rest takes."""
+    begun = time.perf_counter()
+    said = False
 
     def show(filmed: Filmed) -> None:
-        if display.due:
-            display.show(filmed.pictures, {"step": f"{filmed.step}"})
+        nonlocal said
+        seconds = time.perf_counter() - begun
+        if display.due or not (said or seconds < _SAY_AFTER):
+            said, display.total = True, filmed.total
+            left = seconds / filmed.pictures * (filmed.total - filmed.pictures)
+            display.show(filmed.pictures, {"step": f"{filmed.step}", "left": f"{left:.0f} s"})
 
     return show
 

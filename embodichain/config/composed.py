@@ -357,6 +357,10 @@ def apply_values(config: DictConfig, overrides: Iterable[Override]) -> list[Prob
         try:
             if override.is_delete():
                 _delete(config, key)
+            elif (
+                key == "video" and override.value() is True and isinstance(config[key], DictConfig)
+            ):
+                continue  # settings of a film turn it on: `video.every=2 video=true`
             else:
                 OmegaConf.update(config, key, override.value(), merge=True, force_add=True)
         except KeyError as error:

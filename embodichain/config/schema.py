@@ -26,6 +26,7 @@ __all__ = [
     "RootCfg",
     "SimCfg",
     "Verb",
+    "VideoCfg",
     "ViewerCfg",
     "WandbCfg",
 ]
@@ -62,6 +63,20 @@ class SimCfg:
 
 
 @configclass
+class ImagesCfg:
+    """Pictures in a log; they can be drawn again from any log without them."""
+
+    cameras: list[str] | None = None
+    """Camera sensors, or cameras of the scene; None is all camera sensors."""
+    envs: list[Annotated[int, Field(ge=0)]] = [0]
+    format: Literal["h264", "jpeg", "png"] = "h264"
+    rate: Annotated[float, Field(gt=0)] = 10.0
+    """Hz of simulated time."""
+    size: tuple[int, int] | None = None
+    """Width and height in pixels; None is that of each camera."""
+
+
+@configclass
 class RecordCfg:
     """What a run writes into its log."""
 
@@ -79,6 +94,8 @@ class RecordCfg:
     """Environments recorded for viewers: transforms, shapes, joint states."""
     view_hz: Annotated[float, Field(gt=0)] = 10.0
     """Rate of these in simulated time, Hz."""
+    images: ImagesCfg | None = None
+    """Pictures of cameras; None is none."""
 
 
 @configclass
@@ -93,6 +110,22 @@ class ViewerCfg:
     """None is the viewer's default: the first free port from 8080 (`web`) or 8765 (`foxglove`)."""
     env: Annotated[int, Field(ge=0)] = 0
     """The environment that is shown first."""
+
+
+FilmPixels = Annotated[int, Field(ge=16, le=8192, multiple_of=2)]
+
+
+@configclass
+class VideoCfg:
+    """The film of a run, in real time."""
+
+    size: Annotated[list[FilmPixels], Field(min_length=2, max_length=2)] = [640, 480]
+    """Width and height in pixels, both even."""
+    every: PositiveInt | None = None
+    """Control steps from one picture to the next; null is the least that gives at most 60 pictures
+    a second."""
+    max_seconds: Annotated[float, Field(gt=0)] | None = None
+    """Length of the film; null is the whole log."""
 
 
 @configclass
@@ -165,8 +198,8 @@ class RootCfg:
     checkpoint: CheckpointCfg = CheckpointCfg()
     eval: EvalCfg = EvalCfg()
     wandb: WandbCfg = WandbCfg()
-    video: bool | None = None
-    """Whether a video of the log's first environment is written."""
+    video: bool | VideoCfg | None = None
+    """Whether a video of the log's first environment is written; its settings turn it on."""
     scene_png: bool = True
     """Whether `run` writes a picture of the first environment at its start."""
     gym_config: str | None = None

@@ -10,7 +10,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submod_attrs={
         "api": ["Log", "open"],
         "log_diff": ["DiffReport", "LogDifference", "diff"],
-        "options": ["RecordOptions"],
+        "options": ["ImageOptions", "RecordOptions"],
         "recorder": ["McapRecorder"],
         "summary": ["LogSummary", "inspect"],
         "verification": ["Difference", "VerifyReport", "verify"],

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,24 +19,26 @@ from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState
 from embodichain.lab.sim.drawing.views import Look, Output, Pictures, View, view_of
 from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, row_layout
+from embodichain.lab.sim.sensors.cfg import CameraCfg
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.log_error import DamageError, LogError
+from embodichain.recording.options import LARGEST_SIDE
 from embodichain.recording.schema import PICTURES_TOPIC, message_class
 from embodichain.recording.simulation import Simulation, always, never
 from embodichain.recording.trajectory import follow
 
 if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.observers import ObservedEnv
     from embodichain.lab.sim.sensors.camera import Camera
+    from embodichain.recording.views.views import Sink
 
-__all__ = ["FirstPictures", "RowRenderer", "Shot", "compare", "shots_of"]
+__all__ = ["FirstPictures", "RowRenderer", "Shot", "camera_sensors", "compare", "shots_of"]
 
 _DRAWN = ("geom_", "mat_", "light_", "cam_", "body_", "jnt_", "qpos0")
 """Prefixes of the model fields that pictures depend on."""
 _OUTPUTS: tuple[Output, ...] = ("color", "depth", "mask")
 _LOOKS: tuple[Look, ...] = ("fast", "full")
 _DIGEST = 32
-_LARGEST = 2**13
-"""Pixels of a side; larger pictures in a file are refused."""
 
 
 class Shot(NamedTuple):
@@ -59,6 +61,13 @@ class Shot(NamedTuple):
     far: float
     look: Look
     outputs: tuple[Output, ...]
+
+
+def camera_sensors(env: ObservedEnv) -> list[Camera]:
+    """The scene's camera sensors."""
+    sensors = getattr(env.sim, "sensors", {})  # other classes may have none
+    cameras: list[Any] = [s for s in sensors.values() if isinstance(s.cfg, CameraCfg)]
+    return cameras
 
 
 def shots_of(sensor: Camera) -> list[Shot]:
@@ -155,46 +164,51 @@ class FirstPictures:
     """Hashes the first pictures of episodes, for the cameras that something reads.
 
     Args:
-        engine: The engine.
-        cameras: The camera sensors.
+        env: The environment.
+        sink: Receives the messages.
+        now: Returns the log time in ns.
     """
 
-    def __init__(self, engine: Engine, cameras: Sequence[Camera]) -> None:
-        self._engine, self._cameras = engine, cameras
+    def __init__(self, env: ObservedEnv, sink: Sink, now: Callable[[], int]) -> None:
+        self._engine, self._cameras = env.sim.engine, camera_sensors(env)
+        self._sink, self._now = sink, now
         self._begun: set[int] = set()
         self._renderer: RowRenderer | None = None
+        sink.channel(PICTURES_TOPIC, "embodichain.Pictures")
 
-    def begin(self, env_ids: EnvIndex) -> None:
+    def restart(self) -> None:
+        """Do nothing: messages need none before them."""
+
+    def on_reset(self, env_ids: EnvIndex) -> None:
         """Note that episodes of these environments begin."""
         self._begun.update(env_ids.tolist())
 
-    def take(self, step: int, rows: F64) -> list[bytes]:
-        """Return the messages of episodes that begin with a control step, one for each camera.
+    def on_rows(self, step: int, rows: F64) -> None:
+        """Write the hashes of episodes that begin with a control step.
 
         Args:
             step: The control step.
             rows: (N, nstate) rows before its physics.
 
         Raises:
-            RenderError: If they cannot be drawn here.
+            RenderError: If the pictures, which were drawn before, cannot be drawn here.
         """
         ids, self._begun = sorted(self._begun), set()
         shots = [s for camera in self._cameras if camera.was_drawn for s in shots_of(camera)]
         if not ids or not shots:
-            return []
+            return
         if self._renderer is None:
             self._renderer = RowRenderer(self._engine)
         digests = [self._renderer.digests(env_id, rows[env_id], shots) for env_id in ids]
-        return [
-            message_class("Pictures")(
+        for i, shot in enumerate(shots):
+            message = message_class("Pictures")(
                 step=step,
                 **shot._asdict(),
                 renderer=self._renderer.about,
                 env_ids=ids,
                 sha256=b"".join(of_all[i] for of_all in digests),
-            ).SerializeToString()
-            for i, shot in enumerate(shots)
-        ]
+            )
+            self._sink.send(self._now(), [(PICTURES_TOPIC, message.SerializeToString())])
 
 
 class _Hashed(NamedTuple):
@@ -222,7 +236,7 @@ def _decoded(data: bytes) -> _Hashed:
         raise DamageError(f"hashes of pictures are damaged: {error}") from error
     size, planes = (message.width, message.height), (message.near, message.far)
     shot = Shot(message.camera, *size, *planes, message.look, tuple(message.outputs))
-    sizes = 0 < shot.width <= _LARGEST and 0 < shot.height <= _LARGEST
+    sizes = 0 < shot.width <= LARGEST_SIDE and 0 < shot.height <= LARGEST_SIDE
     known = shot.look in _LOOKS and shot.outputs and not set(shot.outputs) - set(_OUTPUTS)
     whole = len(message.sha256) == _DIGEST * len(message.env_ids)
     if not (sizes and known and whole and 0 < shot.near < shot.far < np.inf):

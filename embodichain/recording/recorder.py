@@ -8,7 +8,7 @@ from __future__ import annotations
 import atexit
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,17 +26,16 @@ from embodichain.recording.columns import Moved
 from embodichain.recording.episodes import Ends
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.header import check_keyframes, header_of
-from embodichain.recording.log_writer import LogWriter
+from embodichain.recording.log_writer import LogWriter, Queue
 from embodichain.recording.options import RecordOptions, check_options
-from embodichain.recording.schema import PICTURES_TOPIC
 from embodichain.recording.views.layout import foxglove_layout
 from embodichain.recording.views.views import Views
 from embodichain.recording.writing import Writing
-from embodichain.utils.errors import RenderError
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
     from embodichain.recording.pictures import FirstPictures
+    from embodichain.recording.views.images import Images
 
 __all__ = ["McapRecorder", "RecordStats"]
 
@@ -121,7 +120,7 @@ class McapRecorder(StepObserver):
         self._log = LogWriter(self._path, options.compression, header, attachments, layout)
         self._views = Views(env, options, self._log.views, self._now)
         self._views.say("recording begins")
-        self._pictures = _first_pictures(env, self._log)
+        self._drawing = _drawing(env, options, self._log.views, self._now)
         self._write_start()
         self._log.began()
         file = self._log.file
@@ -197,7 +196,8 @@ class McapRecorder(StepObserver):
                     self._gate.on_physics()
                 if self._gate.open:
                     self._views.on_rows(self._step, rows)
-                    self._hash_pictures(rows)
+                    for part in self._drawing:
+                        part.on_rows(self._step, rows)
             return
         if not self._records(ids):
             return
@@ -217,18 +217,6 @@ class McapRecorder(StepObserver):
         else:
             more = [a for a in (ids, result, failed) if a is not None]
             self._calls.append((kind, tuple(np.ascontiguousarray(a) for a in more)))
-
-    def _hash_pictures(self, rows: NDArray[np.float64]) -> None:
-        """Record the hashes of the first pictures of episodes that begin with this step."""
-        if self._pictures is None or not self._keeps_state:
-            return
-        try:
-            messages = self._pictures.take(self._step, rows)
-        except RenderError as error:
-            self._pictures = None
-            self._views.say(f"pictures are not hashed: {error}", "WARNING")
-        else:
-            self._log.views.send(self._now(), [(PICTURES_TOPIC, data) for data in messages])
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """Record that a term of the event manager fired, and the values it drew."""
@@ -250,8 +238,8 @@ class McapRecorder(StepObserver):
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Update the views after a reset; start or pause recording (`record.every`)."""
-        if self._pictures is not None:
-            self._pictures.begin(env_ids)
+        for part in self._drawing:
+            part.on_reset(env_ids)
         if self._gate.open:
             self._views.on_reset(env_ids)
         was_open = self._gate.open
@@ -307,7 +295,7 @@ class McapRecorder(StepObserver):
         if held is not None:
             with self._writing.writes():
                 self._write_start()
-            self._views.show(self._view_envs)
+            self._show_again()
             for event in held:
                 self.on_event(env, event)
 
@@ -338,11 +326,17 @@ class McapRecorder(StepObserver):
                 self._log.roll(self._step)
                 self._write_start()
                 self._log.began()
-                self._views.show(self._view_envs)
+                self._show_again()
             elif keyframe or (not every and self._since_start > START_SHARE * self._start_bytes):
                 self._write_start()
             if now - self._flushed > FLUSH_SECONDS:
                 self._flush()
+
+    def _show_again(self) -> None:
+        """Write scenes and pictures that need nothing before them, in the next step."""
+        self._views.show(self._view_envs)
+        for part in self._drawing:
+            part.restart()
 
     def _write_steps(self) -> None:
         steps, self._steps = self._steps, []
@@ -469,16 +463,21 @@ def _step_kind(arrays: Sequence[NDArray[Any]]) -> CallKind:
     return CallKind("step", arrays=tuple(ArrayKind(n, a.dtype.str, a.shape) for n, a in named))
 
 
-def _first_pictures(env: ObservedEnv, log: LogWriter) -> FirstPictures | None:
-    """What hashes the pictures of the scene's cameras; None if it has none."""
+def _drawing(
+    env: ObservedEnv, options: RecordOptions, sink: Queue, now: Callable[[], int]
+) -> list[FirstPictures | Images]:
+    """What draws pictures for the log; empty if there are no cameras to draw."""
+    found: list[FirstPictures | Images] = []
     sensors = getattr(env.sim, "sensors", {})  # other classes may have none
-    cameras: list[Any] = [s for s in sensors.values() if isinstance(s.cfg, CameraCfg)]
-    if not cameras:
-        return None
-    from embodichain.recording.pictures import FirstPictures
+    if options.state != "none" and any(isinstance(s.cfg, CameraCfg) for s in sensors.values()):
+        from embodichain.recording.pictures import FirstPictures
 
-    log.views.channel(PICTURES_TOPIC, "embodichain.Pictures")
-    return FirstPictures(env.sim.engine, cameras)
+        found.append(FirstPictures(env, sink, now))
+    if options.images is not None:
+        from embodichain.recording.views.images import Images
+
+        found.append(Images(env, options.images, sink, now))
+    return found
 
 
 def _close_if_alive(recorder: weakref.ref[McapRecorder]) -> None:

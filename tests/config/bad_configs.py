@@ -344,6 +344,17 @@ BAD = {
         "command line: task: missing value: choose one with task=NAME; there are: {tasks}",
         task=None,
     ),
+    "settings of a film": bad(
+        "command line: video.size.0: expected a multiple of 2, got 161",
+        "command line: video.every: must be at least 1, got 0",
+        "command line: video.max_second: unknown key; allowed: size, every, max_seconds. Did "
+        "you mean 'max_seconds'?",
+        overrides=("video.size=[161,120]", "video.every=0", "video.max_second=3"),
+    ),
+    "a film that is a number": bad(
+        "command line: video: expected true or false or a map, got 7",
+        overrides=("video=7",),
+    ),
     "no task, and more": bad(
         "command line: task: missing value: choose one with task=NAME; there are: {tasks}",
         "command line: episodes: must be at least 1, got 0",

@@ -5,8 +5,13 @@ import numpy as np
 import pytest
 
 import embodichain.recording as recording
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+from embodichain.lab.sim.drawing.views import Viewpoint
+from embodichain.recording import RecordOptions
 from embodichain.recording.film import film_log
+from embodichain.recording.frames import FilmCamera, frames
 from embodichain.recording.log_error import LogError
+from embodichain.recording.playback import Playback, Span
 from embodichain.recording.schema import STEPS_TOPIC, message_class
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
@@ -29,6 +34,9 @@ def pictures(path):
         ({"env": 2, "episode": 1}, 9, 50.0),
         ({"first": 3, "last": 12, "speed": 0.5}, 10, 25.0),
         ({"speed": 3.0}, 7, 50.0),  # every third step
+        ({"every": 4}, 5, 12.5),
+        ({"every": 2, "max_seconds": 0.13}, 3, 25.0),
+        ({"env": 1, "first": 2, "last": 8, "max_seconds": 1000.0}, 7, 50.0),
     ],
     ids=str,
 )
@@ -36,8 +44,9 @@ def test_a_picture_for_each_step(record, tmp_path, arguments, count, fps):
     out = tmp_path / "film.mp4"
     drawn = []
     film_log(record(), out, size=SIZE, progress=drawn.append, **arguments)
-    about, frames = pictures(out)
-    assert len(frames) == count == len(drawn)
+    about, shown = pictures(out)
+    assert len(shown) == count == len(drawn)
+    assert {filmed.total for filmed in drawn} == {count}
     assert about["fps"] == pytest.approx(fps)
     assert about["duration"] == pytest.approx(count / fps, abs=0.011)
     assert about["size"] == SIZE
@@ -57,6 +66,37 @@ def test_it_shows_what_happened(record, tmp_path):
     moved = np.abs(first[5].astype(int) - first[0]).max(axis=-1) > 8
     assert 20 < moved.sum() < 2000  # the arm, not the whole picture
     assert not np.array_equal(first[3], second[3])
+
+
+@pytest.mark.parametrize("state", ["all", "keyframes"])
+def test_frames_are_the_states_one_by_one(record, state):
+    """Several control steps are drawn in one call, as each is drawn alone."""
+    path = record(options=RecordOptions(state=state))
+    near = Viewpoint.look_at((1.2, -1.0, 0.9), (0.2, 0.0, 0.3))
+    with recording.open(path) as log:
+        playback = Playback(log, 1)
+        renderer = OffscreenRenderer(playback.engine.model)
+        cameras = [FilmCamera(near, (64, 48)), FilmCamera(near, (32, 16))]
+        found = list(frames(renderer, playback, cameras, Span(3, 17), 2))
+        assert [frame.step for frame in found] == [3, 5, 7, 9, 11, 13, 15, 17]
+        alone = Playback(log, 1)
+        for step, frame in zip(alone.steps(Span(3, 17), 2), found, strict=True):
+            assert step == frame.step
+            for camera, picture in zip(cameras, frame.pictures, strict=True):
+                expected = renderer.pictures(alone.engine, near, camera.size)[0]
+                np.testing.assert_array_equal(picture, expected)
+        renderer.close()
+    assert not np.array_equal(found[0].pictures[0], found[-1].pictures[0])
+
+
+def test_a_film_that_is_stopped_has_what_was_drawn(record, tmp_path):
+    path, out = record(), tmp_path / "film.mp4"
+    drawn = []
+    film = film_log(path, out, size=SIZE, progress=drawn.append, stop=lambda: len(drawn) == 5)
+    assert (film.pictures, film.step, film.whole, film.total) == (5, 4, False, 20)
+    assert len(pictures(out)[1]) == 5
+    none = film_log(path, tmp_path / "none.mp4", size=SIZE, stop=lambda: True)
+    assert none.pictures == 0 and not (tmp_path / "none.mp4").exists()
 
 
 @pytest.mark.parametrize(

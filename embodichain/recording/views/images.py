@@ -1,0 +1,236 @@
+"""`Images`: pictures of cameras in a log (`record.images`), as viewers show them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import mujoco
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.drawing.views import Pictures, View
+from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.recording.options import ImageOptions
+from embodichain.recording.pictures import RowRenderer, Shot, camera_sensors, shots_of
+from embodichain.recording.views.encoders import Encoder, encoder_of, png
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import matrix_to_quat
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.observers import ObservedEnv
+    from embodichain.lab.sim.sensors.camera import Camera
+    from embodichain.recording.views.views import Sink
+
+__all__ = ["Images"]
+
+_SCENE_SIZE = (640, 480)
+"""Pixels of a camera of the scene without a resolution."""
+_BACKGROUND = 65535
+"""Value of the background in masks."""
+_MILLIMETRES = 1000.0
+_ROS_AXES = np.array([1.0, -1.0, -1.0])
+"""Signs of OpenGL's axes as columns of ROS's optical frame: x right, y down, z forward."""
+
+
+class _Feed(NamedTuple):
+    """One camera of one environment: its frame and topics, and the encoder of its colours."""
+
+    env_id: int
+    shot: Shot
+    frame: str
+    encode: Encoder
+
+
+class Images:
+    """Draws cameras of some environments and writes their pictures.
+
+    The topics of a camera are ``/env_I/camera/NAME/`` with ``image``, ``depth``, ``mask`` and
+    ``calibration``; its frame ``env_I/camera/NAME`` has ROS's optical axes. Depth is in
+    millimetres, 0 where nothing is hit or beyond 65.5 m; masks have the sensor's numbers of
+    entities, and 65535 for the background.
+
+    Args:
+        env: The environment.
+        options: Which cameras and environments, how often, and in which format.
+        sink: Receives the messages.
+        now: Returns the log time in ns.
+
+    Raises:
+        ConfigError: If there is no such camera, or a package is missing.
+        RenderError: If nothing can be drawn here.
+    """
+
+    def __init__(
+        self, env: ObservedEnv, options: ImageOptions, sink: Sink, now: Callable[[], int]
+    ) -> None:
+        self._options, self._sink, self._now = options, sink, now
+        cameras = camera_sensors(env)
+        self._shots = _shots(env, cameras, options)
+        self._entities = {s.camera: c.index.entity_of_geom for c in cameras for s in shots_of(c)}
+        period = 1.0 / (options.rate * float(env.step_dt))
+        self._every = max(1, math.ceil(period - 1e-9))
+        self._rate = 1.0 / (self._every * float(env.step_dt))
+        self._due: set[int] = set()
+        self._feeds: list[_Feed] = []
+        self._renderer = RowRenderer(env.sim.engine)
+        self.restart()
+        video = options.format == "h264"
+        image = "foxglove.CompressedVideo" if video else "foxglove.CompressedImage"
+        other = "foxglove.CompressedImage" if options.format == "png" else "foxglove.RawImage"
+        sink.channel("/tf", "foxglove.FrameTransforms")
+        for feed in self._feeds:
+            topic = f"/{feed.frame}"
+            sink.channel(f"{topic}/calibration", "foxglove.CameraCalibration")
+            for output in feed.shot.outputs:
+                name = "image" if output == "color" else output
+                sink.channel(f"{topic}/{name}", image if output == "color" else other)
+
+    def restart(self) -> None:
+        """Begin new videos, so that the next pictures need none before them."""
+        how = self._options.format
+        self._feeds = [
+            _Feed(
+                env_id,
+                shot,
+                f"env_{env_id}/camera/{shot.camera}",
+                encoder_of(how, shot.width, shot.height, self._rate),
+            )
+            for env_id in sorted(set(self._options.envs))
+            for shot in self._shots
+        ]
+
+    def on_reset(self, env_ids: EnvIndex) -> None:
+        """Draw these environments in the next step."""
+        self._due.update(env_ids.tolist())
+
+    def on_rows(self, step: int, rows: F64) -> None:
+        """Draw the environments if their pictures are due, or after a reset.
+
+        Args:
+            step: The control step before its physics.
+            rows: (N, nstate) rows.
+        """
+        everyone, due = step % self._every == 0, self._due
+        self._due = set()
+        for env_id in sorted(set(self._options.envs)):
+            if not everyone and env_id not in due:
+                continue
+            feeds = [feed for feed in self._feeds if feed.env_id == env_id]
+            drawn = self._renderer.draw(env_id, rows[env_id], self._shots)
+            time_ns = self._now()
+            messages = [
+                (topic, message.SerializeToString())
+                for feed, (view, pictures) in zip(feeds, drawn, strict=True)
+                for topic, message in self._messages(feed, view, pictures, time_ns)
+            ]
+            self._sink.send(time_ns, messages)
+
+    def _messages(
+        self, feed: _Feed, view: View, pictures: Pictures, time_ns: int
+    ) -> Iterator[tuple[str, Any]]:
+        topic, how = f"/{feed.frame}", self._options.format
+        made: list[tuple[str, Any]] = [(f"{topic}/calibration", _calibration(feed.shot, view))]
+        if "color" in pictures:
+            data = feed.encode(np.ascontiguousarray(pictures["color"][0, ..., :3]))
+            kind = CompressedVideo if how == "h264" else CompressedImage
+            made.append((f"{topic}/image", kind(data=data, format=how)))
+        if "depth" in pictures:
+            made.append((f"{topic}/depth", _numbers(_depth(pictures["depth"][0]), how)))
+        if "mask" in pictures:
+            entities = self._entities[feed.shot.camera][pictures["mask"][0]]
+            values = np.where(entities < 0, _BACKGROUND, entities).astype(np.uint16)
+            made.append((f"{topic}/mask", _numbers(values, how)))
+        for _, message in made:
+            message.frame_id = feed.frame
+            message.timestamp.FromNanoseconds(time_ns)
+        yield from made
+        yield "/tf", _transform(feed, view, time_ns)
+
+
+def _shots(env: ObservedEnv, cameras: list[Camera], options: ImageOptions) -> list[Shot]:
+    """How the wanted cameras are drawn.
+
+    Raises:
+        ConfigError: If there is none, or one cannot be recorded in this way.
+    """
+    model = env.sim.engine.model
+    known = {shot.camera: shot for sensor in cameras for shot in shots_of(sensor)}
+    names = list(known) if options.cameras is None else list(dict.fromkeys(options.cameras))
+    known = {model.camera(i).name: _scene_shot(model, i) for i in range(model.ncam)} | known
+    there = f"Cameras: {', '.join(known) or 'none'}"
+    key, problems, found = "record.images.cameras", [], []
+    if not names:
+        problems.append(Problem(key, f"the task has no camera sensors: name cameras. {there}"))
+    for name in names:
+        if name not in known:
+            hint = did_you_mean(name, known).strip()
+            problems.append(Problem(key, f"no camera {name!r}. {there}", hint))
+            continue
+        shot = known[name]
+        if options.size is not None:
+            shot = shot._replace(width=options.size[0], height=options.size[1])
+        if options.format == "h264" and (shot.width % 2 or shot.height % 2):
+            size = f"{name} has {shot.width} x {shot.height} pixels"
+            message = f"h264 needs even widths and heights; {size}"
+            problems.append(Problem("record.images.size", message))
+        found.append(shot)
+    if problems:
+        raise ConfigError(problems)
+    return found
+
+
+def _scene_shot(model: mujoco.MjModel, camera: int) -> Shot:
+    """How a camera of the scene that is no sensor is drawn: in full look."""
+    width, height = model.cam_resolution[camera].tolist()
+    if width < 2 or height < 2:
+        width, height = _SCENE_SIZE
+    extent, planes = float(model.stat.extent), model.vis.map
+    near, far = float(planes.znear) * extent, float(planes.zfar) * extent
+    return Shot(model.camera(camera).name, width, height, near, far, "full", ("color",))
+
+
+def _depth(metres: NDArray[np.float32]) -> NDArray[np.uint16]:
+    millimetres = np.rint(metres * _MILLIMETRES)
+    return np.where(millimetres < 2**16, millimetres, 0).astype(np.uint16)
+
+
+def _numbers(values: NDArray[np.uint16], how: str) -> Any:
+    """(H, W) numbers as an image."""
+    if how == "png":
+        return CompressedImage(data=png(values), format="png")
+    height, width = values.shape
+    data = values.astype("<u2").tobytes()
+    size = {"width": width, "height": height, "step": 2 * width}
+    return RawImage(**size, encoding="16UC1", data=data)
+
+
+def _calibration(shot: Shot, view: View) -> Any:
+    fx, fy, cx, cy = view.lens[0].tolist()
+    return CameraCalibration(
+        width=shot.width,
+        height=shot.height,
+        K=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        P=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    )
+
+
+def _transform(feed: _Feed, view: View, time_ns: int) -> Any:
+    """The camera's frame in that of its environment, with ROS's optical axes."""
+    message = FrameTransforms()
+    frame = message.transforms.add(parent_frame_id=f"env_{feed.env_id}", child_frame_id=feed.frame)
+    frame.timestamp.FromNanoseconds(time_ns)
+    x, y, z = view.position[0].tolist()
+    quat = matrix_to_quat(np.asarray(view.axes, np.float64)[:1] * _ROS_AXES)[0]
+    frame.translation.x, frame.translation.y, frame.translation.z = x, y, z
+    rotation = frame.rotation
+    rotation.w, rotation.x, rotation.y, rotation.z = quat.tolist()
+    return message

@@ -1,0 +1,51 @@
+"""`video`: a film of a run, its settings, and what is said about it meanwhile."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from embodichain.cli import jobs, main
+from embodichain.config.composed import compose
+from embodichain.config.resolved import resolve
+from embodichain.config.schema import VideoCfg
+from tests.recording.test_film import pictures
+
+TINY = ["task=cart_pole", "policy=zero", "num_envs=1", "max_steps=40", "seed=1", "scene_png=false"]
+
+
+def test_a_run_is_filmed_as_it_says(tmp_path: Path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(jobs, "_SAY_AFTER", 0.0)
+    film = ["video=true", "video.size=[96,64]", "video.every=2", "video.max_seconds=0.4"]
+    assert main(["run", *TINY, *film, "episodes=50", f"output_dir={tmp_path}"]) == 0
+    out, err = capsys.readouterr()
+    assert "film: 1/10 pictures  step 0  left " in err
+    (path,) = tmp_path.glob("*/*/rollout.mp4")
+    assert str(path.name) in out.replace("\n", "")
+    about, frames = pictures(path)
+    assert (about["size"], about["fps"], len(frames)) == ((96, 64), 25.0, 10)
+    assert not (path.parent / "scene.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        ([], None),
+        (["video=true"], True),
+        (["video.every=3"], VideoCfg(every=3)),
+        (["video.every=3", "video=true"], VideoCfg(every=3)),
+        (["video=true", "video.every=3"], VideoCfg(every=3)),
+        (["video.every=3", "video=false"], False),
+        (["video={size: [32, 16]}", "video.max_seconds=2"], VideoCfg([32, 16], None, 2.0)),
+    ],
+    ids=str,
+)
+def test_settings_of_a_film_turn_it_on(lines: list[str], expected: object) -> None:
+    assert resolve(compose(["task=cart_pole", *lines]), "run").root.video == expected
+
+
+def test_json_names_the_film(tmp_path: Path, capsys) -> None:
+    where = f"output_dir={tmp_path}"
+    assert main(["run", *TINY, "max_steps=3", "video.size=[32,32]", "--json", where]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert len(pictures(found["video"])[1]) == 3
