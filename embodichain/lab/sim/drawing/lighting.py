@@ -107,6 +107,7 @@ def shadow_views(
         else:
             eye = state.derived("light_xpos")[rows][:, light]
             found[:, slot] = _spread(axes, eye, places, reach, float(cutoffs[:, light].max()))
+    found[:, :, 2] = 0.5 * (found[:, :, 2] + found[:, :, 3])  # depths from 0 to 1
     return found
 
 

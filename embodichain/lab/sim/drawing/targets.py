@@ -18,8 +18,9 @@ _FORMATS = {
     "depth": ("GL_R32F", "GL_RED", "GL_FLOAT", np.float32),
     "mask": ("GL_R32I", "GL_RED_INTEGER", "GL_INT", np.int32),
 }
+_PLACES = {name: place for place, name in enumerate(_FORMATS)}
 _OUTPUT_BYTES = 4
-_SAMPLE_BYTES = 16 + 4 + 4  # surface, its distance, veil
+_SAMPLE_BYTES = 8 + 4 + 4  # surface, its distance, veil
 _SPARE_UNIT = 15
 """For textures that no program reads."""
 
@@ -47,12 +48,15 @@ class PictureTarget:
         self._frames: list[Any] = []
         self._textures: list[Any] = []
         self._depths = self._texture("GL_DEPTH_COMPONENT32F", self._sampled)
-        self._surface = self._texture("GL_RGBA32UI", self._sampled)
+        self._surface = self._texture("GL_RG32UI", self._sampled)
         self._surfaces = self._frame({0: self._surface}, self._depths)
         self._veil: Any = None
         self._veils: Any = None
         self._read = {name: self._texture(_FORMATS[name][0], self.size) for name in self.outputs}
-        self._pictures = self._frame({list(_FORMATS).index(n): t for n, t in self._read.items()})
+        places = {_PLACES[name]: texture for name, texture in self._read.items()}
+        self._needs = self._texture("GL_DEPTH_COMPONENT32F", self.size)
+        self._pictures = self._frame(places, self._needs)
+        self._colours = self._frame({0: places[0]}, self._needs) if 0 in places else None
 
     def _texture(self, kind: str, size: tuple[int, int]) -> Any:
         from OpenGL import GL
@@ -92,10 +96,12 @@ class PictureTarget:
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._surfaces)
         GL.glViewport(0, 0, *self._sampled)
         GL.glEnable(GL.GL_DEPTH_TEST)
+        GL.glDepthFunc(GL.GL_GREATER)
         GL.glDepthMask(True)
+        GL.glDisable(GL.GL_BLEND)
         GL.glEnable(GL.GL_CULL_FACE)
         GL.glFrontFace(GL.GL_CW)  # pictures are drawn upside down: their first row is the top
-        GL.glClear(GL.GL_DEPTH_BUFFER_BIT)
+        GL.glClearBufferfv(GL.GL_DEPTH, 0, np.zeros(1, np.float32))
         GL.glClearBufferuiv(GL.GL_COLOR, 0, np.array([0, 0xFFFF, 0, 0], np.uint32))
 
     def begin_veil(self) -> None:
@@ -111,23 +117,43 @@ class PictureTarget:
         GL.glEnable(GL.GL_BLEND)
         GL.glBlendFunc(GL.GL_ONE, GL.GL_ONE_MINUS_SRC_ALPHA)
 
-    def end_veil(self) -> None:
-        """Stop blending."""
-        from OpenGL import GL
-
-        GL.glDisable(GL.GL_BLEND)
-        GL.glDepthMask(True)
-        _bind(UNITS["veil"], self._veil)
-
     def begin_pictures(self) -> None:
-        """Draw outputs from now on, from the surfaces."""
+        """Draw all outputs from now on, and depths that say what pixels need in addition."""
         from OpenGL import GL
 
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._pictures)
         GL.glViewport(0, 0, *self.size)
-        GL.glDisable(GL.GL_DEPTH_TEST)
+        GL.glDepthMask(True)
+        GL.glDepthFunc(GL.GL_ALWAYS)
         GL.glDisable(GL.GL_CULL_FACE)
+        GL.glDisable(GL.GL_BLEND)
         _bind(UNITS["surfaces"], self._surface)
+        _bind(UNITS["distances"], self._depths)
+
+    def add(self) -> None:
+        """Add colours from now on, to pixels that need them."""
+        self._add("GL_ONE", "GL_ONE")
+
+    def add_behind(self) -> None:
+        """Draw colours from now on behind those that are there, where alpha is below 1."""
+        self._add("GL_ONE_MINUS_DST_ALPHA", "GL_ONE")
+
+    def add_over(self) -> None:
+        """Lay transparent surfaces over all pixels from now on."""
+        from OpenGL import GL
+
+        self._add("GL_ONE", "GL_ONE_MINUS_SRC_ALPHA")
+        GL.glDepthFunc(GL.GL_ALWAYS)
+        _bind(UNITS["veil"], self._veil)
+
+    def _add(self, source: str, destination: str) -> None:
+        from OpenGL import GL
+
+        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._colours)
+        GL.glDepthFunc(GL.GL_LESS)
+        GL.glDepthMask(False)
+        GL.glEnable(GL.GL_BLEND)
+        GL.glBlendFunc(getattr(GL, source), getattr(GL, destination))
 
     def read(self, name: str) -> NDArray[Any]:
         """Read an output: (layers, height, width, ...)."""
@@ -201,10 +227,11 @@ class ShadowMaps:
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._frame)
         GL.glViewport(0, 0, self.pixels, self.pixels)
         GL.glEnable(GL.GL_DEPTH_TEST)
+        GL.glDepthFunc(GL.GL_LESS)
         GL.glDepthMask(True)
         GL.glEnable(GL.GL_CULL_FACE)
         GL.glFrontFace(GL.GL_CW)  # front and back change places
-        GL.glClear(GL.GL_DEPTH_BUFFER_BIT)
+        GL.glClearBufferfv(GL.GL_DEPTH, 0, np.ones(1, np.float32))
 
     def open_surfaces(self) -> None:
         """Draw both sides from now on: of what has no inside."""

@@ -91,12 +91,12 @@ def _upload(images: list[NDArray[np.uint8]], kind_name: str, unit: int, empty: i
     size = side, side, len(data)
     GL.glTexSubImage3D(kind, 0, 0, 0, 0, *size, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, data)
     GL.glGenerateMipmap(kind)
-    GL.glEnable(GL.GL_TEXTURE_CUBE_MAP_SEAMLESS)
+    wrap = GL.GL_REPEAT if kind == GL.GL_TEXTURE_2D_ARRAY else GL.GL_CLAMP_TO_EDGE
     for name, value in (
-        (GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_LINEAR),
+        (GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST),
         (GL.GL_TEXTURE_MAG_FILTER, GL.GL_LINEAR),
-        (GL.GL_TEXTURE_WRAP_S, GL.GL_REPEAT),
-        (GL.GL_TEXTURE_WRAP_T, GL.GL_REPEAT),
+        (GL.GL_TEXTURE_WRAP_S, wrap),
+        (GL.GL_TEXTURE_WRAP_T, wrap),
     ):
         GL.glTexParameteri(kind, name, value)
     return texture
