@@ -84,6 +84,11 @@ class Camera(BaseSensor):
         self._version = -1
         self.was_drawn = False
 
+    @property
+    def eyes(self) -> tuple[int, ...]:
+        """MuJoCo's ids of its cameras: one, or left and right."""
+        return self.index.ids
+
     # -- images --------------------------------------------------------------------------------
 
     def read(self, name: str) -> NDArray[Any]:
