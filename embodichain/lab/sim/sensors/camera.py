@@ -6,16 +6,14 @@ environments.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.cameras import pair_offset
-from embodichain.lab.sim.drawing.views import Output, Pictures, View, view_of
+from embodichain.lab.sim.drawing.views import Output, View, view_of
 from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.lab.sim.sensors.cfg import CameraCfg, StereoCameraCfg
 from embodichain.lab.sim.sensors.depth_images import (
@@ -39,8 +37,7 @@ from embodichain.utils.math import (
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.scene_sensors import CameraIndex
     from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
-    from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
-    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.host import Host
     from embodichain.lab.sim.sensors.sampling import Readings
 
@@ -119,7 +116,7 @@ class Camera(BaseSensor):
         outputs += ["depth"] if names & _BY_DEPTH else []
         outputs += ["mask"] if "mask" in names else []
         views = [self._view(camera, tuple(outputs)) for camera in self.index.ids]
-        pictures = _drawn(self.engine, views, env_ids)
+        pictures = self.host.draw(views, env_ids)
 
         def rows(values: Any) -> Any:
             return values if len(values) == 1 or env_ids is None else values[env_ids]
@@ -372,18 +369,6 @@ class StereoCamera(Camera):
     def get_intrinsics(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Matrices (N, 3, 3) of the left and of the right camera, pixels."""
         return _matrices(self.read_intrinsics(0)), _matrices(self.read_intrinsics(1))
-
-
-_renderers: WeakKeyDictionary[Engine, BatchRenderer] = WeakKeyDictionary()
-
-
-def _drawn(engine: Engine, views: Sequence[View], env_ids: EnvIndex | None) -> list[Pictures]:
-    """Draw views of n environments, with a renderer for each engine."""
-    from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
-
-    if engine not in _renderers:
-        _renderers[engine] = BatchRenderer(engine.model)
-    return _renderers[engine].draw(engine, views, env_ids)
 
 
 def _pose_tensor(pose: tuple[F64, F64], to_matrix: bool) -> torch.Tensor:
