@@ -240,7 +240,7 @@ class BatchRenderer:
     def _meshes_of(self, level: int) -> _Meshes:
         if level not in self._meshes:
             detail = _DETAILS[level][1:] if level < len(_DETAILS) else (_SLICES, None)
-            self._meshes[level] = _Meshes(SceneGeometry.of_model(self._model, *detail))
+            self._meshes[level] = _Meshes(SceneGeometry.of_model(self._model, *detail), self._model)
         return self._meshes[level]
 
     def _use(self, name: str, defines: dict[str, object], far: float) -> None:
@@ -365,11 +365,12 @@ class _Frame:
 class _Meshes:
     """Triangles of one level of detail, in lists of what one program draws."""
 
-    def __init__(self, geometry: SceneGeometry) -> None:
+    def __init__(self, geometry: SceneGeometry, model: mujoco.MjModel) -> None:
         self._triangles = geometry.triangles
         self.geoms = set(geometry.triangles)
         self.buffers = VertexBuffers(geometry.vertices)
-        self.solid = np.array([g for g in geometry.triangles if g not in geometry.planes], np.int64)
+        casting = [g for g in geometry.triangles if model.geom_castshadow[g]]
+        self.solid = np.array([g for g in casting if g not in geometry.planes], np.int64)
         for name, fields in (("solid", False), ("fields", True)):
             chosen = [int(g) for g in self.solid if (int(g) in geometry.fields) == fields]
             self.buffers.put(name, [geometry.triangles[g] for g in chosen])

@@ -172,7 +172,7 @@ def _vertices(position: Any, normal: Any, texcoord: Any, end: Any = 0.0) -> NDAr
 
 
 def _from_above(places: NDArray[Any], half: NDArray[Any]) -> NDArray[Any]:
-    """(V, 2) texture coordinates of a box's x and y, as MuJoCo's for shapes that have none."""
+    """(V, 2) texture coordinates of a mesh that has none: its x and y."""
     found: NDArray[Any] = 0.5 + 0.5 * places[:, :2] / half[:2] * (1.0, -1.0)
     return found
 
@@ -190,10 +190,13 @@ def _grid(rows: int, columns: int, place: Any, normal: Any) -> tuple[NDArray[Any
 
 
 def _quads(rows: int, columns: int) -> Triangles:
-    """Two triangles for each quad of a grid of (rows + 1) x (columns + 1) vertices."""
+    """Two triangles for each quad of a grid of (rows + 1) x (columns + 1) vertices.
+
+    Quads are cut from the left below to the right above, as MuJoCo's height fields are.
+    """
     a = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).reshape(-1)
     b, c, d = a + columns + 1, a + columns + 2, a + 1
-    faces = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], axis=1)
+    faces = np.stack([np.stack([a, b, d], 1), np.stack([b, c, d], 1)], axis=1)
     return faces.reshape(-1, 3).astype(np.uint32)
 
 
@@ -227,7 +230,7 @@ def _cylinder(slices: int) -> tuple[NDArray[Any], Triangles]:
         down = np.repeat([0.0, 1.0], slices + 1)
         texcoord = np.stack([np.tile(angle / (2 * np.pi), 2), down], axis=1)
         if rings[0][1] == rings[1][1]:
-            texcoord = _from_above(place, np.ones(3))
+            texcoord = 0.5 + 0.5 * place[:, :2]  # as MuJoCo's
         parts.append(_vertices(place, normal, texcoord))
         faces.append(_quads(1, slices) + np.uint32(start))
         start += 2 * (slices + 1)
