@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.app import log_of, verb
+from embodichain.cli.app import log_of, pair, verb
 from embodichain.cli.jobs import ended_early, film_progress
 from embodichain.cli.output import print_json, say_warnings
 from embodichain.cli.process import Interrupted, StopFlag
@@ -36,6 +36,7 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
     ("export last --format csv", "the newest log as a table, beside it"),
     ("export FILE --format hdf5 -o demos.hdf5", "episodes in robomimic's layout"),
     ("export last --format ros2 --env 2 --from 0 --to 100", "a ROS 2 bag of a part"),
+    ("export last --format mp4 --camera default --size 320x240", "a film"),
     ("export policy last", "policy.onnx in the run's folder"),
     ("export policy last --format torchscript -o reach.pt", "for C++ and PyTorch"),
     ("export policy my_model.zip task=reach", "a zip of your own"),
@@ -59,6 +60,14 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
 @click.option("--episode", type=int, metavar="K", help="Only this episode of --env.")
 @click.option("--from", "start", type=int, default=0, metavar="T", help="First control step.")
 @click.option("--to", "stop", type=int, metavar="T", help="The control step to stop before.")
+@click.option(
+    "--camera",
+    "cameras",
+    multiple=True,
+    metavar="NAME",
+    help="hdf5, lerobot, rrd, mp4: draw this camera; may be repeated. Default: the task's sensors.",
+)
+@click.option("--size", metavar="WxH", help="Pixels of the pictures. Default: each camera's own.")
 def command(**kwargs: Any) -> None:
     """Write a log, or a part of it, or a policy, to a new file."""
     options = SimpleNamespace(**kwargs)
@@ -127,7 +136,10 @@ def _export_log(options: SimpleNamespace) -> None:
         raise ConfigError("--format is needed: csv, npz, parquet, hdf5, lerobot, rrd, ros2 or mp4")
     if options.episode is not None and options.env is None:
         raise ConfigError("--episode needs --env: episodes are counted in each environment")
-    part = Part(options.env, options.episode, options.start, options.stop)
+    form = "WIDTHxHEIGHT in pixels, such as 640x480"
+    size = None if options.size is None else pair("--size", options.size, form)
+    cameras = options.cameras or None
+    part = Part(options.env, options.episode, options.start, options.stop, cameras, size)
     with warnings_on_stderr(), Log(log_of(options.words[0]), simulate=True) as log:
         export = _film if options.form == "mp4" else _write
         path, ended = export(log, options, part)

@@ -1,22 +1,34 @@
-"""`frames`: pictures of one recorded environment, several control steps in a call."""
+"""`frames`: pictures of one recorded environment, several control steps in a call.
+
+`cameras_of` finds the cameras of a log.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.compiler.cameras import camera_names
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import StoredStates
-from embodichain.lab.sim.drawing.views import View, Viewpoint, view_of
+from embodichain.lab.sim.drawing.views import Look, View, Viewpoint, view_of
+from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg
+from embodichain.recording.api import Log
 from embodichain.recording.playback import Playback, Span
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["FilmCamera", "Frame", "frames"]
+__all__ = ["FilmCamera", "Frame", "cameras_of", "frames"]
 
 _PIXELS = 200_000
 """Pixels of a call: more control steps at once are not cheaper per picture."""
+
+_SIZE = (640, 480)
+"""Pixels of a camera of the scene without a resolution."""
 
 
 class FilmCamera(NamedTuple):
@@ -25,10 +37,16 @@ class FilmCamera(NamedTuple):
     Attributes:
         camera: Name of a camera of the scene, a viewpoint, or a view.
         size: Width and height in pixels.
+        look: ``fast`` or ``full``.
+        near: Metres along the axis; None is the scene's.
+        far: Likewise.
     """
 
     camera: str | Viewpoint | View
     size: tuple[int, int]
+    look: Look = "full"
+    near: float | None = None
+    far: float | None = None
 
 
 class Frame(NamedTuple):
@@ -50,7 +68,7 @@ def frames(
     span: Span,
     every: int = 1,
 ) -> Iterator[Frame]:
-    """Draw the environment at each step, in full look.
+    """Draw the environment at each step.
 
     Args:
         renderer: Of the playback's scene.
@@ -64,7 +82,7 @@ def frames(
         RenderError: If colour cannot be drawn here.
         ValueError: If there is no such camera, or it is no pinhole camera.
     """
-    most = max(1, _PIXELS // sum(width * height for _, (width, height) in cameras))
+    most = max(1, _PIXELS // sum(math.prod(camera.size) for camera in cameras))
     states, steps = StoredStates(playback.engine.model), list[int]()
 
     def drawn() -> Iterator[Frame]:
@@ -85,6 +103,52 @@ def frames(
 
 
 def _view(states: StoredStates, camera: FilmCamera) -> View:
-    if isinstance(camera.camera, View):
-        return camera.camera
-    return view_of(states, camera.camera, *camera.size, look="full")
+    name, (width, height), look, near, far = camera
+    if isinstance(name, View):
+        return name
+    return view_of(states, name, width, height, near=near, far=far, look=look)
+
+
+def cameras_of(
+    log: Log, names: Sequence[str] | None = None, size: tuple[int, int] | None = None
+) -> dict[str, FilmCamera]:
+    """Cameras of a log's task by name, to be drawn from states.
+
+    Args:
+        log: The log.
+        names: Camera sensors, drawn in their look, or cameras of the scene, in full look; None is
+            all camera sensors.
+        size: Width and height in pixels; None is that of the sensor, or of the scene's camera.
+
+    Raises:
+        ConfigError: If there is no such camera.
+    """
+    sensors, model = _camera_sensors(log), log.model
+    scene = {model.camera(i).name: model.cam_resolution[i].tolist() for i in range(model.ncam)}
+    found = {}
+    for name in sensors if names is None else dict.fromkeys(names):
+        if name not in scene:
+            there = ", ".join(scene) or "none"
+            hint = did_you_mean(name, scene)
+            raise ConfigError(f"no camera {name!r}.{hint} Cameras: {there}")
+        cfg = sensors.get(name)
+        if cfg is not None:
+            pixels = size or (cfg.width, cfg.height)
+            found[name] = FilmCamera(name, pixels, cfg.look, cfg.near, cfg.far)
+        else:
+            width, height = scene[name]
+            own = (width, height) if min(width, height) > 1 else _SIZE
+            found[name] = FilmCamera(name, size or own)
+    return found
+
+
+def _camera_sensors(log: Log) -> dict[str, CameraCfg]:
+    """Name of the camera in the model to its config, of the camera sensors in a log's config."""
+    task = log.config.get("task")
+    declared = task.get("sensors") if isinstance(task, dict) else None
+    found: dict[str, CameraCfg] = {}
+    for uid, values in (declared or {}).items():
+        cfg = SensorCfg.from_dict(values)
+        if isinstance(cfg, CameraCfg):
+            found |= dict.fromkeys(camera_names(uid, cfg), cfg)
+    return found

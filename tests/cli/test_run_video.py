@@ -19,7 +19,7 @@ def test_a_run_is_filmed_as_it_says(tmp_path: Path, capsys, monkeypatch) -> None
     film = ["video=true", "video.size=[96,64]", "video.every=2", "video.max_seconds=0.4"]
     assert main(["run", *TINY, *film, "episodes=50", f"output_dir={tmp_path}"]) == 0
     out, err = capsys.readouterr()
-    assert "film: 1/10 pictures  step 0  left " in err
+    assert "film: 2/10 pictures  step 2  left " in err
     (path,) = tmp_path.glob("*/*/rollout.mp4")
     assert str(path.name) in out.replace("\n", "")
     about, frames = pictures(path)

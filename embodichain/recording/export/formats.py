@@ -36,6 +36,7 @@ __all__ = [
     "required",
 ]
 
+_FILM_SIZE = (640, 480)
 _log = logging.getLogger(__name__)
 
 
@@ -49,12 +50,17 @@ class Part:
         episode: One of its episodes; needs `env`.
         start: First control step.
         stop: End of the control steps, exclusive; None is the end of the log.
+        cameras: Cameras whose pictures are drawn, see `cameras_of`; None is all camera sensors of
+            the task (for mp4, one: the scene's ``default`` or a front view).
+        size: Width and height of the pictures in pixels; None is that of each camera.
     """
 
     env: int | None = None
     episode: int | None = None
     start: int = 0
     stop: int | None = None
+    cameras: tuple[str, ...] | None = None
+    size: tuple[int, int] | None = None
 
     @property
     def last(self) -> int | None:
@@ -97,6 +103,8 @@ FORMATS: Mapping[str, Format] = {
     "ros2": Format(".mcap", "ros2", "ros2"),
     "mp4": Format(".mp4"),
 }
+PICTURES = ("hdf5", "lerobot", "rrd", "mp4")
+"""Formats that have pictures of cameras."""
 _PACKAGES = {"rerun": "rerun-sdk"}
 """Module to package, if the names differ."""
 
@@ -130,6 +138,8 @@ def export(
         LogError: If the log has no states, or is damaged.
         OSError: If the file cannot be written.
     """
+    if format in FORMATS and format not in PICTURES and part and (part.cameras or part.size):
+        raise ConfigError(f"{format} has no pictures; formats with cameras: {', '.join(PICTURES)}")
     if format not in FORMATS:
         raise ConfigError(
             f"no format {format!r}.{did_you_mean(format, FORMATS)} Formats: {', '.join(FORMATS)}"
@@ -147,8 +157,20 @@ def export(
         else:
             from embodichain.recording.film import film_log
 
-            asked = part.envs_of(log)[0], part.episode, part.start, part.last
-            film_log(log, partial, *asked, progress=progress, stop=stop)
+            if part.cameras is not None and len(part.cameras) != 1:
+                raise ConfigError(f"a film has one camera, not {', '.join(part.cameras) or 'none'}")
+            film_log(
+                log,
+                partial,
+                part.envs_of(log)[0],
+                part.episode,
+                part.start,
+                part.last,
+                size=part.size or _FILM_SIZE,
+                camera=part.cameras[0] if part.cameras else None,
+                progress=progress,
+                stop=stop,
+            )
     return path
 
 

@@ -1,8 +1,8 @@
 """A LeRobotDataset v3: a folder for training with LeRobot, with the episodes of a log.
 
 ``data/`` has the frames, ``meta/`` the features, episodes and statistics, ``videos/`` the pictures
-of the task's cameras (event `record_camera_data`), rendered from the states, since a log has no
-pictures. Every episode of a camera is a separate file.
+of the task's cameras (camera sensors, and those of the event `record_camera_data`), rendered from
+the states. Every episode of a camera is a separate file.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.export.formats import Part, demonstrations, required
-from embodichain.recording.frames import FilmCamera, frames
+from embodichain.recording.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.log_error import LogError
 from embodichain.recording.playback import Playback, Span
 from embodichain.recording.views.channels import scalar_joints
@@ -72,7 +72,7 @@ class _Feature(NamedTuple):
 
 
 class _Camera(NamedTuple):
-    """A camera of the event `record_camera_data`."""
+    """A camera of the data set."""
 
     key: str
     films: FilmCamera
@@ -83,7 +83,8 @@ def write_lerobot(log: Log, part: Part, path: Path) -> None:
 
     Raises:
         ConfigError: If pyarrow, pandas or, with cameras, the extra `video` is not installed, there
-            is no episode, or the control frequency is not a whole number of Hz.
+            is no episode, the control frequency is not a whole number of Hz, there is no such
+            camera, or its width or height is odd.
         LogError: If the log lacks steps of an episode.
         RenderError: If there are cameras, and no OpenGL library works here.
     """
@@ -94,7 +95,7 @@ def write_lerobot(log: Log, part: Part, path: Path) -> None:
             f"LeRobot needs a whole number of frames a second; control steps make {1 / log.dt:g}"
         )
     chosen = demonstrations(log, part)
-    features, cameras = _features(log), list(_cameras(log))
+    features, cameras = _features(log), list(_cameras(log, part))
     if cameras:
         need_encoder()
     path.mkdir()
@@ -257,7 +258,20 @@ def _read(
 # -- pictures --------------------------------------------------------------------------------------
 
 
-def _cameras(log: Log) -> Iterator[_Camera]:
+def _cameras(log: Log, part: Part) -> Iterator[_Camera]:
+    chosen = cameras_of(log, part.cameras, part.size)
+    if part.cameras is None:
+        filmed = dict(_event_cameras(log, part.size))
+        chosen |= {name if name not in chosen else f"{name}_film": c for name, c in filmed.items()}
+    for name, camera in chosen.items():
+        width, height = camera.size
+        if width % 2 or height % 2:
+            raise ConfigError(f"videos need an even width and height; {name} has {width}x{height}")
+        yield _Camera(f"observation.images.{name.replace('/', '_')}", camera)
+
+
+def _event_cameras(log: Log, size: tuple[int, int] | None) -> Iterator[tuple[str, FilmCamera]]:
+    """Name and camera of each event `record_camera_data`."""
     from embodichain.lab.gym.envs.mdp.events.record import filmed_from
 
     task = log.config.get("task")
@@ -270,12 +284,12 @@ def _cameras(log: Log) -> Iterator[_Camera]:
         name = params.get("name") or "default"
         name = name if name not in seen else f"{name}_{uid}"
         seen.add(name)
-        width, height = map(int, params.get("resolution") or (640, 480))
+        width, height = size or map(int, params.get("resolution") or (640, 480))
         look = params.get("camera")
         if look is None:
             where = {key: params.get(key) for key in ("eye", "target", "up", "intrinsics")}
             look = filmed_from((width, height), **where)
-        yield _Camera(f"observation.images.{name}", FilmCamera(look, (width, height)))
+        yield name, FilmCamera(look, (width, height))
 
 
 def _video_info(camera: _Camera, fps: int) -> dict[str, Any]:

@@ -2,12 +2,15 @@
 
 Entities: ``/world/env_I/UID/LINK``, and below ``/env_I``: ``joint_positions``,
 ``joint_velocities``, ``actions``, ``reward``, ``metrics`` (of viewed environments),
-``episode/return``, ``episode/length``, ``log``. The file contains the layout that shows them.
+``episode/return``, ``episode/length``, ``log``, ``camera/NAME`` (pictures as JPEG). The file
+contains the layout that shows them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +19,14 @@ import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.export.formats import Part, about, poses, required
+from embodichain.recording.frames import FilmCamera, cameras_of, frames
+from embodichain.recording.playback import Playback, span_of
 from embodichain.recording.views.channels import event_text, scalar_joints
+from embodichain.recording.views.encoders import jpeg
 from embodichain.recording.views.shapes import Shape, corner_normals, mesh_of, shapes
 
 __all__ = ["write_rrd"]
@@ -27,6 +34,8 @@ __all__ = ["write_rrd"]
 F64 = NDArray[np.float64]
 _EYE = np.array([1.0, -1.2, 0.8])
 """Direction from the scene's centre to the viewer's eye."""
+_PICTURES_HZ = 25.0
+"""Most pictures of a camera in a second of simulated time."""
 _STEPS = 1000
 """Number of steps with poses sent together."""
 _PALETTE = (
@@ -39,15 +48,16 @@ def write_rrd(log: Log, part: Part, path: Path) -> None:
     """Write the selected environment, or the viewed ones.
 
     Raises:
-        ConfigError: If rerun is not installed.
+        ConfigError: If rerun is not installed, or there is no such camera.
         OSError: If the file cannot be written.
+        RenderError: If there are cameras, and no OpenGL library works here.
     """
-    envs = part.envs_of(log)
+    envs, cameras = part.envs_of(log), cameras_of(log, part.cameras, part.size)
     fields = {"qpos", "qvel", "actions", "rewards"}
     names = [name for name in log.columns if name in fields]
     offsets = _offsets(log) if len(envs) > 1 else {}
     places = np.array([offsets.get(env, np.zeros(3)) for env in envs])
-    recording = _Recording(log, _layout(log.model, envs, places))
+    recording = _Recording(log, _layout(log.model, envs, places, list(cameras)))
     recording.log("world", recording.rr.ViewCoordinates.RIGHT_HAND_Z_UP, None)
     for env, place in zip(envs, places, strict=True):
         _Scene(recording, log, env, place).send(part)
@@ -60,6 +70,8 @@ def write_rrd(log: Log, part: Part, path: Path) -> None:
             _send_curves(recording, log, env, data, column)
     for env in envs:
         _send_rest(recording, log, env, first, last)
+        if cameras:
+            _send_pictures(recording, log, env, part, cameras)
     recording.save(path)
 
 
@@ -137,13 +149,14 @@ class _Recording:
             self.columns(path, steps, flat.partition(np.full(len(values), values.shape[1])))
 
 
-def _layout(model: mujoco.MjModel, envs: Sequence[int], places: F64) -> Any:
+def _layout(model: mujoco.MjModel, envs: Sequence[int], places: F64, cameras: Sequence[str]) -> Any:
     """Return the layout: the scene, and next to it joints, reward and events.
 
     Args:
         model: The scene's model.
         envs: The environments that are shown; curves are of the first one.
         places: (n, 3) positions of the environments, metres.
+        cameras: Names of the cameras with pictures.
     """
     rrb: Any = required("rerun.blueprint", "rrd")
     center = np.array(model.stat.center, np.float64) + places.mean(axis=0)
@@ -163,6 +176,11 @@ def _layout(model: mujoco.MjModel, envs: Sequence[int], places: F64) -> Any:
     joints = curves("joint_positions", "joint positions (rad, m)")
     right = rrb.Vertical(joints, curves("reward", "reward"), tabs, row_shares=[2, 1, 1])
     left = rrb.Spatial3DView(origin="/world", name="scene", eye_controls=controls)
+    if cameras:
+        images = [
+            rrb.Spatial2DView(origin=f"/env_{envs[0]}/camera/{name}", name=name) for name in cameras
+        ]
+        left = rrb.Vertical(left, rrb.Horizontal(*images), row_shares=[2, 1])
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[3, 2]),
         rrb.BlueprintPanel(state="collapsed"),
@@ -233,6 +251,20 @@ def _send_rest(recording: _Recording, log: Log, env: int, first: int, last: int)
         at_steps, texts = zip(*sorted(lines, key=lambda line: line[0]), strict=True)
         columns = recording.rr.TextLog.columns(text=texts, level=["INFO"] * len(texts))
         recording.columns(f"{root}/log", np.array(at_steps, np.int64), columns)
+
+
+def _send_pictures(
+    recording: _Recording, log: Log, env: int, part: Part, cameras: Mapping[str, FilmCamera]
+) -> None:
+    """Send the pictures of an environment, at most `_PICTURES_HZ` a second."""
+    span = span_of(log, env, part.episode, part.start, part.last)
+    every = max(1, math.ceil(1.0 / (_PICTURES_HZ * log.dt) - 1e-9))
+    with closing(OffscreenRenderer(log.model)) as renderer:
+        drawn = frames(renderer, Playback(log, env), list(cameras.values()), span, every)
+        for frame in drawn:
+            for name, picture in zip(cameras, frame.pictures, strict=True):
+                image = recording.rr.EncodedImage(contents=jpeg(picture), media_type="image/jpeg")
+                recording.log(f"/env_{env}/camera/{name}", image, frame.step)
 
 
 # -- the scene -------------------------------------------------------------------------------------

@@ -6,7 +6,8 @@ import csv
 import io
 import json
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.columns import Column
 from embodichain.recording.export.formats import Part, about, demonstrations, required
+from embodichain.recording.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.log_error import LogError
+from embodichain.recording.playback import Playback, Span
 
 __all__ = ["write_csv", "write_hdf5", "write_npz", "write_parquet"]
 
@@ -97,18 +101,23 @@ def write_hdf5(log: Log, part: Part, path: Path) -> None:
     """Write robomimic's layout: ``data/demo_I/{obs,actions,rewards,dones,states}`` per episode.
 
     A log contains states, not observations of a policy, so ``obs`` has positions, velocities and
-    poses. ``states`` is time, qpos, qvel and act, flat, as in robosuite.
+    poses, and ``CAMERA_image`` (T, H, W, 3) of cameras, drawn from the states. ``states`` is time,
+    qpos, qvel and act, flat, as in robosuite.
 
     Raises:
-        ConfigError: If h5py is not installed, or the part has no episode.
+        ConfigError: If h5py is not installed, the part has no episode, or there is no such camera.
         LogError: If an episode has no states, as in a log with keyframes opened without `simulate`.
+        RenderError: If there are cameras, and no OpenGL library works here.
     """
     h5py: Any = required("h5py", "hdf5")
     episodes = demonstrations(log, part)
     attributes = {"model_file": _model_xml(log)}
     fields = {*_OBS, *_STATE, "actions", "rewards", "terminated", "truncated"}
     names = [name for name in log.columns if name in fields]
-    with h5py.File(path, "x") as file:
+    cameras = cameras_of(log, part.cameras, part.size)
+    with ExitStack() as stack:
+        file = stack.enter_context(h5py.File(path, "x"))
+        renderer = stack.enter_context(closing(OffscreenRenderer(log.model))) if cameras else None
         root = file.create_group("data")
         for number, (episode, steps) in enumerate(episodes):
             data = log.read(names, episode.env, None, steps.start, steps.stop)
@@ -118,6 +127,8 @@ def write_hdf5(log: Log, part: Part, path: Path) -> None:
             demo = root.create_group(f"demo_{number}")
             demo.attrs.update(attributes, env=episode.env, episode=episode.episode)
             _fill(demo, data)
+            if renderer is not None:
+                _draw(demo, renderer, Playback(log, episode.env), cameras, steps)
         root.attrs["total"] = sum(int(demo.attrs["num_samples"]) for demo in root.values())
         env_args = {"env_name": log.task, "type": _GYM, "env_kwargs": log.config}
         root.attrs.update(about(log), env_args=json.dumps(env_args))
@@ -139,6 +150,26 @@ def _fill(demo: Any, data: LogArrays) -> None:
             made = demo.create_dataset(f"obs/{name}", data=data[name][:, 0])
             made.attrs["names"] = data.names(name)
             made.attrs["units"] = [column.unit for column in data.columns[name]]
+
+
+def _draw(
+    demo: Any,
+    renderer: OffscreenRenderer,
+    playback: Playback,
+    cameras: Mapping[str, FilmCamera],
+    steps: range,
+) -> None:
+    """Write the pictures of one episode."""
+    made = []
+    for name, camera in cameras.items():
+        width, height = camera.size
+        key, shape = f"obs/{name.replace('/', '_')}_image", (len(steps), height, width, 3)
+        how = {"dtype": np.uint8, "chunks": (1, *shape[1:]), "compression": "gzip"}
+        made.append(demo.create_dataset(key, shape, **how))
+    drawn = frames(renderer, playback, list(cameras.values()), Span(steps.start, steps.stop - 1))
+    for frame in drawn:
+        for pictures, picture in zip(made, frame.pictures, strict=True):
+            pictures[frame.step - steps.start] = picture
 
 
 def _model_xml(log: Log) -> str:

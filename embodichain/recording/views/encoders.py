@@ -14,7 +14,7 @@ from PIL import Image
 
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Encoder", "H264Encoder", "encoder_of", "png"]
+__all__ = ["Encoder", "H264Encoder", "encoder_of", "jpeg", "png"]
 
 _JPEG_QUALITY = 90
 _PNG_LEVEL = 3
@@ -39,10 +39,11 @@ def encoder_of(name: str, width: int, height: int, rate: float) -> Encoder:
     """
     if name == "h264":
         return H264Encoder(width, height, rate)
-    return _jpeg if name == "jpeg" else png
+    return jpeg if name == "jpeg" else png
 
 
-def _jpeg(rgb: NDArray[np.uint8]) -> bytes:
+def jpeg(rgb: NDArray[np.uint8]) -> bytes:
+    """A picture (H, W, 3) as JPEG."""
     stream = io.BytesIO()
     Image.fromarray(rgb).save(stream, "JPEG", quality=_JPEG_QUALITY)
     return stream.getvalue()

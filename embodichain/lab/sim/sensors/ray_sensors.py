@@ -26,6 +26,7 @@ class RayCaster(BaseSensor):
     Rays are cast when they are read, at the current positions. Geoms with alpha 0 are not hit.
     """
 
+    of_positions = True
     cfg: RayCastCfg
 
     @cached_property

@@ -119,6 +119,27 @@ def test_two_scenes_are_drawn_in_turn(engine, renderer):
     np.testing.assert_array_equal(renderer.pictures(engine, "front", (64, 48)), alone)
 
 
+def test_renderers_that_are_closed_leave_no_memory(engine, monkeypatch):
+    """A context takes some 30 MB."""
+
+    def used() -> int:
+        with open("/proc/self/statm") as pages:
+            return int(pages.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+    def draw_and_close(times: int) -> None:
+        for _ in range(times):
+            renderer = OffscreenRenderer(engine.model)
+            renderer.pictures(engine, "front", (64, 48))
+            renderer.close()
+
+    for kind in ("layered", "classic"):
+        monkeypatch.setenv(VARIABLE, kind)
+        draw_and_close(3)
+        before = used()
+        draw_and_close(12)
+        assert used() - before < 100e6
+
+
 def test_stored_states_are_drawn_as_they_were(engine, renderer):
     stored = StoredStates(engine.model)
     for env in (0, 2, 1):
