@@ -340,15 +340,16 @@ def policy_of(
 
 def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
     """Return a callback that shows how many pictures are made, and how long the rest takes."""
-    begun = time.perf_counter()
-    said = False
+    begun, said = 0.0, False
 
     def show(filmed: Filmed) -> None:
-        nonlocal said
-        seconds = time.perf_counter() - begun
-        if display.due or not (said or seconds < _SAY_AFTER):
+        nonlocal begun, said
+        now = time.perf_counter()
+        if filmed.pictures == 1:  # the first one takes longer: OpenGL starts
+            begun = now
+        elif display.due or not (said or now - begun < _SAY_AFTER):
             said, display.total = True, filmed.total
-            left = seconds / filmed.pictures * (filmed.total - filmed.pictures)
+            left = (now - begun) / (filmed.pictures - 1) * (filmed.total - filmed.pictures)
             display.show(filmed.pictures, {"step": f"{filmed.step}", "left": f"{left:.0f} s"})
 
     return show

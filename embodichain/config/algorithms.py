@@ -56,8 +56,9 @@ class AlgoCfg:
     """The keys that every algorithm has."""
 
     name: str = ""
-    policy: Literal["MlpPolicy", "MlpLstmPolicy"] = "MlpPolicy"
-    """Class of Stable-Baselines3; observations are one flat vector."""
+    policy: str = "MlpPolicy"
+    """Class of Stable-Baselines3: observations are one flat vector, for CnnPolicy one image, for
+    MultiInputPolicy a dict."""
     learning_rate: Schedule | None = None
     gamma: Share | None = None
     policy_kwargs: dict[str, Any] = {}
@@ -164,12 +165,16 @@ ALGORITHMS: dict[str, tuple[str, str]] = {
 """Algorithm -> its class, and the keys of its config besides those of `AlgoCfg`."""
 
 
+_POLICIES = "MlpPolicy", "CnnPolicy", "MultiInputPolicy"
+_RECURRENT = "MlpLstmPolicy", "CnnLstmPolicy", "MultiInputLstmPolicy"
+
+
 def _config(name: str) -> type[AlgoCfg]:
     keys = ALGORITHMS[name][1].split()
     kinds = _KEYS | (_ON_POLICY_KEYS if "gae_lambda" in keys else {})
-    policy = "MlpLstmPolicy" if name == "recurrent_ppo" else "MlpPolicy"
-    members: dict[str, Any] = {"name": name, "policy": policy, **dict.fromkeys(keys)}
-    annotations = {"name": Literal[name], "policy": Literal[policy]}
+    policies = _RECURRENT if name == "recurrent_ppo" else _POLICIES
+    members: dict[str, Any] = {"name": name, "policy": policies[0], **dict.fromkeys(keys)}
+    annotations = {"name": Literal[name], "policy": Literal[policies]}
     annotations |= {key: kinds[key] | None for key in keys}
     return configclass(type(name, (AlgoCfg,), {"__annotations__": annotations, **members}))
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium.spaces import Box
 from pydantic import TypeAdapter, ValidationError
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import (
@@ -23,6 +24,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from embodichain.config.algorithms import ALGORITHMS, AlgoCfg
+from embodichain.learning.extractors import SmallCnn
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.type_errors import unknown_key, what_is_wrong
@@ -38,6 +40,7 @@ _NAMED: dict[str, dict[str, Any]] = {
         "silu": torch.nn.SiLU,
         "tanh": torch.nn.Tanh,
     },
+    "features_extractor_class": {"small_cnn": SmallCnn},
     "optimizer_class": {
         "adam": torch.optim.Adam,
         "adamw": torch.optim.AdamW,
@@ -52,12 +55,11 @@ _POLICY_INSTEAD = {
     "action_space": "it is the task's",
     "lr_schedule": "use algo.learning_rate",
     "use_sde": "use algo.use_sde",
-    "features_extractor_class": "not available yet",
 }
 _NORMALIZE_INSTEAD = {
     "venv": "the environment is the task's",
     "training": "it is true while training",
-    "norm_obs_keys": "observations are one flat vector",
+    "norm_obs_keys": "observations are normalized if they are one flat vector",
 }
 _LINEAR = "lin_"
 _DEFAULT_STD = 0.1
@@ -115,6 +117,10 @@ class Algorithm:
             raise ConfigError([Problem("algo.name", f"{message} ppo")])
         algorithm = algorithm_class(cfg.name)
         arguments = {name: _scheduled(value) for name, value in cfg.arguments().items()}
+        if cfg.policy not in algorithm.policy_aliases:
+            message = f"{cfg.name} has no {cfg.policy}; allowed: "
+            message += ", ".join(algorithm.policy_aliases)
+            raise ConfigError([Problem("algo.policy", message)])
         policy = algorithm.policy_aliases[cfg.policy]
         arguments["policy_kwargs"], problems = _check_policy_kwargs(policy, cfg.policy_kwargs)
         path = "algo.normalize_kwargs"
@@ -135,6 +141,11 @@ class Algorithm:
         return cls(cfg.name, arguments, normalize, noise)
 
     @property
+    def flat(self) -> bool:
+        """Whether its policy takes one array instead of a dict."""
+        return not str(self.arguments["policy"]).startswith("MultiInput")
+
+    @property
     def has_replay_buffer(self) -> bool:
         """Whether the algorithm learns from a replay buffer."""
         return issubclass(algorithm_class(self.name), OffPolicyAlgorithm)
@@ -151,6 +162,14 @@ class Algorithm:
             ConfigError: If the algorithm refuses its arguments.
         """
         arguments = dict(self.arguments)
+        space: Any = vec_env.observation_space
+        vector = isinstance(space, Box) and len(space.shape) == 1
+        if str(arguments["policy"]).startswith("Mlp") and not vector:
+            message = f"{arguments['policy']} takes a flat vector, the observation is an image: "
+            raise ConfigError([Problem("algo.policy", message + "use CnnPolicy")])
+        if self.normalize is not None and self.normalize["norm_obs"] and not vector:
+            message = "observations with images are not normalized: use reward, or false"
+            raise ConfigError([Problem("algo.normalize", message)])
         if self.noise is not None:
             (width,) = vec_env.action_space.shape or (0,)
             arguments["action_noise"] = action_noise(*self.noise, width, vec_env.num_envs)

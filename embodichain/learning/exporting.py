@@ -139,6 +139,9 @@ def _refuse(policy: LearnedPolicy, path: Path) -> None:
         raise _taken(path)
     if not policy.deterministic:
         raise ConfigError([Problem("policy", "only deterministic policies are exported")])
+    if len(policy.model.observation_space.shape or ()) != 1:
+        message = f"{policy.name} sees images: policies of one flat vector are exported"
+        raise ConfigError([Problem("policy", message)])
     if hasattr(policy.model.policy, "lstm_actor"):
         message = f"{policy.name} is recurrent: a file without memory cannot act as it does"
         raise ConfigError([Problem("policy", message)])

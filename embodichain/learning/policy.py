@@ -23,13 +23,14 @@ from embodichain.learning.normalization import (
     load_statistics,
     statistics_path,
 )
-from embodichain.learning.spaces import ActionScale, observation_box
+from embodichain.learning.spaces import ActionScale, LearnerView
 from embodichain.learning.trained_policy import TrainedPolicy
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.types import EnvObs
 
 __all__ = ["LearnedPolicy", "load_model", "load_policy"]
 
@@ -147,11 +148,23 @@ class LearnedPolicy(TrainedPolicy):
         self._scale: ActionScale | None = None
         self._state: tuple[NDArray[Any], ...] | None = None
         self._starts: NDArray[np.bool_] | None = None
+        self._views: tuple[BaseEnv, LearnerView] | None = None
         self._check_spaces()
 
-    def predict(self, flat: F32) -> F32:
-        """Return (N, A) actions in [-1, 1] for flat, unnormalized observations (N, K)."""
-        seen: Any = flat if self.statistics is None else self.statistics.normalize(flat)
+    def observed(self, obs: EnvObs, env: BaseEnv) -> Any:
+        """Return the policy's part of an observation, as its `SB3VecEnv` did in training."""
+        return self._view(env)(obs)
+
+    def _view(self, env: BaseEnv) -> LearnerView:
+        if self._views is None or self._views[0] is not env:
+            named = isinstance(self.model.observation_space, spaces.Dict)
+            self._views = env, LearnerView(env, self.group, flatten=not named)
+        return self._views[1]
+
+    def predict(self, obs: Any) -> F32:
+        """Return (N, A) actions in [-1, 1] for unnormalized observations: an array, or a dict."""
+        vector = self.statistics is not None and self.statistics.norm_obs
+        seen: Any = self.statistics.normalize(obs) if vector and self.statistics else obs
         actions, self._state = self.model.predict(
             seen, state=self._state, episode_start=self._starts, deterministic=self.deterministic
         )
@@ -160,8 +173,8 @@ class LearnedPolicy(TrainedPolicy):
         result: F32 = np.asarray(actions, np.float32)
         return result
 
-    def act(self, obs: F32) -> F32:
-        """Return (N, A) actions for (N, K) observations, in units of the task last checked.
+    def act(self, obs: Any) -> F32:
+        """Return (N, A) actions for observations (N, ...), in units of the task last checked.
 
         Raises:
             RuntimeError: If the policy was not checked against an environment.
@@ -178,13 +191,13 @@ class LearnedPolicy(TrainedPolicy):
     def _fit(self, env: BaseEnv) -> None:
         scale = ActionScale(env.single_action_space)
         pairs = (
-            ("observations", self.model.observation_space, observation_box(env, self.group)),
+            ("observations", self.model.observation_space, self._view(env).space),
             ("actions", self.model.action_space, scale.space),
         )
         differences = [
-            f"has {what} {have.shape}, this task has {want.shape}"
+            f"has {what} {_shape(have)}, this task has {_shape(want)}"
             for what, have, want in pairs
-            if have.shape != want.shape
+            if _shape(have) != _shape(want)
         ]
         if differences:
             raise ConfigError([Problem("policy", f"{self.name} {'; '.join(differences)}")])
@@ -194,8 +207,10 @@ class LearnedPolicy(TrainedPolicy):
     def _check_spaces(self) -> None:
         seen, done = self.model.observation_space, self.model.action_space
         problems = []
-        if not isinstance(seen, spaces.Box) or len(seen.shape) != 1:
-            problems.append(f"sees {seen}, not one flat vector")
+        if not isinstance(seen, (spaces.Box, spaces.Dict)):
+            problems.append(f"sees {seen}, not an array or a dict of arrays")
+        elif self.statistics is not None and not self.statistics.norm_obs:
+            pass  # of rewards only
         elif self.statistics is not None and self.statistics.obs_mean.shape != seen.shape:
             have = self.statistics.obs_mean.shape
             problems.append(f"sees observations {seen.shape}, its statistics are of {have}")
@@ -204,6 +219,13 @@ class LearnedPolicy(TrainedPolicy):
             problems.append(f"acts in {done}, not in [-1, 1] as on an SB3VecEnv")
         if problems:
             raise ConfigError([Problem("policy", f"{self.name} {what}") for what in problems])
+
+
+def _shape(space: Any) -> Any:
+    """The shape of a space's values; name -> shape for a dict."""
+    if isinstance(space, spaces.Dict):
+        return {name: part.shape for name, part in space.items()}
+    return space.shape
 
 
 def _statistics(file: Path) -> NormalizeStatistics | None:

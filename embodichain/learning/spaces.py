@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from embodichain.lab.gym.envs.managers.observation_manager import no_vector
-from embodichain.lab.gym.envs.observation import entry_spaces
+from embodichain.lab.gym.envs.observation import entry_spaces, named_obs
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.utils.errors import ConfigError
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ActionScale",
+    "LearnerView",
     "flat_observation",
     "observation_box",
     "observation_columns",
@@ -108,6 +109,42 @@ def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
     except ValueError as error:
         raise ConfigError(str(error)) from error
     return entry_spaces(env.single_observation_space, names)
+
+
+class LearnerView:
+    """The observation that a learner receives: a vector, an image, or a dict.
+
+    Args:
+        env: The environment.
+        group: The observation group.
+        flatten: Whether it is one array: the flat vector of the group, or its only entry if that
+            is an image.
+
+    Attributes:
+        space: Space of one environment.
+
+    Raises:
+        ConfigError: If no observation is in the group, or it has images and further entries and
+            `flatten` is set; names the terms.
+    """
+
+    def __init__(self, env: BaseEnv, group: str, flatten: bool = True) -> None:
+        self._env, self._group = env, group
+        self._named: spaces.Dict | None = observation_dict(env, group)
+        self._image = ""
+        self.space: spaces.Space[Any] = self._named
+        if flatten and len(self._named) == 1 and env.observation_manager.image_terms(group):
+            self._image = next(iter(self._named))
+            self.space = self._named[self._image]
+        elif flatten:
+            self._named, self.space = None, observation_box(env, group)
+
+    def __call__(self, obs: Any) -> NDArray[Any] | dict[str, NDArray[Any]]:
+        """Return new arrays (N, ...) of an observation of the environment."""
+        if self._named is None:
+            return flat_observation(self._env, obs, self._group)
+        found = named_obs(obs, self._named)
+        return found[self._image] if self._image else found
 
 
 def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from embodichain.config.resolved import thaw
 from embodichain.config.run_folder import SUMMARY
 from embodichain.config.validation import check_training_keys
 from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.managers.observation_manager import no_vector
 from embodichain.learning.algorithms import Algorithm
 from embodichain.learning.checkpoint import DIGEST, read_digest, read_note
 from embodichain.learning.episodes import TrainStatistics
@@ -115,7 +116,7 @@ def train(
         env.run_dir = run_dir
         if attach is not None:
             attach(env)
-        vec_env = SB3VecEnv(env, GROUP)
+        vec_env = _vec_env(env, algorithm)
         with (
             _torch_threads(TORCH_THREADS),
             wandb_writers(resolved.root.wandb, run_dir, thaw(resolved.tree)) as writers,
@@ -167,7 +168,18 @@ def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
     Raises:
         ConfigError: If the task cannot be learned or an argument is wrong.
     """
-    _checked_algorithm(resolved).build(SB3VecEnv(env, GROUP), resolved.root.seed)
+    algorithm = _checked_algorithm(resolved)
+    algorithm.build(_vec_env(env, algorithm), resolved.root.seed)
+
+
+def _vec_env(env: BaseEnv, algorithm: Algorithm) -> SB3VecEnv:
+    """The environment as the algorithm's policy takes it."""
+    manager = env.observation_manager
+    images = manager.image_terms(GROUP) if GROUP in manager.groups else ()
+    if algorithm.flat and images and len(manager.group_terms(GROUP)) > 1:
+        message = f"{no_vector(GROUP, images)}: use MultiInputPolicy"
+        raise ConfigError([Problem("algo.policy", message)])
+    return SB3VecEnv(env, GROUP, flatten=algorithm.flat)
 
 
 def _checked_algorithm(resolved: Resolved) -> Algorithm:

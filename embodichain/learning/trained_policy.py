@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -67,12 +67,16 @@ class TrainedPolicy(ABC):
         """
         if env is not self._env:
             self.check(env)
-        actions = self.act(flat_observation(env, obs, self.group))
+        actions = self.act(self.observed(obs, env))
         return torch.from_numpy(np.array(actions, np.float32)).to(env.device)
 
+    def observed(self, obs: EnvObs, env: BaseEnv) -> Any:
+        """Return the policy's part of an observation: by default (N, K) float32."""
+        return flat_observation(env, obs, self.group)
+
     @abstractmethod
-    def act(self, obs: F32) -> F32:
-        """Return (N, A) actions for (N, K) observations, both in the task's units."""
+    def act(self, obs: Any) -> F32:
+        """Return (N, A) actions for observations (N, ...), both in the task's units."""
 
     @abstractmethod
     def _fit(self, env: BaseEnv) -> None:

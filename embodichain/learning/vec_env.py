@@ -19,14 +19,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.judging import none_set
-from embodichain.lab.gym.envs.observation import named_obs
-from embodichain.learning.spaces import (
-    ActionScale,
-    flat_observation,
-    observation_box,
-    observation_dict,
-    require_torch_batch,
-)
+from embodichain.learning.spaces import ActionScale, LearnerView, require_torch_batch
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -46,9 +39,9 @@ Observed = F32 | dict[str, NDArray[Any]]
 class SB3VecEnv(VecEnv):
     """A Stable-Baselines3 vector environment over one batched environment.
 
-    Observations are one group: flat, (N, K) float32, or a dict of its entries. Actions are (N, A)
-    in [-1, 1], scaled to the task's bounds. An environment whose episode ends is reset in the same
-    step; its info then has
+    Observations are one group: flat, (N, K) float32, an image, or a dict of its entries. Actions
+    are (N, A) in [-1, 1], scaled to the task's bounds. An environment whose episode ends is reset
+    in the same step; its info then has
 
     * ``terminal_observation``: the observation before the reset, (K,) or a dict;
     * ``TimeLimit.truncated``: truncated and not terminated, so that its value may be bootstrapped;
@@ -65,11 +58,13 @@ class SB3VecEnv(VecEnv):
     Args:
         env: A batched environment (wrapped or not) with ``autoreset_mode`` SAME_STEP.
         group: The policy's observation group.
-        flatten: Whether the observation is one vector; otherwise it is a dict, for policies named
-            ``MultiInputPolicy``, with an entry for each observation in its shape and type.
+        flatten: Whether the observation is one vector, or one image if the group is that image
+            alone; otherwise it is a dict, for policies named ``MultiInputPolicy``, with an entry
+            for each observation in its shape and type.
 
     Raises:
-        ConfigError: If the group is empty or the action space has no finite bounds.
+        ConfigError: If the group is empty, has images and is to be flat, or the action space has no
+            finite bounds.
         TypeError: If the environment is one of `gymnasium.make` or `make_vec` with numpy arrays.
         ValueError: If the environment does not reset in the same step.
     """
@@ -83,9 +78,8 @@ class SB3VecEnv(VecEnv):
         self.group = group
         self._scale = ActionScale(self.base.single_action_space)
         num_envs = self.base.num_envs
-        self._named = None if flatten else observation_dict(self.base, group)
-        seen = observation_box(self.base, group) if self._named is None else self._named
-        super().__init__(num_envs, seen, self._scale.space)
+        self._observed = LearnerView(self.base, group, flatten)
+        super().__init__(num_envs, self._observed.space, self._scale.space)
         self.metadata = dict(env.metadata)
         self._has_success = self.base.judges_success
         self._start = time.time()
@@ -151,11 +145,6 @@ class SB3VecEnv(VecEnv):
         seen = self._observed(obs)
         self.step_seconds += time.perf_counter() - begun
         return seen, rewards, dones, infos
-
-    def _observed(self, obs: Any) -> Observed:
-        if self._named is not None:
-            return named_obs(obs, self._named)
-        return flat_observation(self.base, obs, self.group)
 
     def _finish(
         self, infos: Infos, ids: NDArray[np.int64], terminated: Bool, info: dict[str, Any]

@@ -40,7 +40,7 @@ BAD = {
         "conf/task/mine.yaml:3: task.max_episode_step: unknown key; allowed: "
         "sim_steps_per_control, ignore_terminations, max_episode_steps, description, id, "
         "physics, decimation, episode_length_s, robot, robots, objects, articulations, "
-        "lights, sensors, actions, events, commands, observations, "
+        "lights, scene, views, sensors, actions, events, commands, observations, "
         "enable_corruption, rewards, terminations, metrics, curriculum, extensions, suggested. "
         "Did you mean 'max_episode_steps'?",
         old="max_episode_steps: 50",

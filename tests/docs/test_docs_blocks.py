@@ -14,7 +14,9 @@ REPO = Path(__file__).parents[2]
 PAGES = [REPO / "README.md", *sorted((REPO / "docs").glob("*.md"))]
 
 
-MODULE = re.compile(r"^<!-- (\w+\.py) -->\n```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+FILE = re.compile(
+    r"^<!-- (\w+\.(?:py|xml)) -->\n```(?:python|xml)\n(.*?)^```", re.MULTILINE | re.DOTALL
+)
 
 
 def blocks(language, *, with_page=False):
@@ -36,9 +38,10 @@ def test_python_runs(code, tmp_path):
 
 @pytest.mark.parametrize(("text", "page"), blocks("yaml", with_page=True))
 def test_yaml_is_a_task(text, page, tmp_path, monkeypatch):
-    """A block is a task file, or some of its sections; it may name the page's own modules."""
+    """A block is a task file, or some of its sections; it may name the page's own files."""
     monkeypatch.syspath_prepend(tmp_path)
-    for name, code in MODULE.findall(page.read_text(encoding="utf-8")):
+    monkeypatch.chdir(tmp_path)
+    for name, code in FILE.findall(page.read_text(encoding="utf-8")):
         (tmp_path / name).write_text(code, encoding="utf-8")
     assert isinstance(yaml.safe_load(text), dict)
     folder = tmp_path / "mine" / "task"

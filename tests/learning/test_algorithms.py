@@ -129,7 +129,7 @@ def test_every_mistake_is_reported_at_once():
         n_steps="many",
         clip_range_vf=[1],
         seed=1,
-        policy="CnnPolicy",
+        policy="CnnPolicyy",
         policy_kwargs={"net_arch": {"pi": [4], "qf": [4]}, "activation_fn": "rel", "ortho": True},
     )
     assert set(found) == {

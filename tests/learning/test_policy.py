@@ -154,9 +154,9 @@ def test_truncated_and_damaged_files(run_dir):
 
 def test_policy_of_another_task_names_both_shapes(run_dir):
     env = CountingEnv([0])
-    flatten = env.observation_manager.flatten
+    flat_rows = env.observation_manager.flat_rows
     env.observation_manager.group_terms = lambda group: ("time",)
-    env.observation_manager.flatten = lambda obs, group: flatten(obs, group)[:, 1:]
+    env.observation_manager.flat_rows = lambda obs, group: flat_rows(obs, group)[:, 1:]
     with pytest.raises(ConfigError, match=r"has observations \(3,\), this task has \(2,\)"):
         load_policy(run_dir, env)
     late = load_policy(run_dir)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     import torch
 
+    from embodichain.lab.sim.drawing.views import Pictures, View
     from embodichain.lab.sim.engine.api import Engine
 
 __all__ = ["Host"]
@@ -32,3 +33,10 @@ class Host(Protocol):
 
     def reset_objects_state(self, env_ids: Any = None, *, only: Collection[str] | None) -> None:
         """Reset entities to their configured state."""
+
+    def draw(self, views: Sequence[View], env_ids: Any = None) -> list[Pictures]:
+        """Draw n environments (None: all) with every view; n rows for each view.
+
+        Raises:
+            RenderError: If an output cannot be drawn here.
+        """

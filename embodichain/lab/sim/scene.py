@@ -45,7 +45,7 @@ class Scene:
         compiled: The model and the indices of each entity; None before `compile`.
 
     Raises:
-        ConfigError: If the scene's file is wrong; paths are relative to ``cfg.scene``.
+        ConfigError: If the scene's file is wrong; paths begin with ``scene``.
     """
 
     def __init__(self, cfg: SimulationManagerCfg) -> None:
@@ -58,7 +58,7 @@ class Scene:
         self.sensors: dict[str, BaseSensor] = {}
         self.world: World | None = None
         if cfg.scene.fpath:
-            self.world = self._prepared.take_world(cfg.scene) or read_world(cfg.scene)
+            self.world = self._prepared.take_world(cfg.scene) or read_world(cfg.scene, "scene")
         self.compiled: CompiledScene | None = None
 
     @property

@@ -98,6 +98,7 @@ class SimulationManager:
         instance_id: The simulation's number among those of this process.
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
             contains no robots.
+        inside: Those rigid objects that are bodies of the scene's file, by uid.
         drive_changes: Values that events may draw for drives and links, by articulation uid.
         physics_seconds: Wall time spent on physics steps in `update` so far.
 
@@ -115,16 +116,14 @@ class SimulationManager:
         self.instance_id = max(_instances, default=-1) + 1
         _instances[self.instance_id] = weakref.ref(self)
         self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
-        try:
-            self._scene = Scene(self.sim_config)
-        except ConfigError as error:
-            raise ConfigError(p.below("scene") for p in error.problems) from error
+        self._scene = Scene(self.sim_config)
         self.robots = self._scene.robots
         self.articulations = self._scene.articulations
         self.rigid_objects = self._scene.rigid_objects
         self.lights = self._scene.lights
         self.sensors = self._scene.sensors
-        for uid, inside in self._scene.inside.items():
+        self.inside = self._scene.inside
+        for uid, inside in self.inside.items():
             self.rigid_objects[uid] = RigidObject(inside, uid, self)
         self._destroyed = False
         self._engine: CpuEngine | None = None

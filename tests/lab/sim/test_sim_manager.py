@@ -6,6 +6,7 @@ import torch
 
 from embodichain.lab.sim import SimulationManager, SimulationManagerCfg
 from embodichain.lab.sim.cfg import ArticulationCfg, RigidObjectCfg, RobotCfg
+from embodichain.lab.sim.drawing.views import Viewpoint, view_of
 from embodichain.lab.sim.objects import ClothObject, SoftObject
 from embodichain.utils.errors import ConfigError, DeviceError
 from tests.lab.sim.conftest import build
@@ -113,6 +114,31 @@ def test_environment_0_has_the_same_bytes_in_every_batch(num_envs, threads, pers
         return sim.engine.rows[0].tobytes() + torch.cat(out).numpy().tobytes()
 
     assert run(build(num_envs, num_threads=threads, persistent=persistent)) == run(build(1))
+
+
+def test_pictures_of_all_environments_in_one_call(sim):
+    """As one by one, from a camera and from elsewhere; in any order of environments."""
+    engine = sim.engine
+    above = Viewpoint.look_at((0.5, 0.1, 2.0), (0.0, 0.0, 0.0))
+    for camera in ("default", 0, above):
+        every = sim.render(None, camera, 40, 30)
+        assert every.shape == (sim.num_envs, 30, 40, 3) and every.dtype == np.uint8
+        for env, picture in enumerate(every):
+            np.testing.assert_array_equal(sim.render(env, camera, 40, 30), picture)
+    views = [
+        view_of(engine, "default", 24, 16, outputs=("color", "depth")),
+        view_of(engine, above, 32, 32, outputs=("mask",)),
+    ]
+    first, second = sim.draw(views)
+    assert {name: values.shape[1:] for name, values in first.items()} == {
+        "color": (16, 24, 4),
+        "depth": (16, 24),
+    }
+    assert set(second) == {"mask"} and second["mask"].shape == (sim.num_envs, 32, 32)
+    (last,) = sim.draw(views[1:], [sim.num_envs - 1])
+    np.testing.assert_array_equal(last["mask"][0], second["mask"][-1])
+    with pytest.raises(ValueError, match="env_ids"):
+        sim.draw(views, [sim.num_envs])
 
 
 def test_a_picture_shows_the_scene(sim):

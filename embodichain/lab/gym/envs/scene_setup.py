@@ -36,6 +36,7 @@ from embodichain.lab.sim.compiler.drives import (
     PhysicsStep,
     physics_step,
 )
+from embodichain.lab.sim.compiler.furniture import check_pedestal, furniture_of
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
@@ -77,6 +78,10 @@ class _Entity(NamedTuple):
     cfg: ObjectBaseCfg
 
 
+_SECTIONS = ("robot", "robots", "articulations", "scene", "objects", "lights")
+"""The sections with entities, in the order in which they are added."""
+
+
 def _declared(cfg: EnvCfg, *sections: str) -> list[_Entity]:
     """The entities declared in some sections of a task, in order."""
     entities: list[_Entity] = []
@@ -100,20 +105,13 @@ def _surroundings(cfg: EnvCfg) -> list[_Entity]:
     """The furniture and the lights of the section ``scene``."""
     scene = _scene(cfg)
     lights = [_Entity(f"scene.lights.{uid}", uid, light) for uid, light in scene.lights.items()]
-    if scene.table is None and scene.pedestal is None:
-        return lights
-    from embodichain.lab.sim.compiler.furniture import furniture_of  # few scenes have any
-
-    furniture = furniture_of(scene, _base(cfg)).items()
-    return [_Entity(f"scene.{uid}", uid, thing) for uid, thing in furniture] + lights
+    furniture = furniture_of(scene, _base(cfg)) if scene.table or scene.pedestal else {}
+    return [_Entity(f"scene.{uid}", uid, thing) for uid, thing in furniture.items()] + lights
 
 
 def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
-    scene = _scene(cfg)
-    if scene.pedestal is None:
+    if (scene := _scene(cfg)).pedestal is None:
         return []
-    from embodichain.lab.sim.compiler.furniture import check_pedestal
-
     return [p.below("scene.pedestal") for p in check_pedestal(scene.pedestal, _base(cfg))]
 
 
@@ -213,14 +211,14 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
         user are never raised.
     """
     prepared = PreparedScene() if prepared is None else prepared
-    entities = _declared(cfg, "robot", "robots", "articulations", "scene", "objects", "lights")
+    entities = _declared(cfg, *_SECTIONS)
     physics = _physics(cfg)
     step, changes = physics_step(physics), drive_changes(cfg.events)
     parsed, problems = _parse(entities, step, changes)
     try:
-        world = read_world(physics.scene) if physics.scene.fpath else None
+        world = read_world(physics.scene, "scene") if physics.scene.fpath else None
     except ConfigError as error:
-        world, problems = None, [*problems, *(p.below("scene") for p in error.problems)]
+        world, problems = None, [*problems, *error.problems]
     inside = {} if world is None else dict.fromkeys(world.objects, "the scene's file")
     problems = _check_names(entities, inside) + _check_surroundings(cfg) + problems
     objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
@@ -445,10 +443,11 @@ def add_declared_scene(sim: SimulationManager, cfg: EnvCfg) -> None:
     Raises:
         ConfigError: If a file or a value is wrong; the path is the one in the config.
     """
-    problems = _check_surroundings(cfg)
+    inside = dict.fromkeys(sim.inside, "the scene's file")
+    problems = _check_surroundings(cfg) + _check_names(_declared(cfg, *_SECTIONS), inside)
     if problems:
         raise ConfigError(problems)
-    for entity in _declared(cfg, "articulations", "scene", "objects", "lights"):
+    for entity in _declared(cfg, *_SECTIONS[2:]):
         _add(sim, entity)
 
 

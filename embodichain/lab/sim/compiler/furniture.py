@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import RigidBodyAttributesCfg, RigidObjectCfg
+from embodichain.lab.sim.compiler.appearance import WOOD_LENGTH, add_wood
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.rigid_objects import set_contact
-from embodichain.lab.sim.compiler.wood import WOOD_LENGTH, add_wood
 from embodichain.lab.sim.scene_cfg import PedestalCfg, SceneCfg, TableCfg
 from embodichain.lab.sim.shapes import CubeCfg, CylinderCfg, VisualMaterialCfg
 from embodichain.utils.errors import Problem

@@ -48,28 +48,31 @@ class World:
     notes: tuple[str, ...]
 
 
-def read_world(cfg: SceneCfg) -> World:
+def read_world(cfg: SceneCfg, path: str) -> World:
     """Read the file of a scene.
 
+    Args:
+        cfg: The scene.
+        path: Its key path, for messages.
+
     Raises:
-        ConfigError: If the file is missing, malformed or not an MJCF, or lacks the keyframe; paths
-            are relative to the scene's config.
+        ConfigError: If the file is missing, malformed or not an MJCF, or lacks the keyframe.
     """
     try:
         file = read_model(locate(cfg.fpath))
     except ConfigError as error:
-        raise ConfigError(Problem("fpath", str(p)) for p in error.problems) from error
+        raise ConfigError(Problem(f"{path}.fpath", str(p)) for p in error.problems) from error
     spec, model = file.spec, file.model
     if file.is_urdf:
         message = f"{file.path}: a scene is an MJCF file; a URDF is a robot or an articulation"
-        raise ConfigError([Problem("fpath", message)])
+        raise ConfigError([Problem(f"{path}.fpath", message)])
     if spec.compiler.settotalmass > 0:
         message = f"{file.path}: settotalmass would scale robots and objects too: give masses"
-        raise ConfigError([Problem("fpath", message)])
+        raise ConfigError([Problem(f"{path}.fpath", message)])
     start, unused = mujoco.MjData(model), [model.key(i).name for i in range(model.nkey)]
     key = cfg.keyframe
     if key is not None and key not in unused:
-        raise ConfigError([no_such("keyframe", key, unused or ["none"], "keyframe")])
+        raise ConfigError([no_such("keyframe", key, unused or ["none"], f"{path}.keyframe")])
     if key is None and unused:
         key = "home" if "home" in unused else unused[0]
     if key is not None:

@@ -6,16 +6,14 @@ environments.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.cameras import pair_offset
-from embodichain.lab.sim.drawing.views import Output, Pictures, View, view_of
+from embodichain.lab.sim.drawing.views import Output, View, view_of
 from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.lab.sim.sensors.cfg import CameraCfg, StereoCameraCfg
 from embodichain.lab.sim.sensors.depth_images import (
@@ -39,8 +37,7 @@ from embodichain.utils.math import (
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.scene_sensors import CameraIndex
     from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
-    from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
-    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.host import Host
     from embodichain.lab.sim.sensors.sampling import Readings
 
@@ -73,6 +70,7 @@ class Camera(BaseSensor):
     """
 
     reads_images = True
+    of_positions = True
     SUPPORTED_DATA_TYPES: ClassVar[tuple[str, ...]] = (
         *("color", "depth", "distance", "mask", "normal", "position"),
     )
@@ -83,9 +81,12 @@ class Camera(BaseSensor):
         if not isinstance(plan.cfg, CameraCfg):
             raise TypeError(f"{plan.uid}: the config of a camera is wanted, got {plan.cfg!r}")
         self.cfg: CameraCfg = plan.cfg
-        self._images: Readings = ()
-        self._version = -1
         self.was_drawn = False
+
+    @property
+    def eyes(self) -> tuple[int, ...]:
+        """MuJoCo's ids of its cameras: one, or left and right."""
+        return self.index.ids
 
     # -- images --------------------------------------------------------------------------------
 
@@ -110,21 +111,6 @@ class Camera(BaseSensor):
         """No effect: images are drawn when they are read. EmbodiChain's name."""
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
-        if env_ids is not None:
-            return self._drawn(env_ids)
-        changed = self.engine.versions > self._version
-        if changed.all() or not self._images:
-            self._images = self._drawn(None)
-        elif changed.any():  # after some environments were reset, the others are not drawn again
-            ids = np.flatnonzero(changed)
-            images = tuple(image.copy() for image in self._images)
-            for image, drawn in zip(images, self._drawn(ids), strict=True):
-                image[ids] = drawn
-            self._images = images
-        self._version = self.engine.version
-        return self._images
-
-    def _drawn(self, env_ids: EnvIndex | None) -> Readings:
         self.was_drawn = True
         seen = self._draw(env_ids)
         return tuple(self._image(name, seen) for name in self.reads)
@@ -135,7 +121,7 @@ class Camera(BaseSensor):
         outputs += ["depth"] if names & _BY_DEPTH else []
         outputs += ["mask"] if "mask" in names else []
         views = [self._view(camera, tuple(outputs)) for camera in self.index.ids]
-        pictures = _drawn(self.engine, views, env_ids)
+        pictures = self.host.draw(views, env_ids)
 
         def rows(values: Any) -> Any:
             return values if len(values) == 1 or env_ids is None else values[env_ids]
@@ -388,18 +374,6 @@ class StereoCamera(Camera):
     def get_intrinsics(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Matrices (N, 3, 3) of the left and of the right camera, pixels."""
         return _matrices(self.read_intrinsics(0)), _matrices(self.read_intrinsics(1))
-
-
-_renderers: WeakKeyDictionary[Engine, BatchRenderer] = WeakKeyDictionary()
-
-
-def _drawn(engine: Engine, views: Sequence[View], env_ids: EnvIndex | None) -> list[Pictures]:
-    """Draw views of n environments, with a renderer for each engine."""
-    from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
-
-    if engine not in _renderers:
-        _renderers[engine] = BatchRenderer(engine.model)
-    return _renderers[engine].draw(engine, views, env_ids)
 
 
 def _pose_tensor(pose: tuple[F64, F64], to_matrix: bool) -> torch.Tensor:
