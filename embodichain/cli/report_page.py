@@ -33,6 +33,7 @@ __all__ = ["page_of"]
 
 _MOST_EPISODES = 50
 _MOST_MESSAGES = 300
+_MOST_POINTS = 500
 _LARGEST_FILM = 64 * 2**20
 """Bytes of films in the page; a third is added by their encoding."""
 _EPISODE = ("env", "episode", "steps", "total_reward", "terminated", "last_step", "success")
@@ -252,8 +253,13 @@ class Panel(NamedTuple):
 
 
 def _curves(folder: Path, log: LogSummary | None) -> tuple[str, list[str]]:
-    """Curves of a training, or the returns of a log's episodes, as SVG; and notes."""
-    panels = _panels(folder, log)
+    """Curves of a training, or else rewards of the log, as SVG; and notes."""
+    from embodichain.recording.log_error import LogError
+
+    try:
+        panels = _panels(folder, log)
+    except LogError as error:  # no rewards are in the log, or it is damaged
+        return "", [f"no curves: {error}"]
     if not panels:
         return "", []
     if importlib.util.find_spec("matplotlib") is None:
@@ -262,14 +268,7 @@ def _curves(folder: Path, log: LogSummary | None) -> tuple[str, list[str]]:
 
 
 def _panels(folder: Path, log: LogSummary | None) -> list[Panel]:
-    from embodichain.learning.comparison import (
-        LENGTH,
-        PROGRESS,
-        RETURN,
-        SUCCESS,
-        Curve,
-        read_curves,
-    )
+    from embodichain.learning.comparison import LENGTH, PROGRESS, RETURN, SUCCESS, read_curves
 
     titles = {RETURN: "mean return", SUCCESS: "success rate", LENGTH: "mean length, control steps"}
     wanted = (*titles, _REWARD)
@@ -282,8 +281,27 @@ def _panels(folder: Path, log: LogSummary | None) -> list[Panel]:
     terms = {name.removeprefix(_REWARD): c for name, c in curves.items() if name not in titles}
     if terms:
         panels.append(Panel("rewards by term", terms))
-    returns = np.array([e.total_reward for e in log.episodes] if log is not None else [])
-    if not panels and len(returns) > 1:
+    return panels if panels or log is None else _panels_of_log(log)
+
+
+def _panels_of_log(log: LogSummary) -> list[Panel]:
+    """Rewards over control steps, and returns of episodes; empty for a task without rewards."""
+    from embodichain.learning.comparison import Curve
+    from embodichain.recording import open as open_log
+
+    panels = []
+    with open_log(log.path) as found:
+        rewards = found.read("rewards")["rewards"].mean(axis=1, dtype=np.float64)
+    if rewards.any():
+        # Means of equal parts, so that a long run has as many points as the picture has pixels.
+        size = -(-len(rewards) // _MOST_POINTS)
+        starts = np.arange(0, len(rewards), size)
+        means = np.add.reduceat(rewards, starts) / np.diff(starts, append=len(rewards))
+        steps = log.header.first_step + starts.astype(np.float64)
+        mean = {"reward": Curve(steps, means)}
+        panels.append(Panel("mean reward of a control step", mean, x_label="control steps"))
+    returns = np.array([episode.total_reward for episode in log.episodes])
+    if returns.any() and len(returns) > 1:
         order = "episode, in the order of their ends"
         dots = {"return": Curve(np.arange(len(returns), dtype=np.float64), returns)}
         panels.append(Panel("return of each episode", dots, x_label=order, line="."))

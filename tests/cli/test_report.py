@@ -90,6 +90,8 @@ def test_results_and_rewards_are_those_of_the_summary(simulated: Path) -> None:
         table(text, "versions")["mujoco"]
         == json.loads((simulated / "versions.json").read_text())["mujoco"]
     )
+    drawn = re.findall(r"<text [^>]*>([^<]+)</text>", text)
+    assert {"mean reward of a control step", "return of each episode"} <= set(drawn)
     config = html.unescape(text.partition("Everything, resolved</summary>")[2])
     assert (simulated / "config.yaml").read_text() in config
 
@@ -142,10 +144,17 @@ def test_a_run_that_failed_or_was_killed_has_a_page(simulated: Path, tmp_path: P
     (run / "summary.json").unlink()
     assert "run, unfinished" in page(run)
     log = (run / "rollout.mcap").read_bytes()
-    (run / "rollout.mcap").write_bytes(log[: len(log) * 2 // 3])
+    (run / "rollout.mcap").write_bytes(log[:-64])
     assert "log: incomplete" in page(run)
     (run / "rollout.mcap").write_bytes(b"nothing of this kind")
     assert "the log cannot be read" in page(run)
+
+
+def test_a_log_without_states_has_no_curves(tmp_path: Path) -> None:
+    run = ("run", "task=cart_pole", "max_steps=5", "record.state=none", "scene_png=false")
+    text = page(made(tmp_path, *run))
+    assert "no curves: " in text and "<svg" not in text
+    assert table(text, "log")["environments"].startswith("4, seed ")
 
 
 def test_films_that_are_too_large_are_named(simulated: Path, tmp_path: Path) -> None:

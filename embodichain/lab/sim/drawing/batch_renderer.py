@@ -6,7 +6,10 @@ on N or on the other environments.
 
 from __future__ import annotations
 
+import logging
+import os
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 import mujoco
@@ -19,11 +22,19 @@ from embodichain.lab.sim.drawing.gl import Context, NumberTexture, Program, Vert
 from embodichain.lab.sim.drawing.lighting import casters, light_table, positional, shadow_views
 from embodichain.lab.sim.drawing.looks import SurfaceTable, Unchanged
 from embodichain.lab.sim.drawing.projections import view_table
-from embodichain.lab.sim.drawing.targets import PictureTarget, ShadowMaps, picture_bytes
+from embodichain.lab.sim.drawing.targets import (
+    OUTPUT_BYTES,
+    PictureTarget,
+    ShadowMaps,
+    picture_bytes,
+)
 from embodichain.lab.sim.drawing.textures import SceneTextures
 from embodichain.lab.sim.drawing.views import DrawnState, Pictures, View
+from embodichain.utils.errors import RenderError
 
 __all__ = ["BatchRenderer"]
+
+_log = logging.getLogger(__name__)
 
 Index = NDArray[np.int64]
 _CHUNK_BYTES = 256 * 2**20
@@ -51,6 +62,7 @@ class BatchRenderer:
     ) -> None:
         self.context = Context()
         self._model, self._mark = model, mark
+        _say_what_is_left_out(model)
         self._textures = SceneTextures(model)
         self._surfaces = SurfaceTable(model, self._textures.layers)
         self._meshes: dict[int, _Meshes] = {}
@@ -73,9 +85,13 @@ class BatchRenderer:
 
         Returns:
             The pictures of each view, n rows each.
+
+        Raises:
+            RenderError: If the pictures are larger than OpenGL's, or than this machine's memory.
         """
-        self.context.make_current()
         rows = np.arange(state.num_envs) if envs is None else envs
+        self._refuse_too_large(views, len(rows))
+        self.context.make_current()
         self._surfaces.update(state)
         most = self._most(views)
         starts = range(0, max(len(rows), 1), most)
@@ -86,6 +102,25 @@ class BatchRenderer:
             {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
             for parts in zip(*chunks, strict=True)
         ]
+
+    def _refuse_too_large(self, views: Sequence[View], count: int) -> None:
+        total = 0
+        for view in views:
+            width, height = view.optics.width, view.optics.height
+            samples = 2 if view.look == "full" else 1
+            if max(width, height) * samples > self.context.max_pixels:
+                most = self.context.max_pixels // samples
+                message = f"a picture of {width} x {height} is too large"
+                raise RenderError(f"{message}: the most in {view.look} look is {most} a side")
+            total += count * width * height * len(view.outputs) * OUTPUT_BYTES
+            total += picture_bytes(width, height, samples)
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        if total > memory:
+            sizes = ", ".join(f"{v.optics.width} x {v.optics.height}" for v in views)
+            message = f"pictures of {count} environments ({sizes}) take {total / 2**30:.1f} GiB"
+            raise RenderError(
+                f"{message}; this machine has {memory / 2**30:.1f}: draw fewer, or smaller ones"
+            )
 
     def _most(self, views: Sequence[View]) -> int:
         """How many environments are drawn at once: bounded by layers, and by memory."""
@@ -205,7 +240,7 @@ class BatchRenderer:
     def _meshes_of(self, level: int) -> _Meshes:
         if level not in self._meshes:
             detail = _DETAILS[level][1:] if level < len(_DETAILS) else (_SLICES, None)
-            self._meshes[level] = _Meshes(SceneGeometry.of_model(self._model, *detail))
+            self._meshes[level] = _Meshes(SceneGeometry.of_model(self._model, *detail), self._model)
         return self._meshes[level]
 
     def _use(self, name: str, defines: dict[str, object], far: float) -> None:
@@ -295,6 +330,21 @@ class BatchRenderer:
         self.context.close()
 
 
+def _say_what_is_left_out(model: mujoco.MjModel) -> None:
+    for name, kind, count in (
+        ("flexes", mujoco.mjtObj.mjOBJ_FLEX, model.nflex),
+        ("skins", mujoco.mjtObj.mjOBJ_SKIN, model.nskin),
+    ):
+        if count:
+            names = [mujoco.mj_id2name(model, int(kind), i) or str(i) for i in range(count)]
+            _say_once(f"{name} are not drawn: {', '.join(names)}")
+
+
+@cache
+def _say_once(message: str) -> None:
+    _log.warning(message)
+
+
 class _Frame:
     """Numbers of the environments that are drawn at once."""
 
@@ -315,11 +365,12 @@ class _Frame:
 class _Meshes:
     """Triangles of one level of detail, in lists of what one program draws."""
 
-    def __init__(self, geometry: SceneGeometry) -> None:
+    def __init__(self, geometry: SceneGeometry, model: mujoco.MjModel) -> None:
         self._triangles = geometry.triangles
         self.geoms = set(geometry.triangles)
         self.buffers = VertexBuffers(geometry.vertices)
-        self.solid = np.array([g for g in geometry.triangles if g not in geometry.planes], np.int64)
+        casting = [g for g in geometry.triangles if model.geom_castshadow[g]]
+        self.solid = np.array([g for g in casting if g not in geometry.planes], np.int64)
         for name, fields in (("solid", False), ("fields", True)):
             chosen = [int(g) for g in self.solid if (int(g) in geometry.fields) == fields]
             self.buffers.put(name, [geometry.triangles[g] for g in chosen])

@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
 
 __all__ = ["VERTEX", "SceneGeometry", "geom_scales"]
 
@@ -171,7 +172,7 @@ def _vertices(position: Any, normal: Any, texcoord: Any, end: Any = 0.0) -> NDAr
 
 
 def _from_above(places: NDArray[Any], half: NDArray[Any]) -> NDArray[Any]:
-    """(V, 2) texture coordinates of a box's x and y, as MuJoCo's for shapes that have none."""
+    """(V, 2) texture coordinates of a mesh that has none: its x and y."""
     found: NDArray[Any] = 0.5 + 0.5 * places[:, :2] / half[:2] * (1.0, -1.0)
     return found
 
@@ -189,10 +190,13 @@ def _grid(rows: int, columns: int, place: Any, normal: Any) -> tuple[NDArray[Any
 
 
 def _quads(rows: int, columns: int) -> Triangles:
-    """Two triangles for each quad of a grid of (rows + 1) x (columns + 1) vertices."""
+    """Two triangles for each quad of a grid of (rows + 1) x (columns + 1) vertices.
+
+    Quads are cut from the left below to the right above, as MuJoCo's height fields are.
+    """
     a = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).reshape(-1)
     b, c, d = a + columns + 1, a + columns + 2, a + 1
-    faces = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], axis=1)
+    faces = np.stack([np.stack([a, b, d], 1), np.stack([b, c, d], 1)], axis=1)
     return faces.reshape(-1, 3).astype(np.uint32)
 
 
@@ -226,7 +230,7 @@ def _cylinder(slices: int) -> tuple[NDArray[Any], Triangles]:
         down = np.repeat([0.0, 1.0], slices + 1)
         texcoord = np.stack([np.tile(angle / (2 * np.pi), 2), down], axis=1)
         if rings[0][1] == rings[1][1]:
-            texcoord = _from_above(place, np.ones(3))
+            texcoord = 0.5 + 0.5 * place[:, :2]  # as MuJoCo's
         parts.append(_vertices(place, normal, texcoord))
         faces.append(_quads(1, slices) + np.uint32(start))
         start += 2 * (slices + 1)
@@ -288,21 +292,38 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[Any], Triangles]:
 def _simplified(
     vertices: NDArray[Any], triangles: Triangles, most: int
 ) -> tuple[NDArray[Any], Triangles]:
-    """A mesh of about `most` triangles by quadric decimation, with smooth normals."""
+    """A mesh of about `most` triangles by quadric decimation."""
     import fast_simplification
 
     points, joined = np.unique(vertices["position"], axis=0, return_inverse=True)
     points, faces = fast_simplification.simplify(
         points, joined[triangles].astype(np.int32), target_count=most
     )
+    return _creased(np.asarray(points), faces.astype(np.int64))
+
+
+def _creased(points: NDArray[Any], faces: NDArray[np.int64]) -> tuple[NDArray[Any], Triangles]:
+    """Triangles with normals: smooth across edges, but not where faces turn by more than 60 deg."""
     corners = points[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(points)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], across)
+    unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    # Corner x face of the same point, where the faces are nearly parallel.
+    at = csr_array(
+        (np.ones(faces.size, np.int8), (np.arange(faces.size), faces.reshape(-1))),
+        shape=(faces.size, len(points)),
+    )
+    pairs = coo_array(at @ at.T)
+    own, other = (part // 3 for part in pairs.coords)
+    alike = (unit[own] * unit[other]).sum(axis=1) > np.cos(np.radians(60.0))
+    normals = np.zeros((faces.size, 3))
+    np.add.at(normals, pairs.coords[0][alike], across[other[alike]])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    rows = np.concatenate([faces.reshape(-1, 1), np.round(1e4 * normals).astype(np.int64)], axis=1)
+    _, kept, joined = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     half = np.maximum(np.abs(points).max(axis=0, initial=0.0), 1e-9)
-    return _vertices(points, normals, _from_above(points, half)), faces.astype(np.uint32)
+    places = points[faces.reshape(-1)[kept]]
+    found = _vertices(places, normals[kept], _from_above(places, half))
+    return found, joined.reshape(-1, 3).astype(np.uint32)
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> tuple[NDArray[Any], Triangles]:

@@ -149,7 +149,7 @@ def _spread(axes: F64, eye: F64, places: F64, reach: F64, cutoff: float) -> F64:
     focal = 1.0 / np.tan(np.radians(min(2.0 * cutoff, _WIDEST_SPOT)) / 2.0)
     seen = _along(axes, places - eye[:, None])
     far = np.maximum((reach - seen[..., 2]).max(axis=1, initial=0.0), 0.2)
-    near = far / 200.0
+    near = np.clip((-reach - seen[..., 2]).min(axis=1, initial=1e6), far / 50.0, 0.9 * far)
     found = np.zeros((len(axes), 4, 4))
     rows = np.zeros((len(axes), 4, 4))
     rows[:, 0, 0] = rows[:, 1, 1] = focal

@@ -203,7 +203,7 @@ float lit(int row, int map) {
     s.xy = 0.5 + 0.5 * s.xy;
     bool inside = all(greaterThan(s, vec3(0.0))) && all(lessThan(s.xy, vec2(1.0)));
     // Four comparisons on a turned square, each of 2 x 2 texels: a soft edge of four texels.
-    float layer = float(row * SHADOW_MAPS + map), level = min(s.z - 0.002, 1.0);
+    float layer = float(row * SHADOW_MAPS + map), level = min(s.z - 0.001, 1.0);
     vec2 aside = vec2(1.4, 0.6) / float(textureSize(shadowMaps, 0).x);
     vec2 across = vec2(-aside.y, aside.x), none = vec2(0.0);
     float sum = textureGrad(shadowMaps, vec4(s.xy + aside, layer, level), none, none)

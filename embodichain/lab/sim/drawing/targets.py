@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.drawing.shaders import UNITS
 from embodichain.utils.errors import RenderError
 
-__all__ = ["PictureTarget", "ShadowMaps"]
+__all__ = ["OUTPUT_BYTES", "PictureTarget", "ShadowMaps", "picture_bytes"]
 
 _FORMATS = {
     "color": ("GL_RGBA8", "GL_RGBA", "GL_UNSIGNED_BYTE", np.uint8),
@@ -19,7 +19,8 @@ _FORMATS = {
     "mask": ("GL_R32I", "GL_RED_INTEGER", "GL_INT", np.int32),
 }
 _PLACES = {name: place for place, name in enumerate(_FORMATS)}
-_OUTPUT_BYTES = 4
+OUTPUT_BYTES = 4
+"""Bytes of a pixel of any output."""
 _SAMPLE_BYTES = 8 + 4 + 4  # surface, its distance, veil
 _SPARE_UNIT = 15
 """For textures that no program reads."""
@@ -178,7 +179,7 @@ class PictureTarget:
 
 def picture_bytes(width: int, height: int, samples: int) -> int:
     """Bytes of one picture in a target, and of its outputs when they are read."""
-    return width * height * (_SAMPLE_BYTES * samples**2 + 2 * _OUTPUT_BYTES * len(_FORMATS))
+    return width * height * (_SAMPLE_BYTES * samples**2 + 2 * OUTPUT_BYTES * len(_FORMATS))
 
 
 def _bind(unit: int, texture: Any) -> None:

@@ -70,6 +70,7 @@ class Camera(BaseSensor):
     """
 
     reads_images = True
+    of_positions = True
     SUPPORTED_DATA_TYPES: ClassVar[tuple[str, ...]] = (
         *("color", "depth", "distance", "mask", "normal", "position"),
     )
@@ -80,9 +81,12 @@ class Camera(BaseSensor):
         if not isinstance(plan.cfg, CameraCfg):
             raise TypeError(f"{plan.uid}: the config of a camera is wanted, got {plan.cfg!r}")
         self.cfg: CameraCfg = plan.cfg
-        self._images: Readings = ()
-        self._version = -1
         self.was_drawn = False
+
+    @property
+    def eyes(self) -> tuple[int, ...]:
+        """MuJoCo's ids of its cameras: one, or left and right."""
+        return self.index.ids
 
     # -- images --------------------------------------------------------------------------------
 
@@ -107,21 +111,6 @@ class Camera(BaseSensor):
         """No effect: images are drawn when they are read. EmbodiChain's name."""
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
-        if env_ids is not None:
-            return self._drawn(env_ids)
-        changed = self.engine.versions > self._version
-        if changed.all() or not self._images:
-            self._images = self._drawn(None)
-        elif changed.any():  # after some environments were reset, the others are not drawn again
-            ids = np.flatnonzero(changed)
-            images = tuple(image.copy() for image in self._images)
-            for image, drawn in zip(images, self._drawn(ids), strict=True):
-                image[ids] = drawn
-            self._images = images
-        self._version = self.engine.version
-        return self._images
-
-    def _drawn(self, env_ids: EnvIndex | None) -> Readings:
         self.was_drawn = True
         seen = self._draw(env_ids)
         return tuple(self._image(name, seen) for name in self.reads)

@@ -33,58 +33,80 @@ class Sampler:
         measure: Takes (n,) environments, or None for all, and returns arrays (n, ...); they may be
             live views, which are valid until the engine's `version` changes.
         rate: Hz of simulated time; None is no rate.
+        of_positions: Whether readings follow from positions and the model alone, and `measure`
+            returns new arrays. Environments in which these have not changed are then not measured
+            again: after a reset, only those that were reset.
     """
 
     def __init__(
-        self, engine: Engine, measure: Callable[[EnvIndex | None], Readings], rate: float | None
+        self,
+        engine: Engine,
+        measure: Callable[[EnvIndex | None], Readings],
+        rate: float | None,
+        of_positions: bool = False,
     ) -> None:
         self._engine = engine
         self._measure = measure
         self._rate = rate
+        self._of_positions = of_positions
         self._version = -1
         self._readings: Readings = ()
-        self._taken = np.full(engine.num_envs, np.inf)
+        self._times = np.full(engine.num_envs, np.inf)
+        self._versions = np.full(engine.num_envs, -1)
 
     def read(self) -> Readings:
         """Return arrays (N, ...): do not write or store."""
         version = self._engine.version
         if self._version != version:
-            if self._rate is None:
+            if self._rate is None and not self._of_positions:
                 self._readings = self._measure(None)
             else:
-                self._sample(self._rate)
+                self._measure_due(version)
             self._version = version
         return self._readings
 
-    def _sample(self, rate: float) -> None:
+    def _measure_due(self, version: int) -> None:
         """Measure the environments that are due."""
         time = self._engine.state("time")[:, 0]
-        period = np.floor(time * rate + _TOLERANCE)
-        # The time of no measurement is infinite.
-        kept = (self._taken < time) & (np.floor(self._taken * rate + _TOLERANCE) == period)
+        kept = self._kept(time)
         if not kept.any():
-            self._readings = tuple(part.copy() for part in self._measure(None))
-            self._taken[:] = time
+            measured = self._measure(None)
+            copied = tuple(part.copy() for part in measured)
+            self._readings = measured if self._of_positions else copied
         elif not kept.all():
             due = np.flatnonzero(~kept)
-            for part, measured in zip(self._readings, self._measure(due), strict=True):
-                part[due] = measured
-            self._taken[due] = time[due]
+            readings = tuple(part.copy() for part in self._readings)
+            for part, new in zip(readings, self._measure(due), strict=True):
+                part[due] = new
+            self._readings = readings
+        self._times = np.where(kept, self._times, time)
+        self._versions[~kept] = version
+
+    def _kept(self, time: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(N,) environments whose readings are kept."""
+        kept = np.zeros(len(time), np.bool_)
+        if self._of_positions:
+            kept |= self._engine.versions <= self._versions
+        if self._rate is not None:  # the time of no measurement is infinite
+            period, last = (np.floor(t * self._rate + _TOLERANCE) for t in (time, self._times))
+            kept |= (self._times < time) & (last == period)
+        return kept
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Make these environments (None: all) measure at the next read."""
-        self._taken[slice(None) if env_ids is None else env_ids] = np.nan
+        rows = slice(None) if env_ids is None else env_ids
+        self._times[rows], self._versions[rows] = np.inf, -1
         self._version = -1
 
     def state_dict(self) -> dict[str, Any]:
         """The readings and their times (copies); empty without a rate."""
         if self._rate is None:
             return {}
-        return {"taken": self._taken.copy(), "readings": [part.copy() for part in self._readings]}
+        return {"times": self._times.copy(), "readings": [part.copy() for part in self._readings]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         self.reset(None)
         if state:
-            self._taken[:] = state["taken"]
+            self._times[:] = state["times"]
             self._readings = tuple(part.copy() for part in state["readings"])

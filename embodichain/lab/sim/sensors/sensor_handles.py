@@ -45,9 +45,12 @@ class BaseSensor(Handle["SensorIndex"]):
         uid: Its name.
         names: (n,) the links it is fixed on, or the joints that it measures.
         reads_images: Whether its data are images, which observations contain as they are.
+        of_positions: Whether its measurements follow from positions and the model alone; see
+            `Sampler`.
     """
 
     reads_images: ClassVar[bool] = False
+    of_positions: ClassVar[bool] = False
 
     def __init__(self, plan: SensorPlan, host: Host) -> None:
         super().__init__(plan.uid, host)
@@ -90,7 +93,7 @@ class BaseSensor(Handle["SensorIndex"]):
 
     @cached_property
     def _sampler(self) -> Sampler:
-        return Sampler(self.engine, self._measure, self.cfg.rate)
+        return Sampler(self.engine, self._measure, self.cfg.rate, self.of_positions)
 
     def _readings(self) -> Readings:
         """(N, ...) what `_measure` returns, at the sensor's rate: do not write or store."""

@@ -310,9 +310,9 @@ def test_a_wrong_sensor_is_refused_with_what_is_allowed(scene, cfg, path, match)
 # -- rate ------------------------------------------------------------------------------------------
 
 
-def test_a_rate_casts_rays_of_due_environments_only(scene, monkeypatch):
-    sim = scene([mount(), wall()], [ray(rate=25.0)], physics_dt=0.01)
-    sensor, engine = sim.get_sensor("ray"), sim.engine
+def counting(sim, monkeypatch):
+    """The environments of each call of the engine's `cast_rays`."""
+    engine = sim.engine
     cast, asked = engine.cast_rays, []
 
     def counted(origins, directions, geoms, env_ids=None, **kwargs):
@@ -320,6 +320,12 @@ def test_a_rate_casts_rays_of_due_environments_only(scene, monkeypatch):
         return cast(origins, directions, geoms, env_ids, **kwargs)
 
     monkeypatch.setattr(engine, "cast_rays", counted)
+    return asked
+
+
+def test_a_rate_casts_rays_of_due_environments_only(scene, monkeypatch):
+    sim = scene([mount(), wall()], [ray(rate=25.0)], physics_dt=0.01)
+    sensor, asked = sim.get_sensor("ray"), counting(sim, monkeypatch)
     sim.update(step=1)
     assert asked == []  # a sensor that is not read casts no ray
     sensor.read_distance(), sensor.read_position()
@@ -331,3 +337,25 @@ def test_a_rate_casts_rays_of_due_environments_only(scene, monkeypatch):
     sim.update(step=1)
     sensor.read_distance()
     assert asked == [None, [1], [0, 2]]  # 0.04 s in environments 0 and 2
+
+
+@pytest.mark.parametrize("rate", [None, 1000.0])
+def test_environments_that_did_not_move_are_not_measured_again(scene, monkeypatch, rate):
+    sim = scene([mount(), wall()], [ray(rate=rate)], physics_dt=0.01)
+    sensor, asked = sim.get_sensor("ray"), counting(sim, monkeypatch)
+    sim.update(step=1)
+    kept = sensor.read_distance()
+    box = sim.get_rigid_object("cube")
+    pose = box.get_local_pose()[[2]]
+    pose[:, 0] = 0.5
+    box.set_local_pose(pose, [2])
+    sim.engine.forward()  # nothing moves
+    np.testing.assert_allclose(sensor.read_distance()[:, 0], [1.5, 1.5, 1.0], atol=1e-6)
+    assert asked == [None, [2]]
+    np.testing.assert_array_equal(sensor.read_distance()[:2], kept[:2])
+    sim.engine.write_model("geom_size", 0.2, np.array([0]), np.array([3]))  # thicker by 0.1 m
+    sensor.read_distance()
+    assert asked == [None, [2], [0]]
+    sim.update(step=1)
+    sensor.read_distance()
+    assert asked == [None, [2], [0], None]
