@@ -193,6 +193,8 @@ class BatchRenderer:
             defines["POSITIONAL"] = 1
         if full:
             defines["FULL"] = 1
+        if self._textures.sky >= 0:
+            defines["SKY"] = 1
         target.begin_surfaces()
         for kind, key in meshes.kinds(self._surfaces.textured if colour else None):
             self._use("surfaces", {"LIGHTS": self._model.nlight, **kind})
@@ -208,8 +210,7 @@ class BatchRenderer:
             self._draw_whole("shading", {**defines, "EDGES": 1}, meshes, layers, 0.75)
         if colour:
             target.add_behind()
-            has_sky = {"SKY": 1} if self._textures.sky >= 0 else {}
-            self._draw_whole("sky", {**defines, **has_sky}, meshes, layers, 0.25)
+            self._draw_whole("sky", defines, meshes, layers, 0.25)
         if veiled:
             target.add_over()
             self._draw_whole("veil", defines, meshes, layers)
@@ -258,6 +259,8 @@ class BatchRenderer:
             "geomCount": int(self._model.ngeom),
             "far": far,
             "sky": float(self._textures.sky),
+            "haze": tuple(self._model.vis.rgba.haze[:3].tolist()),
+            "hazeReach": float(self._model.vis.map.zfar * self._model.stat.extent),
             "headDiffuse": tuple((on * headlight.diffuse).tolist()),
             "headSpecular": tuple((on * headlight.specular).tolist()),
         }
