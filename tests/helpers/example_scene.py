@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from PIL import Image
 
 import embodichain
 from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -49,6 +50,8 @@ objects:
   cube: {shape: {shape_type: Cube, size: [0.1, 0.1, 0.1]}, init_pos: [0.6, 0.3, 0.05]}
   goal: {shape: {shape_type: Sphere, radius: 0.02}, body_type: kinematic,
          attrs: {enable_collision: false}, init_pos: [0.5, 0.2, 0.5]}
+  painted: {shape: {shape_type: Cube, size: [0.1, 0.1, 0.1], visual_material: {textures: [here]}},
+            body_type: static, init_pos: [-0.6, 0.3, 0.05]}
 lights:
   lamp: {init_pos: [0, 0, 3]}
 sensors:
@@ -118,5 +121,8 @@ def write_task(section: str, terms: dict[str, dict[str, Any]], folder: Path) -> 
     tree.setdefault(section, {}).update(terms)
     (folder / "task").mkdir(parents=True)
     tree["robots"]["go"]["fpath"] = str(folder / "task" / "go.xml")
+    tree["objects"]["painted"]["shape"]["visual_material"]["textures"] = [str(folder / "task")]
+    for name in ("red", "blue"):
+        Image.new("RGB", (4, 4), name).save(folder / "task" / f"{name}.png")
     (folder / "task" / "go.xml").write_text(_QUADRUPED.format(legs=legs))
     (folder / "task" / "everything.yaml").write_text(yaml.safe_dump(tree, sort_keys=False))

@@ -26,7 +26,6 @@ SENSORS = {
     "front": CameraCfg(
         width=16,
         height=12,
-        fovy=60,
         data_types=["color", "mask", "position"],
         extrinsics=ExtrinsicsCfg(eye=(2, -2, 2), target=(0.5, 0, 0.5)),
     ),

@@ -159,5 +159,6 @@ EVENTS = {
         "reset", "randomize_camera_pose", position_range=SMALL, rotation_range=[[-3] * 3, [3] * 3]
     ),
     "view": _at("reset", "randomize_camera_fovy", fovy_range=[30, 50]),
+    "lens": _at("reset", "randomize_camera_intrinsics", sensor="front", focal_x_range=[-2, 2]),
     "film": _at("interval", "record_camera_data", every=8, resolution=[32, 32], max_env_num=1),
 }

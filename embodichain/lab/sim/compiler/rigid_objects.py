@@ -11,6 +11,7 @@ import numpy as np
 from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.lab.sim.cfg import ObjectBaseCfg, RigidObjectCfg
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.textures import add_textures, check_textures
 from embodichain.lab.sim.meshes.mesh_conversion import (
     MadePart,
     MadeVisual,
@@ -126,6 +127,10 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
         message = f"only a Mesh is split into convex parts, this is a {cfg.shape.shape_type}"
         problems.append(Problem(name, message))
     problems += check_shape(cfg.shape, scale, parts)
+    look = cfg.shape.visual_material
+    if look is not None:
+        found = check_textures(look.textures)
+        problems += [p.below("shape.visual_material.textures") for p in found]
     if isinstance(cfg.shape, PlaneCfg) and cfg.body_type != "static":
         message = f"a Plane must be static, got {cfg.body_type!r}"
         problems.append(Problem("body_type", message))
@@ -259,7 +264,7 @@ def _surface(spec: mujoco.MjSpec, uid: str, cfg: VisualMaterialCfg | None, numbe
         rgba = [*_PALETTE[number % len(_PALETTE)], 1.0]
         spec.add_material(name=name, rgba=rgba, specular=0.2, shininess=0.3)
         return name
-    spec.add_material(
+    material = spec.add_material(
         name=name,
         rgba=[float(c) for c in cfg.base_color],
         specular=0.5 * (1.0 - float(cfg.roughness)),
@@ -268,6 +273,9 @@ def _surface(spec: mujoco.MjSpec, uid: str, cfg: VisualMaterialCfg | None, numbe
         roughness=float(cfg.roughness),
         emission=float(cfg.emissive_intensity) * float(max(cfg.emissive)),
     )
+    if cfg.textures:
+        first = add_textures(spec, uid, cfg.textures)[0]
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = first
     return name
 
 

@@ -17,14 +17,14 @@ from embodichain.utils.errors import RenderError
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex, RayHits
 
-__all__ = ["RayCaster", "RayRenderer"]
+__all__ = ["CastingState", "RayRenderer"]
 
 _RAYS_AT_ONCE = 2**20
 """About 100 MB of origins, directions and hits."""
 
 
 @runtime_checkable
-class RayCaster(Protocol):
+class CastingState(Protocol):
     """Environments in which rays can be cast: an engine."""
 
     def cast_rays(
@@ -64,7 +64,7 @@ class RayRenderer:
         """
         if any("color" in view.outputs for view in views):
             raise RenderError(f"colours need OpenGL, which does not work here; {HINT}")
-        if not isinstance(state, RayCaster):
+        if not isinstance(state, CastingState):
             raise RenderError(f"stored states are drawn with OpenGL, not with rays; {HINT}")
         wanted = np.arange(state.num_envs) if envs is None else envs
         rows, places = np.unique(wanted, return_inverse=True)  # rays are cast in sorted ones
@@ -78,7 +78,7 @@ class RayRenderer:
 
 
 def _draw(
-    caster: RayCaster, view: View, rows: NDArray[np.int64], geoms: NDArray[np.bool_]
+    state: CastingState, view: View, rows: NDArray[np.int64], geoms: NDArray[np.bool_]
 ) -> Pictures:
     """Draw a view of n environments, as many at once as memory allows."""
     optics = view.optics
@@ -89,7 +89,7 @@ def _draw(
     for start in range(0, len(rows), most):
         part = slice(start, start + most)
         eye, ray = _rays(view, rows[part])
-        found = caster.cast_rays(eye + optics.near * ray, ray, geoms, rows[part])
+        found = state.cast_rays(eye + optics.near * ray, ray, geoms, rows[part])
         # Rays are 1 m long along the axis, so that distances in their lengths are depths.
         along = found.distance + optics.near
         hit = (found.distance >= 0.0) & (along <= optics.far)

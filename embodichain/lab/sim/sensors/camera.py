@@ -83,6 +83,11 @@ class Camera(BaseSensor):
         self.cfg: CameraCfg = plan.cfg
         self.was_drawn = False
 
+    @property
+    def eyes(self) -> tuple[int, ...]:
+        """MuJoCo's ids of its cameras: one, or left and right."""
+        return self.index.ids
+
     # -- images --------------------------------------------------------------------------------
 
     def read(self, name: str) -> NDArray[Any]:

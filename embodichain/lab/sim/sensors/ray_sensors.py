@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,30 @@ from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.utils.math import quat_to_matrix, rotate
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import F64, EnvIndex, RayHits
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.sensors.sampling import Readings
 
 __all__ = ["HeightScanSensor", "RayCaster", "RaySensor"]
+
+
+class _Cast(NamedTuple):
+    """R rays in n environments, and what they hit.
+
+    Attributes:
+        place: (n, 3) the sensor's origin, metres.
+        origins: (n, R, 3) metres.
+        directions: (n, R, 3) unit vectors.
+        distance: (n, R) metres; as `no_hit` says where nothing is hit.
+        hit: (n, R) whether something is hit.
+        normal: (n, R, 3) normals of the surfaces, if wanted.
+    """
+
+    place: F64
+    origins: F64
+    directions: F64
+    distance: F64
+    hit: NDArray[np.bool_]
+    normal: F64 | None
 
 
 class RayCaster(BaseSensor):
@@ -58,15 +78,19 @@ class RayCaster(BaseSensor):
             axes = np.broadcast_to(np.eye(3), axes.shape)
         return position, axes
 
-    def _cast(
-        self, origins: F64, directions: F64, env_ids: EnvIndex | None, normal: bool = False
-    ) -> tuple[F64, NDArray[np.bool_], RayHits]:
-        """(n, R) distances, as `no_hit` says where nothing is hit, and whether each ray hits."""
-        cfg = self.cfg
+    def _cast(self, env_ids: EnvIndex | None, raised: float = 0.0, normal: bool = False) -> _Cast:
+        """Cast the rays in n environments, from `raised` metres higher."""
+        cfg, (starts, rays) = self.cfg, self._rays
+        position, axes = self._mount(env_ids)
+        directions = rotate(axes[:, None], rays)
+        origins = position[:, None] + rotate(axes[:, None], starts)
+        origins[..., 2] += raised
         found = self.engine.cast_rays(origins, directions, self.index.geoms, env_ids, normal=normal)
-        hit: NDArray[np.bool_] = (found.distance >= 0.0) & (found.distance <= cfg.max_range)
+        hit = (found.distance >= 0.0) & (found.distance <= cfg.max_range)
         missing = {"max": cfg.max_range, "inf": np.inf, "zero": 0.0}[cfg.no_hit]
-        return np.where(hit, found.distance, missing), hit, found
+        distance = np.where(hit, found.distance, missing)
+        place = position + rotate(axes, np.asarray(cfg.pos, np.float64))
+        return _Cast(place, origins, directions, distance, hit, found.normal)
 
 
 class RaySensor(RayCaster):
@@ -75,20 +99,15 @@ class RaySensor(RayCaster):
     cfg: RaySensorCfg
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
-        position, axes = self._mount(env_ids)
-        starts, directions = self._rays
-        directions = rotate(axes[:, None], directions)
-        origins = position[:, None] + rotate(axes[:, None], starts)
-        distance, hit, found = self._cast(
-            origins, directions, env_ids, normal="normal" in self.cfg.data_types
-        )
-        reached = np.where(np.isfinite(distance), distance, 0.0)[..., None]
-        points = origins + directions * reached
+        cast = self._cast(env_ids, normal="normal" in self.cfg.data_types)
+        hit = cast.hit[..., None]
+        reached = np.where(np.isfinite(cast.distance), cast.distance, 0.0)[..., None]
+        points = cast.origins + cast.directions * reached
         if self.cfg.no_hit == "inf":
-            points = np.where(hit[..., None], points, np.inf)
-        if found.normal is None:
-            return distance, points
-        return distance, points, np.where(hit[..., None], found.normal, 0.0)
+            points = np.where(hit, points, np.inf)
+        if cast.normal is None:
+            return cast.distance, points
+        return cast.distance, points, np.where(hit, cast.normal, 0.0)
 
     def read_distance(self) -> F64:
         """(N, R) m along the rays; where nothing is hit, what `no_hit` says."""
@@ -122,18 +141,11 @@ class HeightScanSensor(RayCaster):
     cfg: HeightScanSensorCfg
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
-        position, axes = self._mount(env_ids)
-        starts, directions = self._rays
-        directions = rotate(axes[:, None], directions)
-        origins = position[:, None] + rotate(axes[:, None], starts)
-        origins[..., 2] += self.cfg.start_height
-        distance, hit, _ = self._cast(origins, directions, env_ids)
-        own = position + rotate(axes, np.asarray(self.cfg.pos, np.float64))
+        cast = self._cast(env_ids, self.cfg.start_height)
         # A ray without a hit reads what the surface at its distance would give, or 0.
-        height = own[:, None, 2] - (origins[..., 2] + directions[..., 2] * distance)
-        if self.cfg.no_hit == "zero":
-            height = np.where(hit, height, 0.0)
-        return (height,)
+        reached = cast.origins[..., 2] + cast.directions[..., 2] * cast.distance
+        height = cast.place[:, None, 2] - reached
+        return (height if self.cfg.no_hit != "zero" else np.where(cast.hit, height, 0.0),)
 
     def read_height(self) -> F64:
         """(N, R) m; negative where the surface is above the sensor.

@@ -125,8 +125,8 @@ def test_a_restored_environment_continues_to_the_byte(make) -> None:
 
 
 # Randomizers of model fields have a test like this one of their own, in test_randomizers_exact;
-# a film changes nothing.
-ELSEWHERE = {case.func for case in randomizers.CASES} | {"record_camera_data"}
+# a film changes nothing, and textures are in test_camera_events.
+ELSEWHERE = {case.func for case in randomizers.CASES} | {"record_camera_data", "randomize_texture"}
 USED = {
     "action": set(ACTIONS),
     "event": {e.func for e in EVENTS.values()} | ELSEWHERE,

@@ -1,4 +1,4 @@
-"""Events that change the look of a scene: materials and colours, lights, cameras."""
+"""Events that change the look of a scene: materials, colours, textures, lights."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.lab.sim.shapes import VisualMaterialCfg
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -23,9 +22,8 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [
-    "RandomizeCameraFovy",
-    "RandomizeCameraPose",
     "RandomizeLight",
+    "RandomizeTexture",
     "RandomizeVisualMaterial",
     "SetRigidObjectVisualMaterial",
 ]
@@ -95,6 +93,38 @@ class _Surface:
         for material in self._materials:
             at = width * material + column
             self._engine.write_model(field, values, env_ids, slice(at, at + 1))
+
+
+@register_term("event", name="randomize_texture")
+class RandomizeTexture(Term):
+    """Draws one of an object's textures in each environment.
+
+    The textures are those of its `visual_material`; each environment has the index of one.
+
+    Args:
+        entity_cfg: A rigid object with `shape.visual_material.textures`.
+
+    Example:
+        ``{func: randomize_texture, mode: reset, params: {of: {uid: painted}}}``
+    """
+
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
+        from embodichain.lab.sim.compiler.textures import declared_textures  # imports MuJoCo
+
+        uid, self._engine = entity_cfg.uid, env.sim.engine
+        ids, self._column = declared_textures(self._engine.model, uid)
+        if not ids:
+            message = f"{uid!r} has no shape.visual_material.textures"
+            raise ConfigError([Problem("entity_cfg.uid", message)])
+        self._ids = np.array(ids, np.float64)
+        self._index = Uniform("texture", [0.0], [float(len(ids))])
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Draw and write the texture of the object in these environments."""
+        drawn = self._index(env.event_manager, env_ids).astype(np.int64)
+        # A number just below the upper bound may round up to it.
+        ids = self._ids[np.minimum(drawn, len(self._ids) - 1)]
+        self._engine.write_model("mat_texid", ids, env_ids, slice(self._column, self._column + 1))
 
 
 def _within_one(name: str, values: Any) -> None:
@@ -269,79 +299,3 @@ class RandomizeLight(Term):
         if self._intensity is not None:
             strength = self._intensity0 + self._intensity(draws, env_ids)
         self._light.write_emission(color, np.maximum(strength, 0.0), env_ids)
-
-
-def _camera(env: TermContext, name: str) -> int:
-    model = env.sim.engine.model
-    cameras = [model.camera(i).name for i in range(model.ncam)]
-    if name not in cameras:
-        message = f"no camera is called {name!r}; there are: {', '.join(cameras)}"
-        raise ConfigError([Problem("camera", message, did_you_mean(name, cameras).strip())])
-    return cameras.index(name)
-
-
-@register_term("event", name="randomize_camera_pose")
-class RandomizeCameraPose(Term):
-    """Moves and rotates a camera of the scene, separately in each environment.
-
-    Like EmbodiChain's `randomize_camera_extrinsics` for mounted cameras, which takes a sensor.
-
-    Args:
-        position_range: [[x, y, z] low, [x, y, z] high] in metres, added to the compiled position.
-        rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ, about the camera's
-            own axes (x right, y up, z towards the viewer).
-        camera: Its name; `default` is the one that renders images.
-
-    Example:
-        ``{func: randomize_camera_pose, mode: reset, params: {position_range: [[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]], rotation_range: [[-2, -2, -2], [2, 2, 2]]}}``
-    """  # noqa: E501  (an example is one line)
-
-    def __init__(
-        self,
-        env: TermContext,
-        position_range: Box3 | None = None,
-        rotation_range: Box3 | None = None,
-        camera: str = "default",
-    ) -> None:
-        self._id, self._engine = _camera(env, camera), env.sim.engine
-        model = self._engine.model
-        self._pos0: F64 = np.array(model.cam_pos[self._id], np.float64)
-        self._quat0: F64 = np.tile(model.cam_quat[self._id], (env.num_envs, 1))
-        self._move = Uniform.within("position", position_range)
-        self._turn = Uniform.within("rotation", rotation_range, degrees=True)
-
-    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Draw and write the camera's pose in these environments."""
-        draws, engine = env.event_manager, self._engine
-        if self._move is not None:
-            moved = self._pos0 + self._move(draws, env_ids)
-            engine.write_model("cam_pos", moved, env_ids, slice(3 * self._id, 3 * self._id + 3))
-        if self._turn is not None:
-            turn = euler_xyz_to_quat(self._turn(draws, env_ids))
-            quat = quat_multiply(self._quat0[: len(turn)], turn)
-            engine.write_model("cam_quat", quat, env_ids, slice(4 * self._id, 4 * self._id + 4))
-
-
-@register_term("event", name="randomize_camera_fovy")
-class RandomizeCameraFovy(Term):
-    """Sets a random vertical field of view of a camera, separately in each environment.
-
-    Args:
-        fovy_range: [low, high] in **degrees**, within (0, 180).
-        camera: Its name; `default` is the one that renders images.
-
-    Example:
-        ``{func: randomize_camera_fovy, mode: reset, params: {fovy_range: [35, 50]}}``
-    """
-
-    def __init__(self, env: TermContext, fovy_range: Range, camera: str = "default") -> None:
-        low, high = fovy_range
-        if not 0 < low <= high < 180:
-            raise ConfigError([Problem("fovy_range", f"within (0, 180), got {list(fovy_range)}")])
-        self._id, self._engine = _camera(env, camera), env.sim.engine
-        self._fovy = Uniform("fovy", [low], [high])
-
-    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Draw and write the field of view of these environments."""
-        drawn = self._fovy(env.event_manager, env_ids)
-        self._engine.write_model("cam_fovy", drawn, env_ids, slice(self._id, self._id + 1))
