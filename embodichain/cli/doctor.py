@@ -38,7 +38,6 @@ EXTRAS = {
     "pandas": ("logs as data frames", "pandas"),
     "parquet": ("logs as Parquet files", "pyarrow"),
     "hdf5": ("logs as HDF5 files", "h5py"),
-    "h264": ("videos of cameras in logs", "av"),
     "ros2": ("logs as ROS 2 bags", "rosbags"),
     "rerun": ("logs as recordings for Rerun", "rerun-sdk"),
     "lerobot": ("logs as LeRobot data sets", "pandas", "pyarrow", "imageio-ffmpeg"),
