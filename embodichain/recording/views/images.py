@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
@@ -176,7 +177,7 @@ def _shots(env: ObservedEnv, cameras: list[Camera], options: ImageOptions) -> li
             continue
         shot = known[name]
         if options.size is not None:
-            shot = shot._replace(width=options.size[0], height=options.size[1])
+            shot = replace(shot, width=options.size[0], height=options.size[1])
         if options.format == "h264" and (shot.width % 2 or shot.height % 2):
             size = f"{name} has {shot.width} x {shot.height} pixels"
             message = f"h264 needs even widths and heights; {size}"
