@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
@@ -41,7 +42,8 @@ _LOOKS: tuple[Look, ...] = ("fast", "full")
 _DIGEST = 32
 
 
-class Shot(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Shot:
     """How a camera of the scene is drawn.
 
     Attributes:
@@ -203,7 +205,7 @@ class FirstPictures:
         for i, shot in enumerate(shots):
             message = message_class("Pictures")(
                 step=step,
-                **shot._asdict(),
+                **asdict(shot),
                 renderer=self._renderer.about,
                 env_ids=ids,
                 sha256=b"".join(of_all[i] for of_all in digests),

@@ -3,8 +3,11 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
+import embodichain
 from embodichain.cli import jobs, main
 from embodichain.config.composed import compose
 from embodichain.config.resolved import resolve
@@ -49,3 +52,18 @@ def test_json_names_the_film(tmp_path: Path, capsys) -> None:
     assert main(["run", *TINY, "max_steps=3", "video.size=[32,32]", "--json", where]) == 0
     found = json.loads(capsys.readouterr().out)
     assert len(pictures(found["video"])[1]) == 3
+
+
+def test_the_picture_of_a_run_is_of_its_start(tmp_path: Path) -> None:
+    """It is drawn at the end, when everything has moved."""
+    assert main(["run", *TINY, "scene_png=true", "--quiet", f"output_dir={tmp_path}"]) == 0
+    (path,) = tmp_path.glob("*/*/scene.png")
+    env = embodichain.make("cart_pole", num_envs=1, overrides=["seed=1"])
+    env.reset()
+    start = env.sim.render(0, "default", 1280, 960)
+    env.sim.update(step=50)
+    end = env.sim.render(0, "default", 1280, 960)
+    env.close()
+    with Image.open(path) as picture:
+        np.testing.assert_array_equal(np.asarray(picture), start)
+    assert not np.array_equal(start, end)

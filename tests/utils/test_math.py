@@ -68,3 +68,16 @@ def test_what_is_not_turned_is_the_same_alone_and_beside_others():
     np.testing.assert_array_equal(alone, np.tile([1.0, 0, 0, 0], (4, 1)))
     np.testing.assert_allclose(np.abs(mixed[4]), [0, 0, 0, 1], atol=1e-15)
     assert m.matrix_to_quat(unturned.reshape(2, 2, 3, 3)).shape == (2, 2, 4)
+
+
+def test_matrices_of_quaternions_do_not_depend_on_their_number() -> None:
+    quat = np.random.default_rng(5).normal(size=(7, 3, 4))
+    quat /= np.linalg.norm(quat, axis=-1, keepdims=True)
+    together = m.quat_to_matrix(quat)
+    assert together.shape == (7, 3, 3, 3)
+    for i, j in np.ndindex(7, 3):
+        alone = m.quat_to_matrix(quat[i, j])
+        assert np.ascontiguousarray(together[i, j]).tobytes() == alone.tobytes()
+        w, x, y, z = quat[i, j]
+        first = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
+        np.testing.assert_allclose(alone[:, 0], first, atol=1e-14)

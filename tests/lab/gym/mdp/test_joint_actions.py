@@ -246,6 +246,25 @@ def test_position_targets_move_no_faster_than_max_velocity(make) -> None:
         env.close()
 
 
+def test_a_max_velocity_set_in_one_environment_bounds_its_targets(make) -> None:
+    env = make(**driven(), actions={"arm": act("default_offset_joint_position")})
+    env.reset()
+    before = env.state_dict()
+    slow = torch.full((1, 6), 1.0)  # rad/s; a control step takes 0.04 s
+    env.robot.set_joint_drive(max_velocity=slow, env_ids=[1])
+    step(env, [0.5] * 6)
+    moved = targets(env) - HOME
+    assert np.allclose(moved[1], 0.04, atol=1e-6)
+    assert np.allclose(moved[[0, 2]], 0.5, atol=1e-6)
+    bounded = env.state_dict()
+    env.load_state_dict(before)
+    step(env, [0.5] * 6)
+    assert np.allclose(targets(env) - HOME, 0.5, atol=1e-6), "the limit was not restored"
+    env.load_state_dict(bounded)
+    step(env, [0.5] * 6)
+    assert np.allclose((targets(env) - HOME)[1], 0.08, atol=1e-6)
+
+
 def test_the_files_velocity_limits_bound_targets_and_velocity_actions(make) -> None:
     env = make(**driven(max_velocity="file"), actions={"arm": act("joint_velocity", clip=9)})
     file = env.robot.parsed.qvel_limits

@@ -3,6 +3,8 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -117,6 +119,36 @@ def test_two_scenes_are_drawn_in_turn(engine, renderer):
     assert green[0, 40, 32].argmax() == 1
     second.close()
     np.testing.assert_array_equal(renderer.pictures(engine, "front", (64, 48)), alone)
+
+
+def test_threads_of_a_process_draw_in_turn(engine, renderer):
+    """Every thread gets its pictures, as if it were alone."""
+    sizes = [(64, 48), (32, 24), (48, 48), (40, 16)]
+    stored = StoredStates(engine.model)
+    stored.append(engine, 1)
+    alone = [renderer.pictures(stored, "front", size) for size in sizes]
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(3):
+            drawn = pool.map(lambda size: renderer.pictures(stored, "front", size), sizes)
+            for expected, found in zip(alone, drawn, strict=True):
+                np.testing.assert_array_equal(found, expected)
+
+
+def test_a_camera_with_a_lens_of_its_own_in_each_environment(engine, renderer):
+    """Twice the focal length shows the ball twice as large, around another centre."""
+    engine.write_model("geom_size", engine.model.geom_size.reshape(1, -1))
+    engine.write("qpos", [0.0, 0.2, 0.4], None, slice(0, 3))
+    view = view_of(engine, Viewpoint.look_at((0.0, -2.0, 0.4), (0.0, 0.2, 0.4)), 96, 64)
+    focal = np.array([[60.0, 60.0], [120.0, 60.0], [60.0, 60.0]])
+    centre = np.array([[48.0, 32.0], [48.0, 32.0], [30.0, 40.0]])
+    view = replace(view, focal=focal, centre=centre, outputs=("mask",))
+    seen = [np.nonzero(mask == BALL) for mask in renderer.draw(engine, [view])[0]["mask"]]
+    # A sphere of radius 0.2, 2.2 m away: 60 * 0.2 / sqrt(2.2^2 - 0.2^2) = 5.48 pixels around it.
+    for (rows, columns), (fx, fy), (cx, cy) in zip(seen, focal, centre, strict=True):
+        assert rows.mean() + 0.5 == pytest.approx(cy, abs=0.6)
+        assert columns.mean() + 0.5 == pytest.approx(cx, abs=0.6)
+        assert np.ptp(rows) + 1 == pytest.approx(2 * 5.48 * fy / 60.0, abs=1.1)
+        assert np.ptp(columns) + 1 == pytest.approx(2 * 5.48 * fx / 60.0, abs=1.1)
 
 
 def test_renderers_that_are_closed_leave_no_memory(engine, monkeypatch):
