@@ -18,15 +18,8 @@ __all__ = ["UR10", "describe_robot"]
 
 _TAKEN = ("marker", "pedestal", "default_plane")
 _PEDESTAL = """\
-  pedestal:                        # for pictures only: the base is inside, so it does not collide
-    shape:
-      shape_type: Cylinder
-      radius: 0.1
-      height: {height}
-      visual_material: {{base_color: [0.3, 0.32, 0.35, 1]}}
-    body_type: static
-    attrs: {{enable_collision: false}}
-    init_pos: [0, 0, {middle}]
+scene:                             # for pictures only: the base is inside, so it does not collide
+  pedestal: {{size: [0.2, 0.2, {height}], pos: [0, 0, 0], collision: false}}
 """
 _IMPORTS = "RigidBodyAttributesCfg, RigidObjectCfg, RobotCfg"
 _DRIVEN_IMPORTS = """(
@@ -89,7 +82,7 @@ def _words(
     effort = ", max_effort: file" if limited else ""
     pedestal = ""
     if height > 0 and not floating:
-        pedestal = _PEDESTAL.format(height=_number(height), middle=_number(0.5 * height))
+        pedestal = _PEDESTAL.format(height=_number(height))
     one = _map(scale) if isinstance(scale, Mapping) else _number(scale)
     return {
         "uid": uid,
@@ -107,7 +100,6 @@ def _words(
         "far": _number(4 * radius),
         "actions": _TARGETS.format(uid=uid, scale=one),
         "pedestal": pedestal,
-        "objects": "objects:\n" if pedestal else "",
         "tuple": f"(0.0, 0.0, {height})",
         "array": f"[{', '.join(map(repr, home))}]",
         "fixed": "fix_base=False" if floating else "gravcomp=1.0",

@@ -234,7 +234,8 @@ def test_what_is_written_of_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
     # the ground, at 0.04 + 0.15 - (0.15 + 0.04 + 0.08) sin 65 - 0.008 = -0.06
     assert task["robot"]["init_qpos"] == [0, 1.1345, 0.04]
     assert task["robot"]["init_pos"] == [0, 0, pytest.approx(0.07, abs=0.011)]
-    assert task["objects"]["pedestal"]["attrs"] == {"enable_collision": False}
+    pedestal = {"size": [0.2, 0.2, task["robot"]["init_pos"][2]], "pos": [0, 0, 0]}
+    assert task["scene"]["pedestal"] == {**pedestal, "collision": False}
     params = task["actions"]["arm"]["params"]
     assert params["scale"] == {"turn|bend": 0.4, "reach": 0.02}
     pair = task["rewards"]["distance"]["params"]

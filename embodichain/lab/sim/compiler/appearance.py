@@ -166,10 +166,11 @@ def add_wood(
 def _png(light: tuple[float, ...], dark: tuple[float, ...], planks: bool) -> bytes:
     from PIL import Image
 
-    shade = np.round(_WOOD_SHADES * wood(planks)[..., None]) / _WOOD_SHADES
-    rgb = np.asarray(light) * shade + np.asarray(dark) * (1.0 - shade)
+    shade = np.arange(_WOOD_SHADES + 1)[:, None] / _WOOD_SHADES
+    palette = np.round(255.0 * (np.asarray(light) * shade + np.asarray(dark) * (1.0 - shade)))
+    image = Image.fromarray(np.round(_WOOD_SHADES * wood(planks)).astype(np.uint8), mode="P")
+    image.putpalette(palette.astype(np.uint8).tobytes())
     buffer = io.BytesIO()
-    image = Image.fromarray(np.clip(255.0 * rgb + 0.5, 0.0, 255.0).astype(np.uint8))
     image.save(buffer, format="PNG")
     return buffer.getvalue()
 

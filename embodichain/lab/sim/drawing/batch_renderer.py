@@ -72,6 +72,7 @@ class BatchRenderer:
         self._targets: dict[Any, PictureTarget] = {}
         self._shadow_maps: ShadowMaps | None = None
         self._shadows_same = Unchanged()
+        self._uniforms: dict[str, Any] = {}
 
     def draw(
         self, state: DrawnState, views: Sequence[View], envs: Index | None = None
@@ -179,27 +180,29 @@ class BatchRenderer:
         full: bool,
     ) -> dict[str, NDArray[Any]]:
         colour, layers = "color" in target.outputs, target.layers
-        lit = frame.casters if full else ()
+        self._set_uniforms(float(max(view.optics.far for view in views)))
+        lit = casters(frame.state) if full else ()
         defines: dict[str, object] = {"LIGHTS": self._model.nlight, "SHADOW_MAPS": len(lit)}
         if lit:
             slots = [lit.index(i) if i in lit else -1 for i in range(self._model.nlight)]
             numbers = ", ".join(map(str, slots))
             defines["MAP_OF_LIGHT"] = f"int[{len(slots)}]({numbers})"
-            self._draw_shadows(frame, max(target.size), defines)
+            self._draw_shadows(frame, lit, max(target.size), defines)
         meshes = self._meshes_for(target, full)
         if frame.positional:
             defines["POSITIONAL"] = 1
         if full:
             defines["FULL"] = 1
-        far = float(max(view.optics.far for view in views))
+        if self._textures.sky >= 0:
+            defines["SKY"] = 1
         target.begin_surfaces()
         for kind, key in meshes.kinds(self._surfaces.textured if colour else None):
-            self._use("surfaces", {"LIGHTS": self._model.nlight, **kind}, far)
+            self._use("surfaces", {"LIGHTS": self._model.nlight, **kind})
             meshes.buffers.draw(key, layers)
         veiled = colour and bool(self._surfaces.transparent.any())
         if veiled:
             target.begin_veil()
-            self._draw_transparent(meshes, frame, table, defines, far)
+            self._draw_transparent(meshes, frame, table, defines)
         target.begin_pictures()
         self._draw_whole("shading", {**defines, "COLOUR": int(colour)}, meshes, layers)
         if full:
@@ -207,8 +210,7 @@ class BatchRenderer:
             self._draw_whole("shading", {**defines, "EDGES": 1}, meshes, layers, 0.75)
         if colour:
             target.add_behind()
-            has_sky = {"SKY": 1} if self._textures.sky >= 0 else {}
-            self._draw_whole("sky", {**defines, **has_sky}, meshes, layers, 0.25)
+            self._draw_whole("sky", defines, meshes, layers, 0.25)
         if veiled:
             target.add_over()
             self._draw_whole("veil", defines, meshes, layers)
@@ -226,8 +228,7 @@ class BatchRenderer:
         closer: float = 0.0,
     ) -> None:
         """Draw all of every picture, or the pixels whose depth is larger."""
-        self._use(name, defines, 1.0)
-        self._program.use({"closer": closer})
+        self._use(name, defines, closer=closer)
         meshes.buffers.draw_whole(layers)
 
     def _meshes_for(self, target: PictureTarget, full: bool) -> _Meshes:
@@ -243,23 +244,26 @@ class BatchRenderer:
             self._meshes[level] = _Meshes(SceneGeometry.of_model(self._model, *detail), self._model)
         return self._meshes[level]
 
-    def _use(self, name: str, defines: dict[str, object], far: float) -> None:
-        key = name, *sorted(defines.items(), key=str)
-        if key not in self._programs:
-            self._programs[key] = Program(*getattr(shaders, name)(defines))
+    def _use(self, name: str, defines: dict[str, object], **uniforms: float) -> None:
+        """Make the program of a kind and of `defines` current."""
+        key = name, *defines.items()
+        program = self._programs.get(key)
+        if program is None:
+            program = self._programs[key] = Program(*getattr(shaders, name)(defines))
+        program.use({**self._uniforms, **uniforms})
+
+    def _set_uniforms(self, far: float) -> None:
         headlight = self._model.vis.headlight
         on = 1.0 if headlight.active else 0.0
-        diffuse, specular = (on * np.asarray(v) for v in (headlight.diffuse, headlight.specular))
-        self._programs[key].use(
-            {
-                "geomCount": int(self._model.ngeom),
-                "far": far,
-                "sky": float(self._textures.sky),
-                "headDiffuse": tuple(diffuse.tolist()),
-                "headSpecular": tuple(specular.tolist()),
-            }
-        )
-        self._program = self._programs[key]
+        self._uniforms = {
+            "geomCount": int(self._model.ngeom),
+            "far": far,
+            "sky": float(self._textures.sky),
+            "haze": tuple(self._model.vis.rgba.haze[:3].tolist()),
+            "hazeReach": float(self._model.vis.map.zfar * self._model.stat.extent),
+            "headDiffuse": tuple((on * headlight.diffuse).tolist()),
+            "headSpecular": tuple((on * headlight.specular).tolist()),
+        }
 
     def _draw_transparent(
         self,
@@ -267,7 +271,6 @@ class BatchRenderer:
         frame: _Frame,
         table: NDArray[np.float32],
         defines: dict[str, object],
-        far: float,
     ) -> None:
         """Draw transparent geoms of every picture, those far from its eye first."""
         geoms = np.array(
@@ -294,16 +297,17 @@ class BatchRenderer:
         self._numbers["order"].upload(numbers)
         for geom, start, count in draws:
             kind, key = meshes.single(geom, self._surfaces.textured)
-            self._use("transparent", {**defines, **kind}, far)
-            self._program.use({"firstOfOrder": start})
+            self._use("transparent", {**defines, **kind}, firstOfOrder=start)
             meshes.buffers.draw(key, count)
 
-    def _draw_shadows(self, frame: _Frame, pixels: int, defines: dict[str, object]) -> None:
+    def _draw_shadows(
+        self, frame: _Frame, lit: tuple[int, ...], pixels: int, defines: dict[str, object]
+    ) -> None:
         """Draw what lights see, unless it is what they saw in the last call."""
         meshes = self._meshes_of(_SHADOW_DETAIL)
         side = int(np.clip(128 * -(-0.8 * pixels // 128), 256, 2048))
-        layers = len(frame.rows) * len(frame.casters)
-        seen = shadow_views(frame.state, frame.rows, frame.casters, meshes.solid)
+        layers = len(frame.rows) * len(lit)
+        seen = shadow_views(frame.state, frame.rows, lit, meshes.solid)
         same = self._shadows_same([seen, frame.poses, self._surfaces.table, frame.lights])
         maps = self._shadow_maps
         if maps is None or (maps.pixels, maps.layers) != (side, layers):
@@ -314,7 +318,7 @@ class BatchRenderer:
             return
         self._numbers["shadowViews"].upload(seen)
         maps.begin()
-        self._use("shadows", {k: defines[k] for k in ("LIGHTS", "SHADOW_MAPS")}, 1.0)
+        self._use("shadows", {k: defines[k] for k in ("LIGHTS", "SHADOW_MAPS")})
         meshes.buffers.draw("solid", layers)
         maps.open_surfaces()
         meshes.buffers.draw("fields", layers)
@@ -358,7 +362,6 @@ class _Frame:
         self.poses[..., 3] = state.derived("geom_xpos")[pick]
         shared = len(surfaces.table) == 1
         self.lights = light_table(state, rows, np.zeros_like(rows) if shared else rows)
-        self.casters = casters(state)
         self.positional = positional(state)
 
 

@@ -163,8 +163,11 @@ class NumberTexture:
     def __init__(self, unit: int) -> None:
         from OpenGL import GL
 
-        self._unit = unit
         self._buffer, self._texture = GL.glGenBuffers(1), GL.glGenTextures(1)
+        GL.glBindBuffer(GL.GL_TEXTURE_BUFFER, self._buffer)
+        GL.glActiveTexture(GL.GL_TEXTURE0 + unit)
+        GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
+        GL.glTexBuffer(GL.GL_TEXTURE_BUFFER, GL.GL_RGBA32F, self._buffer)
         self._uploaded: NDArray[np.float32] | None = None
 
     def upload(self, values: NDArray[np.float32]) -> None:
@@ -176,9 +179,6 @@ class NumberTexture:
         self._uploaded = values
         GL.glBindBuffer(GL.GL_TEXTURE_BUFFER, self._buffer)
         GL.glBufferData(GL.GL_TEXTURE_BUFFER, values.nbytes, values, GL.GL_STREAM_DRAW)
-        GL.glActiveTexture(GL.GL_TEXTURE0 + self._unit)
-        GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
-        GL.glTexBuffer(GL.GL_TEXTURE_BUFFER, GL.GL_RGBA32F, self._buffer)
 
     def close(self) -> None:
         """Free it."""

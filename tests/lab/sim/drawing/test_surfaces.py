@@ -66,7 +66,7 @@ def test_a_sky_lies_as_in_mujoco():
     sky = """<texture type="skybox" builtin="gradient" rgb1="1 0 0" rgb2="0 0 1" width="64"
              height="384" mark="cross" markrgb="1 1 1"/>"""
     engine = CpuEngine(scene('<geom size=".01"/>', sky), 1)
-    side = Viewpoint.look_at((0.0, 0.0, 0.0), (1.0, 0.6, 0.2), fovy=90.0)
+    side = Viewpoint.look_at((0.0, 0.0, 0.0), (1.0, 0.6, 1.5), fovy=60.0)
     ours, mujocos = (draw(cls, engine, side) for cls in (BatchRenderer, ClassicRenderer))
     assert np.abs(ours - mujocos).mean() < 3.0
 
