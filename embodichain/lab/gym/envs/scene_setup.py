@@ -199,12 +199,15 @@ def _check_numbers(cfg: EnvCfg) -> None:
 # -- checking --------------------------------------------------------------------------------------
 
 
-def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem]:
+def describe(
+    cfg: EnvCfg, prepared: PreparedScene | None = None, num_envs: int | None = None
+) -> list[Problem]:
     """Check the declared scene of a task: files, names, poses, joints, sizes, references.
 
     Args:
         cfg: The task.
         prepared: Receives the files and models that were read, for the simulation built next.
+        num_envs: N, for the memory of images; None is the config's.
 
     Returns:
         Every mistake, with paths relative to the task; empty if the scene compiles. Mistakes of a
@@ -236,7 +239,7 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
     problems += check_references(cfg, known, open_scene=open_scene)
     ground = physics.has_ground
     sensors, found = plan_sensors(
-        cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=cfg.num_envs
+        cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=num_envs or cfg.num_envs
     )
     problems += found
     if problems:
