@@ -323,6 +323,7 @@ class BatchRenderer:
         meshes.buffers.draw("solid", layers)
         maps.open_surfaces()
         meshes.buffers.draw("fields", layers)
+        maps.end()
 
     def close(self) -> None:
         """Free the context and everything in it."""
