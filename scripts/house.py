@@ -31,6 +31,8 @@ from scipy.sparse.csgraph import connected_components
 
 REPO = Path(__file__).parents[1]
 PACKAGE = REPO / "embodichain"
+_PUBLIC = frozenset({"_asdict", "_field_defaults", "_fields", "_make", "_replace"})
+"""Documented names of named tuples, which begin with an underscore."""
 _OPTIMIZED = 0x1  # inspect.CO_OPTIMIZED: functions; not the bodies of modules and classes
 
 
@@ -90,7 +92,7 @@ def private_accesses() -> list[str]:
 
 
 def _is_private(name: str) -> bool:
-    return name.startswith("_") and not name.startswith("__")
+    return name.startswith("_") and not name.startswith("__") and name not in _PUBLIC
 
 
 def _is_self(node: ast.expr) -> bool:

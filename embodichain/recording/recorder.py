@@ -115,7 +115,12 @@ class McapRecorder(StepObserver):
         self._since_start = self._start_bytes = 0
         self._flushed = time.monotonic()
         self._closed = False
-        layout = foxglove_layout(env, options.view_envs)
+        images: list[str] = []
+        if options.images is not None:
+            from embodichain.recording.views.images import image_topics
+
+            images = image_topics(env, options.images)
+        layout = foxglove_layout(env, options.view_envs, images)
         attachments = attachments_of(mjb, env.sim.scene.spec, config, overrides, layout)
         self._log = LogWriter(self._path, options.compression, header, attachments, layout)
         self._views = Views(env, options, self._log.views, self._now)

@@ -116,6 +116,26 @@ def test_what_is_not_restored_is_said(case):
     assert info["not_restored"] == expected
 
 
+def test_a_sensor_with_a_rate_measures_anew(case):
+    if case.name != "random_reach":
+        pytest.skip("the same for every task")
+    of = "entity_cfg: {uid: ur10, link_names: [ee_link]}, alignment: world"
+    of += ", pattern: {directions: [[0, 0, -1]]}"
+    sensors = f"{{now: {{sensor_type: ray, {of}}}, seldom: {{sensor_type: ray, {of}, rate: 1}}}}"
+    env = embodichain.make(
+        "random_reach", num_envs=2, overrides=[*REACH, f"+task.sensors={sensors}"]
+    )
+    env.reset()
+    now, seldom = (env.get_sensor(uid).read_distance for uid in ("now", "seldom"))
+    np.testing.assert_array_equal(seldom(), now())
+    env.step(case.actions[0][:2])
+    assert (seldom() != now()).all()
+    _, info = env.restore(case.log, env=0, episode=1, step=2)
+    assert "sensors.seldom: readings between measurements" in info["not_restored"]
+    np.testing.assert_array_equal(seldom(), now())
+    env.close()
+
+
 @pytest.mark.parametrize(
     ("moment", "message"),
     [

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.sensors.camera import Camera
     from embodichain.recording.views.views import Sink
 
-__all__ = ["Images"]
+__all__ = ["Images", "image_topics"]
 
 _SCENE_SIZE = (640, 480)
 """Pixels of a camera of the scene without a resolution."""
@@ -101,7 +101,7 @@ class Images:
             _Feed(
                 env_id,
                 shot,
-                f"env_{env_id}/camera/{shot.camera}",
+                _frame(env_id, shot),
                 encoder_of(how, shot.width, shot.height, self._rate),
             )
             for env_id in sorted(set(self._options.envs))
@@ -154,6 +154,21 @@ class Images:
             message.timestamp.FromNanoseconds(time_ns)
         yield from made
         yield "/tf", _transform(feed, view, time_ns)
+
+
+def image_topics(env: ObservedEnv, options: ImageOptions) -> list[str]:
+    """Topics of the coloured pictures.
+
+    Raises:
+        ConfigError: If there is no such camera.
+    """
+    shots = _shots(env, camera_sensors(env), options)
+    ids = sorted(set(options.envs))
+    return [f"/{_frame(i, shot)}/image" for i in ids for shot in shots if "color" in shot.outputs]
+
+
+def _frame(env_id: int, shot: Shot) -> str:
+    return f"env_{env_id}/camera/{shot.camera}"
 
 
 def _shots(env: ObservedEnv, cameras: list[Camera], options: ImageOptions) -> list[Shot]:

@@ -26,6 +26,7 @@ __all__ = ["foxglove_layout", "pitch_of", "places"]
 
 _EXTENTS = 2.5
 """Distance between viewed environments, in extents of the scene."""
+_MOST_IMAGES = 2
 _PALETTE = ("#4e98e2", "#f5774d", "#f7df71", "#5cd6a9", "#61cbff", "#a395e2", "#ea4d6c")
 _PLOT = {
     "showXAxisLabels": True,
@@ -39,12 +40,15 @@ _PLOT = {
 }
 
 
-def foxglove_layout(env: ObservedEnv, view_envs: Sequence[int]) -> dict[str, Any]:
+def foxglove_layout(
+    env: ObservedEnv, view_envs: Sequence[int], images: Sequence[str] = ()
+) -> dict[str, Any]:
     """Return a layout with the scene, joint positions, the reward and its terms, and the log.
 
     Args:
         env: The environment.
         view_envs: Viewed environments.
+        images: Topics of pictures; the first `_MOST_IMAGES` are shown.
     """
     text = resources.files(__package__).joinpath("layout.json").read_text("utf-8")
     layout: dict[str, Any] = json.loads(text)
@@ -58,6 +62,12 @@ def foxglove_layout(env: ObservedEnv, view_envs: Sequence[int]) -> dict[str, Any
         "distance": 1.8 * float(model.stat.extent) + 1.2 * spread,
         "targetOffset": (model.stat.center + where.mean(axis=0)).tolist(),
     }
+    for number, topic in enumerate(images[:_MOST_IMAGES]):
+        calibration = f"{topic.rpartition('/')[0]}/calibration"
+        name = f"Image!{number}"
+        panels[name] = {"imageMode": {"imageTopic": topic, "calibrationTopic": calibration}}
+        split = {"direction": "column", "first": layout["layout"]["first"], "second": name}
+        layout["layout"]["first"] = {**split, "splitPercentage": 65}
     first = f"/env_{view_envs[0]}" if view_envs else "/env_0"
     joints = list(scalar_joints(model))
     last = [name.rpartition("/")[2] for name in joints]  # `elbow` if only one robot has it

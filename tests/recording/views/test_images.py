@@ -1,6 +1,7 @@
 """Pictures in a log: `record.images`."""
 
 import io
+import json
 import math
 import subprocess
 
@@ -11,7 +12,7 @@ from PIL import Image
 
 import embodichain
 from embodichain.cli.app import main
-from embodichain.recording import ImageOptions, McapRecorder, RecordOptions, diff, verify
+from embodichain.recording import ImageOptions, McapRecorder, RecordOptions, diff, inspect, verify
 from embodichain.utils.errors import ConfigError
 from tests.recording.test_api import decoded
 
@@ -148,6 +149,16 @@ def test_the_camera_has_its_lens_and_its_frame(video):
     # z forward is the environment's y, y down is -z: a quarter turn about -x
     half = math.sqrt(0.5)
     assert (turned.w, turned.x, turned.y, turned.z) == pytest.approx((half, -half, 0, 0), abs=1e-6)
+
+
+def test_the_layout_shows_them(video):
+    layout = json.loads(video.with_name("foxglove_layout.json").read_text())
+    panel = layout["configById"]["Image!0"]["imageMode"]
+    topics = {channel.topic for channel in inspect(video).channels}
+    assert panel["imageTopic"] == IMAGE
+    assert set(panel.values()) <= topics
+    left = layout["layout"]["first"]
+    assert (left["first"], left["second"]) == ("3D!scene", "Image!0")
 
 
 def test_pictures_change_nothing_else(video, tmp_path):

@@ -115,7 +115,7 @@ def test_options_of_a_file_that_the_scene_replaces_are_reported_once(tmp_path, c
     assert option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     assert not option.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
     assert not option.enableflags
-    lines = [r.getMessage() for r in caplog.records if "replaces options" in r.getMessage()]
+    lines = [r.getMessage() for r in caplog.records if "replaces its options" in r.getMessage()]
     assert len(lines) == 1
     for part in (
         "timestep 0.003 -> 0.01",

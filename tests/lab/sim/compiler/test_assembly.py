@@ -96,6 +96,18 @@ def test_names_are_those_of_the_assembly(arm):
     assert arm.control_parts == {"arm": arm.joint_names[:6], "hand": arm.joint_names[6:]}
 
 
+def test_an_assembly_is_built_up_by_calls(arm, gripper):
+    """EmbodiChain's tasks call `add_component` and `set_urdf`."""
+    built = URDFCfg().add_component("arm", gripper).add_component("hand", gripper, TURN)
+    built.add_component("arm", UR10)  # replaces the first
+    assert [part.component_type for part in built.parts()] == ["hand", "arm"]
+    parsed = parse_articulation("ur", RobotCfg(urdf_cfg=built))
+    assert list(parsed.joint_names) == arm.joint_names
+    assert list(parsed.link_names) == arm.link_names
+    alone = parse_articulation("ur", RobotCfg(urdf_cfg=built.set_urdf(UR10)))
+    assert list(alone.joint_names) == [f"Joint{i}" for i in range(1, 7)]
+
+
 def test_masses_limits_and_drives_are_the_files_and_the_configs(arm):
     alone = parse_articulation("a", RobotCfg(fpath=UR10))
     assert arm.parsed.model.body_mass.sum() == pytest.approx(alone.model.body_mass.sum() + 0.8)

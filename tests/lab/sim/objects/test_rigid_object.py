@@ -108,7 +108,10 @@ def test_force_accelerates_by_mass(sim):
 
 def test_damping_is_a_rate(sim):
     box = sim.get_rigid_object("box")
-    box.set_damping([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
+    rates = [[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]
+    box.set_damping(rates)
+    np.testing.assert_array_equal(box.get_damping(), rates)
+    np.testing.assert_array_equal(box.get_damping([2]), rates[2:])
     sim.engine.write_model("opt.gravity", 0.0)
     box.set_velocity(np.tile([[1.0, 0, 0]], (3, 1)), np.tile([[0, 0, 1.0]], (3, 1)))
     sim.update(step=100)
