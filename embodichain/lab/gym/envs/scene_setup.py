@@ -110,9 +110,14 @@ def _surroundings(cfg: EnvCfg) -> list[_Entity]:
 
 
 def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
-    if (scene := _scene(cfg)).pedestal is None:
-        return []
-    return [p.below("scene.pedestal") for p in check_pedestal(scene.pedestal, _base(cfg))]
+    scene = _scene(cfg)
+    problems = []
+    if scene.keyframe is not None and not scene.fpath:
+        problems.append(Problem("scene.keyframe", "is one of a scene's file: fpath is missing"))
+    if scene.pedestal is not None:
+        found = check_pedestal(scene.pedestal, _base(cfg))
+        problems += [p.below("scene.pedestal") for p in found]
+    return problems
 
 
 def _scene(cfg: EnvCfg) -> SceneCfg:
@@ -199,12 +204,15 @@ def _check_numbers(cfg: EnvCfg) -> None:
 # -- checking --------------------------------------------------------------------------------------
 
 
-def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem]:
+def describe(
+    cfg: EnvCfg, prepared: PreparedScene | None = None, num_envs: int | None = None
+) -> list[Problem]:
     """Check the declared scene of a task: files, names, poses, joints, sizes, references.
 
     Args:
         cfg: The task.
         prepared: Receives the files and models that were read, for the simulation built next.
+        num_envs: How many environments there will be; None is the config's number.
 
     Returns:
         Every mistake, with paths relative to the task; empty if the scene compiles. Mistakes of a
@@ -236,7 +244,11 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
     problems += check_references(cfg, known, open_scene=open_scene)
     ground = physics.has_ground
     sensors, found = plan_sensors(
-        cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=cfg.num_envs
+        cfg.sensors,
+        known,
+        ground=ground,
+        open_scene=open_scene,
+        num_envs=num_envs or cfg.num_envs,
     )
     problems += found
     if problems:
