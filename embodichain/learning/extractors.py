@@ -12,15 +12,15 @@ from torch import nn
 
 __all__ = ["SmallCnn"]
 
-_LAYERS = ((16, 5), (32, 3), (32, 3))
-"""Channels and kernel size of each convolution; each halves the image."""
+_LAYERS = ((16, 5, 4), (32, 3, 2), (32, 3, 2))
+"""Channels, kernel size and stride of each convolution."""
 
 
 class SmallCnn(BaseFeaturesExtractor):
     """Three convolutions for each image, then one layer; numbers are passed on beside it.
 
-    A quarter of the arithmetic of Stable-Baselines3's `NatureCNN`, and for 64x64 pixels an eighth
-    of its parameters.
+    For three channels of 64x64 pixels it has 48,000 weights, Stable-Baselines3's `NatureCNN`
+    600,000.
 
     Args:
         observation_space: A Dict of images (uint8, channels first) and of vectors, or one image.
@@ -55,8 +55,8 @@ class SmallCnn(BaseFeaturesExtractor):
 def _network(space: Any, features: int) -> nn.Module:
     layers: list[nn.Module] = []
     channels = space.shape[0]
-    for width, kernel in _LAYERS:
-        layers += [nn.Conv2d(channels, width, kernel, stride=2, padding=kernel // 2), nn.ReLU()]
+    for width, kernel, stride in _LAYERS:
+        layers += [nn.Conv2d(channels, width, kernel, stride, padding=kernel // 2), nn.ReLU()]
         channels = width
     layers.append(nn.Flatten())
     with torch.no_grad():

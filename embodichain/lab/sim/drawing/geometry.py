@@ -13,7 +13,6 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
 
 __all__ = ["VERTEX", "SceneGeometry", "geom_scales"]
 
@@ -307,16 +306,16 @@ def _creased(points: NDArray[Any], faces: NDArray[np.int64]) -> tuple[NDArray[An
     corners = points[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     unit = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
-    # Corner x face of the same point, where the faces are nearly parallel.
-    at = csr_array(
-        (np.ones(faces.size, np.int8), (np.arange(faces.size), faces.reshape(-1))),
-        shape=(faces.size, len(points)),
-    )
-    pairs = coo_array(at @ at.T)
-    own, other = (part // 3 for part in pairs.coords)
-    alike = (unit[own] * unit[other]).sum(axis=1) > np.cos(np.radians(60.0))
-    normals = np.zeros((faces.size, 3))
-    np.add.at(normals, pairs.coords[0][alike], across[other[alike]])
+    # Pairs of corners at the same point, whose faces are nearly parallel.
+    at = faces.reshape(-1)
+    sharing = np.bincount(at, minlength=len(points))
+    own = np.repeat(np.arange(at.size), sharing[at])
+    turn = np.arange(own.size) - np.repeat(np.cumsum(sharing[at]) - sharing[at], sharing[at])
+    by_point, first = np.argsort(at, kind="stable"), np.cumsum(sharing) - sharing
+    other = by_point[first[at[own]] + turn]
+    alike = (unit[own // 3] * unit[other // 3]).sum(axis=1) > np.cos(np.radians(60.0))
+    normals = np.zeros((at.size, 3))
+    np.add.at(normals, own[alike], across[other[alike] // 3])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     rows = np.concatenate([faces.reshape(-1, 1), np.round(1e4 * normals).astype(np.int64)], axis=1)
     _, kept, joined = np.unique(rows, axis=0, return_index=True, return_inverse=True)

@@ -275,7 +275,8 @@ class CameraCfg(SensorCfg):
     """fx, fy, cx, cy in pixels, from the top left corner, instead of `fovy`. With neither, fx and
     fy are 1.25 heights and the axis is in the middle."""
     camera: str | None = None
-    """A camera of an entity's file, ``UID/NAME``, with the pose and the lens that it has there."""
+    """A camera of an entity's file, ``UID/NAME``, or a view of the task, with the pose and the lens
+    that it has there."""
     extrinsics: _Extrinsics = _Extrinsics()
     convention: Literal["opengl", "ros"] | None = None
     """Axes of `extrinsics.quat`. opengl: x right, y up, view along -z. ros: x right, y down, view
