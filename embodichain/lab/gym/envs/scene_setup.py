@@ -110,14 +110,9 @@ def _surroundings(cfg: EnvCfg) -> list[_Entity]:
 
 
 def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
-    scene = _scene(cfg)
-    problems = []
-    if scene.keyframe is not None and not scene.fpath:
-        problems.append(Problem("scene.keyframe", "is one of a scene's file: fpath is missing"))
-    if scene.pedestal is not None:
-        found = check_pedestal(scene.pedestal, _base(cfg))
-        problems += [p.below("scene.pedestal") for p in found]
-    return problems
+    if (scene := _scene(cfg)).pedestal is None:
+        return []
+    return [p.below("scene.pedestal") for p in check_pedestal(scene.pedestal, _base(cfg))]
 
 
 def _scene(cfg: EnvCfg) -> SceneCfg:
@@ -224,7 +219,7 @@ def describe(
     step, changes = physics_step(physics), drive_changes(cfg.events)
     parsed, problems = _parse(entities, step, changes)
     try:
-        world = read_world(physics.scene, "scene") if physics.scene.fpath else None
+        world = read_world(physics.scene, "scene")
     except ConfigError as error:
         world, problems = None, [*problems, *error.problems]
     inside = {} if world is None else dict.fromkeys(world.objects, "the scene's file")
@@ -243,12 +238,9 @@ def describe(
     problems += [p.below("views") for p in found]
     problems += check_references(cfg, known, open_scene=open_scene)
     ground = physics.has_ground
+    count = num_envs or cfg.num_envs
     sensors, found = plan_sensors(
-        cfg.sensors,
-        known,
-        ground=ground,
-        open_scene=open_scene,
-        num_envs=num_envs or cfg.num_envs,
+        cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=count
     )
     problems += found
     if problems:
