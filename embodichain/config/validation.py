@@ -140,7 +140,7 @@ def _check_meaning(
     if not any(_ENTITY.fullmatch(path) for path in missing):
         from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
 
-        in_task += describe(root.task, scene)
+        in_task += describe(root.task, scene, root.num_envs)
     found = [replace(p, path=f"task.{p.path}".rstrip(".")) for p in in_task]
     return problems + [p for p in found if p.path not in known]
 
