@@ -21,7 +21,7 @@ from functools import cache
 from types import FrameType
 from typing import Any
 
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, RenderError
 
 __all__ = [
     "FAILED",
@@ -185,7 +185,8 @@ def report(error: BaseException, *, full: bool = False) -> int:
         full: Whether to print the whole traceback (`--traceback`).
 
     Returns:
-        2 when the user's input is wrong, 130 when a signal ended the run, else 1.
+        2 when the user's input is wrong, or this machine cannot draw what it asks for; 130 when a
+        signal ended the run; else 1.
     """
     if full and not isinstance(error, Interrupted):
         traceback.print_exception(error, file=sys.stderr)
@@ -193,7 +194,8 @@ def report(error: BaseException, *, full: bool = False) -> int:
         code, text = INTERRUPTED, str(error) or "interrupted"
     elif not isinstance(error, ConfigError):
         hint = "" if full else "\n(--traceback shows where it happened)"
-        code, text = FAILED, f"error: {_line(error)}{hint}"
+        code = WRONG_INPUT if isinstance(error, RenderError) else FAILED
+        text = f"error: {_line(error)}{hint}"
     elif len(error.problems) < 2:
         code, text = WRONG_INPUT, f"error: {error}"
     else:  # one paragraph for each mistake, its lists indented below

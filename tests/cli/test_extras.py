@@ -6,6 +6,8 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
+
 from embodichain.cli import main
 from embodichain.cli.doctor import EXTRAS
 
@@ -52,3 +54,21 @@ def test_doctor_says_what_is_there_and_how_to_get_the_rest(capsys, monkeypatch):
     assert checks["export"]["found"] == (
         f"not installed: onnxruntime (there: onnx {versions('onnx')})"
     )
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "state", "found"),
+    [
+        ("EMBODICHAIN_RENDERER", "layered", "ok", "layered renderer: .*, OpenGL 4"),
+        ("EMBODICHAIN_RENDERER", "classic", "ok", "classic renderer: .*, OpenGL [1-9]"),
+        ("EMBODICHAIN_RENDERER", "layerd", "warn", "no renderer 'layerd'.*Did you mean 'layered'"),
+        ("MUJOCO_GL", "disable", "warn", "no OpenGL: depth and masks are drawn with rays"),
+    ],
+)
+def test_doctor_names_the_renderer(capsys, monkeypatch, variable, value, state, found):
+    monkeypatch.setenv(variable, value)
+    assert main(["doctor", "--json"]) == 0
+    checks = {check["part"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
+    check = checks["rendering"]
+    assert check["state"] == state and re.search(found, check["found"]), check
+    assert ("apt-get install" in check["advice"]) == (state == "warn")

@@ -98,3 +98,15 @@ def test_a_picture_is_never_replaced(capsys: pytest.CaptureFixture[str]) -> None
     assert render("reach", "a.png") == 2
     assert "a.png exists" in capsys.readouterr().err
     assert Path("a.png").read_bytes() == b"mine"
+
+
+def test_without_opengl_it_names_the_packages(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("EMBODICHAIN_RENDERER", "rays")
+    assert render("task=cart_pole", "out.png", *SMALL) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("error: colours need OpenGL") and "libegl1 libgl1-mesa-dri" in err
+    assert not Path("out.png").exists()
+    assert main(["run", "task=cart_pole", "max_steps=2", "record=none", "--quiet"]) == 0
+    assert "no scene.png: colours need OpenGL" in capsys.readouterr().err

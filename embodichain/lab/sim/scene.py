@@ -56,9 +56,8 @@ class Scene:
         self.rigid_objects: dict[str, RigidObject] = {}
         self.lights: dict[str, Light] = {}
         self.sensors: dict[str, BaseSensor] = {}
-        self.world: World | None = None
-        if cfg.scene.fpath:
-            self.world = self._prepared.take_world(cfg.scene) or read_world(cfg.scene, "scene")
+        self.world: World | None = self._prepared.take_world(cfg.scene)
+        self.world = self.world or read_world(cfg.scene, "scene")
         self.compiled: CompiledScene | None = None
 
     @property

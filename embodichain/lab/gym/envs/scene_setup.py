@@ -207,7 +207,7 @@ def describe(
     Args:
         cfg: The task.
         prepared: Receives the files and models that were read, for the simulation built next.
-        num_envs: N, for the memory of images; None is the config's.
+        num_envs: How many environments there will be; None is the config's number.
 
     Returns:
         Every mistake, with paths relative to the task; empty if the scene compiles. Mistakes of a
@@ -219,7 +219,7 @@ def describe(
     step, changes = physics_step(physics), drive_changes(cfg.events)
     parsed, problems = _parse(entities, step, changes)
     try:
-        world = read_world(physics.scene, "scene") if physics.scene.fpath else None
+        world = read_world(physics.scene, "scene")
     except ConfigError as error:
         world, problems = None, [*problems, *error.problems]
     inside = {} if world is None else dict.fromkeys(world.objects, "the scene's file")
@@ -238,8 +238,9 @@ def describe(
     problems += [p.below("views") for p in found]
     problems += check_references(cfg, known, open_scene=open_scene)
     ground = physics.has_ground
+    count = num_envs or cfg.num_envs
     sensors, found = plan_sensors(
-        cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=num_envs or cfg.num_envs
+        cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=count
     )
     problems += found
     if problems:

@@ -70,12 +70,20 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
     if not 0 < cfg.near < np.inf:
         problems.append(Problem("near", f"must be positive, metres, got {cfg.near}"))
     elif not cfg.near < cfg.far < np.inf:
-        problems.append(Problem("far", f"must be greater than near, {cfg.near} m, got {cfg.far}"))
+        message = f"must be greater than near, {cfg.near} m, and finite, got {cfg.far}"
+        problems.append(Problem("far", message))
     stereo = isinstance(cfg, StereoCameraCfg)
     if not stereo and "disparity" in (cfg.data_types or ()):
         problems.append(Problem("data_types", "disparity is an image of a stereo_camera"))
     elif not cfg.get_data_types():
         problems.append(Problem("data_types", "names no image; leave it out for [color]"))
+    if isinstance(cfg, StereoCameraCfg):
+        offset = np.asarray(cfg.left_to_right_pos, np.float64)
+        if not np.isfinite(offset).all() or not offset.any():
+            message = f"must be finite and not zero, metres, got {offset.tolist()}"
+            problems.append(Problem("left_to_right_pos", message))
+    if cfg.entity_cfg.link_names is not None and not cfg.entity_cfg.uid:
+        problems.append(Problem("entity_cfg.uid", "missing: the entity that has the links"))
     if cfg.camera is None:
         return problems + _check_extrinsics(cfg.extrinsics)
     if stereo:

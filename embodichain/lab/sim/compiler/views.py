@@ -105,6 +105,8 @@ def _check_view(cfg: ViewCfg) -> list[Problem]:
         fixed = {"target": cfg.target, "body": cfg.body}
         for name in (name for name, value in fixed.items() if value is not None):
             problems.append(Problem(name, "has no effect on a camera of a file: leave it out"))
+    if cfg.follow != "position" and cfg.body is None:
+        problems.append(Problem("follow", "belongs to body: the view follows nothing"))
     if cfg.direction is not None and cfg.body is not None:
         problems.append(Problem("body", "needs eye, relative to the body, not direction"))
     if cfg.direction is not None and not np.linalg.norm(cfg.direction) > 1e-9:

@@ -48,8 +48,8 @@ class World:
     notes: tuple[str, ...]
 
 
-def read_world(cfg: SceneCfg, path: str) -> World:
-    """Read the file of a scene.
+def read_world(cfg: SceneCfg, path: str) -> World | None:
+    """Read the file of a scene; None if it has none.
 
     Args:
         cfg: The scene.
@@ -58,6 +58,11 @@ def read_world(cfg: SceneCfg, path: str) -> World:
     Raises:
         ConfigError: If the file is missing, malformed or not an MJCF, or lacks the keyframe.
     """
+    if not cfg.fpath:
+        if cfg.keyframe is not None:
+            message = "is one of a scene's file: fpath is missing"
+            raise ConfigError([Problem(f"{path}.keyframe", message)])
+        return None
     try:
         file = read_model(locate(cfg.fpath))
     except ConfigError as error:

@@ -39,7 +39,7 @@ _log = logging.getLogger(__name__)
 Index = NDArray[np.int64]
 _CHUNK_BYTES = 256 * 2**20
 """Memory of what is drawn at once; and of all targets that are kept."""
-_DETAILS = ((96, 24, 150), (192, 24, 300), (400, 24, 1500))
+_DETAILS = ((128, 24, 150), (256, 24, 400), (400, 24, 1500))
 """Longest side of a picture in fast look, slices of round geoms, triangles of a mesh."""
 _SLICES = 32
 _SHADOW_DETAIL = 1
@@ -193,8 +193,8 @@ class BatchRenderer:
             defines["POSITIONAL"] = 1
         if full:
             defines["FULL"] = 1
-        if self._textures.sky >= 0:
-            defines["SKY"] = 1
+            if self._textures.sky >= 0:
+                defines["HAZE"] = 1
         target.begin_surfaces()
         for kind, key in meshes.kinds(self._surfaces.textured if colour else None):
             self._use("surfaces", {"LIGHTS": self._model.nlight, **kind})
@@ -210,7 +210,8 @@ class BatchRenderer:
             self._draw_whole("shading", {**defines, "EDGES": 1}, meshes, layers, 0.75)
         if colour:
             target.add_behind()
-            self._draw_whole("sky", defines, meshes, layers, 0.25)
+            has_sky = {"SKY": 1} if self._textures.sky >= 0 else {}
+            self._draw_whole("sky", {**defines, **has_sky}, meshes, layers, 0.25)
         if veiled:
             target.add_over()
             self._draw_whole("veil", defines, meshes, layers)
@@ -322,6 +323,7 @@ class BatchRenderer:
         meshes.buffers.draw("solid", layers)
         maps.open_surfaces()
         meshes.buffers.draw("fields", layers)
+        maps.end()
 
     def close(self) -> None:
         """Free the context and everything in it."""

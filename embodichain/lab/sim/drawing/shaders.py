@@ -258,14 +258,14 @@ def transparent(defines: Defines) -> tuple[str, str]:
 def shading(defines: Defines) -> tuple[str, str]:
     """Vertex and fragment shader of a whole picture.
 
-    ``FULL`` (four samples, highlights), ``EDGES``, ``COLOUR``, ``LIGHTS``, ``POSITIONAL``,
-    ``SHADOW_MAPS`` and ``MAP_OF_LIGHT``, an array.
+    ``FULL`` (four samples, highlights), ``HAZE``, ``EDGES``, ``COLOUR``, ``LIGHTS``,
+    ``POSITIONAL``, ``SHADOW_MAPS`` and ``MAP_OF_LIGHT``, an array.
     """
     return _source(defines, SHADING_VERTEX), _source(defines, LIGHT, SHADING_FRAGMENT)
 
 
 def sky(defines: Defines) -> tuple[str, str]:
-    """Vertex and fragment shader of what is behind everything; ``SKY`` if there is a skybox."""
+    """Vertex and fragment shader of what is behind everything; ``SKY``, ``HAZE``."""
     return _source(defines, SHADING_VERTEX), _source(defines, SKY_FRAGMENT)
 
 

@@ -153,7 +153,7 @@ vec3 shaded(uvec2 surface, vec3 base, float away) {
     int g = lookRow * geomCount + min(geomOf(surface), geomCount - 1);
     vec3 seen = lighted(base, eyeAndRow.xyz + away * ray, normalOf(surface), -normalize(ray),
                         backwards, int(eyeAndRow.w), texelFetch(looks, g * 4 + 2).xyz);
-#ifdef SKY
+#ifdef HAZE
     // Haze begins at a tenth of the way to the horizon, and halves what is seen at each fifth.
     float way = away * min(1.0 / hazeReach, range.x);
     seen = mix(haze, seen, exp2(-max(5.0 * way - 0.5, 0.0)));
@@ -217,8 +217,10 @@ layout(location = 0) out vec4 colour;
 void main() {
 #ifdef SKY
     // A skybox lies on its side: its up is z of the world.
-    vec3 above = textureLod(cubes, vec4(ray.x, ray.z, -ray.y, sky), 0.0).rgb;
-    colour = vec4(mix(above, haze, exp2(-30.0 * abs(normalize(ray).z))), 1.0);
+    colour = vec4(textureLod(cubes, vec4(ray.x, ray.z, -ray.y, sky), 0.0).rgb, 1.0);
+#ifdef HAZE
+    colour.rgb = mix(colour.rgb, haze, exp2(-30.0 * abs(normalize(ray).z)));
+#endif
 #else
     float up = clamp(0.5 + 0.5 * normalize(ray).z, 0.0, 1.0);
     colour = vec4(mix(vec3(0.85, 0.88, 0.92), vec3(0.55, 0.66, 0.80), up), 1.0);

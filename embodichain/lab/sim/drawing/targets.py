@@ -232,7 +232,16 @@ class ShadowMaps:
         GL.glDepthMask(True)
         GL.glEnable(GL.GL_CULL_FACE)
         GL.glFrontFace(GL.GL_CW)  # front and back change places
+        # Thin parts: as far behind as a surface falls away over the texels that are compared.
+        GL.glEnable(GL.GL_POLYGON_OFFSET_FILL)
+        GL.glPolygonOffset(3.0, 4.0)
         GL.glClearBufferfv(GL.GL_DEPTH, 0, np.ones(1, np.float32))
+
+    def end(self) -> None:
+        """Draw without an offset again."""
+        from OpenGL import GL
+
+        GL.glDisable(GL.GL_POLYGON_OFFSET_FILL)
 
     def open_surfaces(self) -> None:
         """Draw both sides from now on: of what has no inside."""

@@ -171,6 +171,18 @@ def test_shadows_fall_where_light_is_blocked(kind, direction, low, high):
     assert ratio[lit & inside].min() > 0.9
 
 
+def test_thin_parts_do_not_shade_themselves():
+    world = """<light pos="0 0 3" dir=".6 .3 -1" type="directional"/>
+        <geom type="plane" size="3 3 .1"/>
+        <geom type="box" size="1 1 .001" pos="0 0 .001" rgba=".2 .8 .2 1"/>
+        <geom type="box" size=".1 .1 .1" pos="1.5 1.5 .5"/>"""
+    engine = CpuEngine(scene(world, headlight="<headlight specular='0 0 0'/>"), 1)
+    for size in (48, 200):
+        fast, full = (draw(BatchRenderer, engine, ABOVE, look, size) for look in ("fast", "full"))
+        inside = slice(size // 4, 3 * size // 4)
+        assert (full[0, inside, inside, 1] > 0.95 * fast[0, inside, inside, 1]).all()
+
+
 def test_full_look_is_like_mujocos():
     world = SHADOWS.format(kind="directional", direction=".5 .2 -1")
     sky = """<texture type="skybox" builtin="gradient" rgb1=".6 .7 .8" rgb2=".2 .3 .4" width="64"
