@@ -81,3 +81,21 @@ def test_matrices_of_quaternions_do_not_depend_on_their_number() -> None:
         w, x, y, z = quat[i, j]
         first = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
         np.testing.assert_allclose(alone[:, 0], first, atol=1e-14)
+
+
+def test_look_at_has_the_target_in_the_middle_and_up_above():
+    eye = np.array([[0.0, 0.0, 1.0], [2.0, 1.0, 0.5]])
+    target = np.array([[1.0, 0.0, 1.0], [0.0, -1.0, 1.5]])
+    axes = m.look_at(eye, target, np.array([[0.0, 0.0, 1.0]] * 2))
+    np.testing.assert_allclose(axes[0], [[0, 0, -1], [-1, 0, 0], [0, 1, 0]], atol=1e-12)
+    forward = (target[1] - eye[1]) / np.sqrt(9.0)
+    np.testing.assert_allclose(axes[1, :, 2], -forward)
+    assert axes[1, 2, 0] == 0.0 and axes[1, 2, 1] > 0.0  # its right is level, its up is upwards
+    np.testing.assert_allclose(np.linalg.det(axes), 1.0)
+
+
+def test_look_at_straight_down_has_x_above():
+    axes = m.look_at(np.array([0.0, 0.0, 2.0]), np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(axes[:, 1], [1.0, 0.0, 0.0], atol=1e-12)
+    with pytest.raises(ValueError, match="the eye is at the target"):
+        m.look_at(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 1.0]))
