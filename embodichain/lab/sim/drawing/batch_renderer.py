@@ -360,7 +360,8 @@ class _Frame:
         whole = len(rows) == state.num_envs and bool((rows == np.arange(len(rows))).all())
         pick: Any = slice(None) if whole else rows
         self.poses = np.empty((len(rows), model.ngeom, 3, 4), np.float32)
-        self.poses[..., :3] = state.derived("geom_xmat").reshape(-1, model.ngeom, 3, 3)[pick]
+        matrices = state.derived("geom_xmat").reshape(state.num_envs, model.ngeom, 3, 3)
+        self.poses[..., :3] = matrices[pick]
         self.poses[..., 3] = state.derived("geom_xpos")[pick]
         shared = len(surfaces.table) == 1
         self.lights = light_table(state, rows, np.zeros_like(rows) if shared else rows)

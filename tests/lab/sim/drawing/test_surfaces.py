@@ -201,3 +201,15 @@ def test_edges_are_smooth_in_full_look():
     assert {0, 224} < set(np.unique(full))  # light from above is a tenth brighter
     assert len(np.unique(full)) == 5  # 0 to 4 samples of a pixel
     assert full.mean() / 224 == pytest.approx(fast.mean() / 204, rel=0.02)
+
+
+@pytest.mark.parametrize("light", ["", '<light type="directional" dir="0 0 -1"/>'])
+def test_a_scene_without_anything_is_its_background(light):
+    engine = CpuEngine(scene(light), 2)
+    renderer = BatchRenderer(engine.model)
+    for look in ("fast", "full"):
+        view = view_of(engine, ABOVE, 16, 16, look=look, outputs=("color", "depth", "mask"))
+        pictures = renderer.draw(engine, [view])[0]
+        assert pictures["color"].min() > 100  # pale, not black
+        assert (pictures["depth"] == 0).all() and (pictures["mask"] == -1).all()
+    renderer.close()
