@@ -10,10 +10,18 @@ from typing import Final
 
 from embodichain.compat.gym_config.vocabulary import each
 
-__all__ = ["ACTIONS", "LEFT_OUT", "NEEDS_ANY", "PARAMS_LEFT_OUT", "VISUAL"]
+__all__ = [
+    "ACTIONS",
+    "LEFT_OUT",
+    "NEEDS_ANY",
+    "OF_CAMERA",
+    "PARAMS_LEFT_OUT",
+    "RENAMED",
+    "VISUAL",
+]
 
 _RAYS = "it changes what only a ray tracer draws"
-_CAMERA = "cameras are not available yet"
+_LOOK_AT = "position_range and rotation_range move the camera in its own axes"
 _GROUPS = "object groups are not available"
 _IK = "inverse kinematics is not available yet"
 _EEF = "EefPoseTerm EefPoseAction eef_pose.absolute@1 RelativeEefPoseAction eef_pose.relative@1"
@@ -30,15 +38,17 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
             "scene expansion is not available", "apply_expansion_profile_reset ExpandSceneLayout"
         ),
         **each(_RAYS, "randomize_indirect_lighting randomize_emission_light"),
-        **each(_CAMERA, "randomize_camera_extrinsics randomize_camera_intrinsics"),
+        "randomize_camera_extrinsics": "use randomize_camera_pose",
         "set_rigid_object_group_visual_material": _GROUPS,
         "randomize_rigid_object_body_scale": "it is deprecated: use randomize_rigid_object_scale",
         "record_camera_data_async": "use record_camera_data: one encoder process an environment",
-        "validation_cameras": _CAMERA,
+        "validation_cameras": "use record_camera_data, or embodichain replay --video",
     },
     "observation": {
-        **each(_CAMERA, "get_sensor_pose_in_robot_frame get_sensor_intrinsics"),
-        **each(_CAMERA, "compute_semantic_mask compute_exteroception"),
+        "get_sensor_pose_in_robot_frame": "use camera_pose, in the environment's frame",
+        "get_sensor_intrinsics": "use camera_intrinsics: fx, fy, cx, cy",
+        "compute_semantic_mask": "use camera_mask, an image of one entity",
+        "compute_exteroception": "observations contain the images of cameras, camera_image others",
     },
     "reward": {},
     "action": {
@@ -54,6 +64,7 @@ PARAMS_LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
     "sample_rigid_object_pose_from_workspace": each(
         "there is no workspace analysis", "strategy use_workspace_orientation min_score"
     ),
+    "randomize_camera_pose": each(_LOOK_AT, "eye_range target_range up_range"),
     "randomize_visual_material": {
         "shared": "environments are drawn one by one",
         "ior_range": "MuJoCo's rasterizer does not refract",
@@ -64,12 +75,24 @@ PARAMS_LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
 """Functor -> parameter that the term of that name here does not have -> why."""
 NEEDS_ANY: Final[Mapping[str, tuple[str, ...]]] = {
     "randomize_visual_material": ("base_color_range", "metallic_range", "roughness_range"),
+    "randomize_camera_pose": ("position_range", "rotation_range"),
 }
 """Functor -> parameters; if none of them remains, the functor has no effect and is left out."""
 
+RENAMED: Final[Mapping[str, str]] = {"randomize_camera_extrinsics": "randomize_camera_pose"}
+"""Event -> term here."""
+OF_CAMERA: Final[Mapping[str, Mapping[str, str]]] = {
+    "randomize_camera_pose": {
+        **{"entity_cfg": "camera", "pos_range": "position_range"},
+        "euler_range": "rotation_range",
+    },
+    "randomize_camera_intrinsics": {"entity_cfg": "sensor"},
+}
+"""Term of a camera -> parameter there -> parameter here; ``entity_cfg`` names the camera there."""
+
 VISUAL: Final = (
     *("randomize_visual_material", "randomize_indirect_lighting", "randomize_light"),
-    *("randomize_emission_light", "randomize_camera_extrinsics", "randomize_camera_intrinsics"),
+    *("randomize_emission_light", "randomize_camera_pose", "randomize_camera_intrinsics"),
     *("set_rigid_object_visual_material", "set_rigid_object_group_visual_material"),
 )
 """Events that `env.filter_visual_rand` leaves out."""

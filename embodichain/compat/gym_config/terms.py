@@ -10,7 +10,9 @@ from embodichain.compat.gym_config.functors import (
     ACTIONS,
     LEFT_OUT,
     NEEDS_ANY,
+    OF_CAMERA,
     PARAMS_LEFT_OUT,
+    RENAMED,
     VISUAL,
 )
 from embodichain.compat.gym_config.vocabulary import (
@@ -61,6 +63,7 @@ def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str
             draft.note(source, f"{func}: env.filter_visual_rand leaves it out")
             continue
         params = _known_params(draft, _params(draft, functor, source), func, source)
+        params = _of_camera(params, func)
         needed = NEEDS_ANY.get(func)
         if needed is not None and not any(params.get(key) is not None for key in needed):
             draft.note(source, f"{func}: nothing is left that it would change")
@@ -119,6 +122,8 @@ def _find(draft: Draft, kind: Kind, functor: Any, source: Path) -> tuple[TermSpe
     known = TERMS[kind]
     if kind == "action":
         name = ACTIONS.get(name, name)
+    elif kind == "event":
+        name = RENAMED.get(name, name)
     if name not in known and name in LEFT_OUT[kind]:
         message = f"{name}: {LEFT_OUT[kind][name]}"
         if kind == "action" and name != "QposNormalizedTerm":
@@ -152,6 +157,16 @@ def _known_params(draft: Draft, params: dict[str, Any], func: str, source: Path)
         if key in reasons:
             draft.note((*source, "params", key), reasons[key])
     return {key: value for key, value in params.items() if key not in reasons}
+
+
+def _of_camera(params: dict[str, Any], func: str) -> dict[str, Any]:
+    """Parameters of a camera's event, under their names here."""
+    names = OF_CAMERA.get(func, {})
+    found = {names.get(key, key): value for key, value in params.items()}
+    camera = found.get(names.get("entity_cfg", ""))
+    if isinstance(camera, Mapping) and isinstance(camera.get("uid"), str):
+        found[names["entity_cfg"]] = camera["uid"]
+    return found
 
 
 def _with_entity(

@@ -173,6 +173,42 @@ def test_functors_of_the_users_are_import_paths() -> None:
     ]
 
 
+def test_events_of_cameras() -> None:
+    camera = {"entity_cfg": {"uid": "cam"}}
+    events = {
+        "sway": {
+            "func": "randomize_camera_extrinsics",
+            "params": {**camera, "pos_range": [[0, 0, 0], [0.1, 0, 0]], "euler_range": None},
+        },
+        "lens": {
+            "func": "randomize_camera_intrinsics",
+            "params": {**camera, "focal_x_range": [-5, 5]},
+        },
+        "around": {
+            "func": "randomize_camera_extrinsics",
+            "params": {**camera, "eye_range": [[0, 0, 0], [0.1, 0, 0]]},
+        },
+    }
+    sensor = [{"sensor_type": "Camera", "uid": "cam"}]
+    conversion = convert({"sensor": sensor, "env": {"events": events}})
+    assert conversion.task["events"] == {
+        "sway": {
+            "func": "randomize_camera_pose",
+            "params": {
+                **{"camera": "cam", "position_range": [[0, 0, 0], [0.1, 0, 0]]},
+                "rotation_range": None,
+            },
+        },
+        "lens": {
+            "func": "randomize_camera_intrinsics",
+            "params": {"sensor": "cam", "focal_x_range": [-5, 5]},
+        },
+    }
+    found = notes(conversion)
+    assert "move the camera in its own axes" in found["env.events.around.params.eye_range"]
+    assert "nothing is left" in found["env.events.around"]
+
+
 def test_every_section_is_converted_or_listed() -> None:
     config = read("everything.yaml")
     before = copy.deepcopy(config)
@@ -195,7 +231,7 @@ def test_every_section_is_converted_or_listed() -> None:
         "env.control_parts": "actions have only these",
         "env.dataset": "the log contains every step",
         "env.events.colour": "ray tracer",
-        "env.observations.mask": "cameras",
+        "env.observations.mask": "camera_mask",
         "env.observations.cube.extra": "it has no effect in EmbodiChain",
         "env.actions.arm.mode": "before physics",
     }.items():

@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from embodichain.compat.gym_config.conversion import convert
+from embodichain.compat.gym_config.functors import OF_CAMERA
 from embodichain.lab.gym.envs.managers.registry import TERMS
 
 FUNCTORS = yaml.safe_load(Path(__file__).with_name("functors.yaml").read_text())
@@ -22,7 +23,10 @@ def test_functor_is_a_term_or_listed(kind: str, name: str) -> None:
     if made is None:
         assert listed == {f"env.{kind}s.it"}
         return
-    known = TERMS[kind][name].params  # type: ignore[index]
+    func = made["it"]["func"]
+    known = TERMS[kind][func].params  # type: ignore[index]
     given = made["it"].get("params", {})
     assert set(given) <= set(known)
-    assert {f"env.{kind}s.it.params.{key}" for key in set(params) - set(given)} == listed
+    names = OF_CAMERA.get(func, {}) if kind == "event" else {}
+    left = [key for key in params if names.get(key, key) not in given]
+    assert {f"env.{kind}s.it.params.{key}" for key in left} == listed
