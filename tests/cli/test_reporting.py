@@ -24,7 +24,7 @@ def test_other_exceptions_are_one_line_and_a_hint(capsys: pytest.CaptureFixture[
 def test_our_own_exceptions_say_enough_without_their_type(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    report(RenderError("no picture"))
+    assert report(RenderError("no picture")) == process.WRONG_INPUT
     assert capsys.readouterr().err.startswith("error: no picture\n")
 
 

@@ -69,9 +69,10 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
             problems.append(Problem(key, message))
     if not 0 < cfg.near < np.inf:
         problems.append(Problem("near", f"must be positive, metres, got {cfg.near}"))
-    elif not cfg.near < cfg.far < np.inf:
-        message = f"must be greater than near, {cfg.near} m, and finite, got {cfg.far}"
-        problems.append(Problem("far", message))
+    elif cfg.far == np.inf:
+        problems.append(Problem("far", "must be finite, metres, got inf"))
+    elif not cfg.near < cfg.far:
+        problems.append(Problem("far", f"must be greater than near, {cfg.near} m, got {cfg.far}"))
     stereo = isinstance(cfg, StereoCameraCfg)
     if not stereo and "disparity" in (cfg.data_types or ()):
         problems.append(Problem("data_types", "disparity is an image of a stereo_camera"))

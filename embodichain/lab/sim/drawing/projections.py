@@ -32,7 +32,7 @@ def view_table(views: Sequence[View], rows: NDArray[np.int64]) -> NDArray[np.flo
         position, axes = (a if len(a) == 1 else a[rows] for a in (position, axes))
         lens = view.lens if len(view.lens) == 1 else view.lens[rows]
         turned = np.swapaxes(axes, 1, 2)  # world to camera
-        world = np.zeros((len(axes), 4, 4))
+        world = np.zeros((max(len(axes), len(position)), 4, 4))
         world[:, :3, :3] = turned
         world[:, :3, 3] = -(turned * position[:, None]).sum(axis=2)
         world[:, 3, 3] = 1.0
