@@ -260,7 +260,11 @@ def _box() -> tuple[NDArray[Any], Triangles]:
 
 
 def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[Any], Triangles]:
-    """A mesh's faces; corners that differ in normal or texture coordinate are vertices apart."""
+    """A mesh's faces; corners that differ in normal or texture coordinate are vertices apart.
+
+    MuJoCo averages normals at a vertex; where that differs from a face's normal by more than 37 deg
+    (a cosine of 0.8), the edge is sharp and the corner has the face's normal.
+    """
 
     def part(name: str, first: str, count: str) -> NDArray[Any]:
         start = int(getattr(model, first)[mesh])
@@ -274,10 +278,13 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[Any], Triangles]:
     texcoords = part("mesh_texcoord", "mesh_texcoordadr", "mesh_texcoordnum")
     face = slice(int(model.mesh_faceadr[mesh]), None)
     count = int(model.mesh_facenum[mesh])
-    corners = [
-        model.mesh_face[face][:count].reshape(-1).astype(np.int64),
-        model.mesh_facenormal[face][:count].reshape(-1).astype(np.int64),
-    ]
+    faces = model.mesh_face[face][:count].astype(np.int64)
+    averaged = model.mesh_facenormal[face][:count].astype(np.int64)
+    across = _face_normals(positions, faces)
+    sharp = (normals[averaged] * across[:, None]).sum(axis=2) < 0.8
+    own = np.broadcast_to(len(normals) + np.arange(count)[:, None], faces.shape)
+    normals = np.concatenate([normals, across])
+    corners = [faces.reshape(-1), np.where(sharp, own, averaged).reshape(-1)]
     if len(texcoords):
         corners.append(model.mesh_facetexcoord[face][:count].reshape(-1).astype(np.int64))
     unique, inverse = np.unique(np.stack(corners, axis=1), axis=0, return_inverse=True)
@@ -286,6 +293,14 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[Any], Triangles]:
     texcoord = texcoords[unique[:, 2]] if len(texcoords) else _from_above(places, half)
     found = _vertices(places, normals[unique[:, 1]], texcoord)
     return found, inverse.reshape(-1, 3).astype(np.uint32)
+
+
+def _face_normals(points: NDArray[Any], faces: NDArray[np.int64]) -> NDArray[Any]:
+    """(F, 3) unit normals; zeros where a face has no area."""
+    corners = points[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    found: NDArray[Any] = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    return found
 
 
 def _simplified(

@@ -122,3 +122,23 @@ def test_a_small_mesh_is_not_simplified():
     model = model_of('type="mesh" mesh="m"', assets=mesh_asset(mesh))
     geometry = SceneGeometry.of_model(model, 8, 100)
     assert len(geometry.triangles[0]) == 12
+
+
+def test_edges_of_a_mesh_are_sharp_where_its_faces_turn():
+    """MuJoCo gives a vertex the mean normal of its faces: at 90 deg each face has its own."""
+    model = model_of('type="mesh" mesh="m"', assets=mesh_asset(trimesh.creation.box((1, 1, 1))))
+    assert model.mesh_normalnum[0] == 8  # one normal a corner of the cube
+    geometry = SceneGeometry.of_model(model, 12)
+    faces = across(placed(geometry, model))
+    unit = faces / np.linalg.norm(faces, axis=1, keepdims=True)
+    normals = geometry.vertices["normal"][geometry.triangles[0]]
+    np.testing.assert_allclose(normals, np.repeat(unit[:, None], 3, axis=1), atol=1e-6)
+
+
+def test_a_round_mesh_is_smooth():
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+    model = model_of('type="mesh" mesh="m"', assets=mesh_asset(ball))
+    geometry = SceneGeometry.of_model(model, 12)
+    vertices = geometry.vertices[geometry.triangles[0]]
+    outward = vertices["position"] / np.linalg.norm(vertices["position"], axis=-1, keepdims=True)
+    assert (outward * vertices["normal"]).sum(axis=-1).min() > 0.999
