@@ -177,6 +177,10 @@ SCENES = {
         "scene: {table: {size: [1, 1, 0]}}",
         "scene.table.size.2: must be greater than 0.0, got 0",
     ),
+    "table top thicker than the table": (
+        "scene: {table: {size: [1, 1, 0.3], thickness: 0.4}}",
+        "scene.table.thickness: at most the table's height, 0.3 m, got 0.4",
+    ),
     "oval pedestal": (
         "scene: {pedestal: {size: [0.2, 0.3, 1]}}",
         "scene.pedestal.size: a cylinder is as wide as long, got [0.2, 0.3, 1.0]; or shape: box",

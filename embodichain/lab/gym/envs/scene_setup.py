@@ -36,7 +36,7 @@ from embodichain.lab.sim.compiler.drives import (
     PhysicsStep,
     physics_step,
 )
-from embodichain.lab.sim.compiler.furniture import check_pedestal, furniture_of
+from embodichain.lab.sim.compiler.furniture import check_furniture, furniture_of
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
@@ -110,9 +110,9 @@ def _surroundings(cfg: EnvCfg) -> list[_Entity]:
 
 
 def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
-    if (scene := _scene(cfg)).pedestal is None:
-        return []
-    return [p.below("scene.pedestal") for p in check_pedestal(scene.pedestal, _base(cfg))]
+    scene = _scene(cfg)
+    base = None if scene.pedestal is None else _base(cfg)
+    return [problem.below("scene") for problem in check_furniture(scene, base)]
 
 
 def _scene(cfg: EnvCfg) -> SceneCfg:

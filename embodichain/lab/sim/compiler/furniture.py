@@ -13,7 +13,7 @@ from embodichain.lab.sim.scene_cfg import PedestalCfg, SceneCfg, TableCfg
 from embodichain.lab.sim.shapes import CubeCfg, CylinderCfg, VisualMaterialCfg
 from embodichain.utils.errors import Problem
 
-__all__ = ["PEDESTAL", "TABLE", "check_pedestal", "finish_table", "furniture_of"]
+__all__ = ["PEDESTAL", "TABLE", "check_furniture", "finish_table", "furniture_of"]
 
 TABLE, PEDESTAL = "table", "pedestal"
 """The uids of the furniture."""
@@ -43,7 +43,7 @@ def finish_table(spec: mujoco.MjSpec, cfg: TableCfg) -> None:
         material.texuniform, material.rgba = True, [1.0, 1.0, 1.0, 1.0]
         material.texrepeat = 2 * [1.0 / (WOOD_LENGTH * _BOARD)]
     length, width, height = (float(x) for x in cfg.size)
-    thickness = min(float(cfg.thickness), height)
+    thickness = float(cfg.thickness)
     under = 0.5 * (height - thickness)
     if under < 0.01:
         return
@@ -60,13 +60,23 @@ def finish_table(spec: mujoco.MjSpec, cfg: TableCfg) -> None:
     set_contact(body, float(cfg.friction), cfg.collision)
 
 
-def check_pedestal(cfg: PedestalCfg, base: F64 | None) -> list[Problem]:
-    """Return what is wrong with a pedestal, with paths below it.
+def check_furniture(scene: SceneCfg, base: F64 | None) -> list[Problem]:
+    """Return what is wrong with the table and the pedestal of a scene, with paths below it.
 
     Args:
-        cfg: The pedestal.
+        scene: The scene.
         base: (3,) position of the robot's base, or None without a robot.
     """
+    problems: list[Problem] = []
+    if scene.table is not None and scene.table.thickness > scene.table.size[2]:
+        message = f"at most the table's height, {scene.table.size[2]:g} m"
+        problems.append(Problem("table.thickness", f"{message}, got {scene.table.thickness:g}"))
+    if scene.pedestal is not None:
+        problems += [p.below("pedestal") for p in _check_pedestal(scene.pedestal, base)]
+    return problems
+
+
+def _check_pedestal(cfg: PedestalCfg, base: F64 | None) -> list[Problem]:
     if base is None:
         missing = [name for name in ("size", "pos") if getattr(cfg, name) is None]
         message = "missing value: the task has no robot to take it from"
@@ -86,7 +96,7 @@ def furniture_of(scene: SceneCfg, base: F64 | None) -> dict[str, RigidObjectCfg]
 
     Args:
         scene: The scene.
-        base: See `check_pedestal`; what that refuses has a height of 1 m here.
+        base: See `check_furniture`; a pedestal that it refuses has a height of 1 m here.
     """
     found: dict[str, RigidObjectCfg] = {}
     if scene.pedestal is not None:
@@ -116,7 +126,7 @@ def _table(cfg: TableCfg) -> RigidObjectCfg:
     """The table's top; `finish_table` adds the rest."""
     length, width, height = (float(x) for x in cfg.size)
     x, y, z = (float(p) for p in cfg.pos)
-    thickness = min(float(cfg.thickness), height)
+    thickness = float(cfg.thickness)
     attrs = RigidBodyAttributesCfg(
         enable_collision=cfg.collision, dynamic_friction=float(cfg.friction)
     )
