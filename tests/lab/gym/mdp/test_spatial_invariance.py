@@ -3,11 +3,14 @@
 import numpy as np
 
 from embodichain.lab.gym.envs.managers import TERMS
+from tests.helpers.sensor_terms import SENSORS
 from tests.helpers.spatial_events import EVENTS, LIGHTS
 
 PACKAGES = ("embodichain.lab.gym.envs.mdp.events.", "embodichain.compat.terms.")
 OTHERS = (".randomize",)
 FIELDS = ("mat_rgba", "mat_specular", "geom_rgba", "light_pos", "light_diffuse", "cam_quat")
+FIELDS += ("cam_fovy", "cam_intrinsic")
+SCENE = {"events": EVENTS, "lights": LIGHTS, "sensors": {"front": SENSORS["front"]}}
 
 
 def tensors(env) -> list[np.ndarray]:
@@ -18,7 +21,7 @@ def tensors(env) -> list[np.ndarray]:
 
 def rollout(make, num_envs: int) -> list[list[bytes]]:
     """Bytes of the first environment after resets and steps."""
-    env = make(num_envs=num_envs, events=EVENTS, lights=LIGHTS)
+    env = make(num_envs=num_envs, **SCENE)
     engine = env.sim.engine
     found = []
 
@@ -46,7 +49,7 @@ def test_bytes_do_not_depend_on_the_number_of_environments(make) -> None:
 
 
 def test_a_partial_reset_touches_nobody_else(make) -> None:
-    env = make(num_envs=4, events=EVENTS, lights=LIGHTS)
+    env = make(num_envs=4, **SCENE)
     env.reset()
     engine = env.sim.engine
 
@@ -62,7 +65,7 @@ def test_a_partial_reset_touches_nobody_else(make) -> None:
 
 
 def test_a_restored_environment_continues_to_the_byte(make) -> None:
-    env = make(num_envs=3, max_episode_steps=4, events=EVENTS, lights=LIGHTS)
+    env = make(num_envs=3, max_episode_steps=4, **SCENE)
     env.reset()
 
     def run() -> list[bytes]:
@@ -87,5 +90,5 @@ def test_every_event_of_these_modules_takes_part() -> None:
         if spec.func.__module__.startswith(PACKAGES) and not spec.func.__module__.endswith(OTHERS)
     }
     elsewhere = {"reset_joints", "randomize_robot_qpos"}
-    elsewhere |= {"randomize_pose", "randomize_rigid_object_pose"}
+    elsewhere |= {"randomize_pose", "randomize_rigid_object_pose", "randomize_texture"}
     assert {str(event.func) for event in EVENTS.values()} == names - elsewhere
