@@ -76,10 +76,11 @@ def command(
         raise ConfigError(message)
     env, facts = _advanced(lines, columns * rows, step)
     try:
-        tiles = [_draw(env, env_id, view, width, height) for env_id in range(columns * rows)]
+        tiles = _draw(env, view, width, height)
     finally:
         env.close()
-    picture = np.vstack([np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)])
+    grid_of = tiles.reshape(rows, columns, height, width, 3).swapaxes(1, 2)
+    picture = grid_of.reshape(rows * height, columns * width, 3)
     _save(picture, out)
     size_of = picture.shape[1::-1]
     if json:
@@ -125,13 +126,14 @@ def _advanced(lines: list[str], num_envs: int, steps: int) -> tuple[BaseEnv, dic
     return env, {**facts, "control_step": steps}
 
 
-def _draw(env: BaseEnv, env_id: int, view: str, width: int, height: int) -> Picture:
+def _draw(env: BaseEnv, view: str, width: int, height: int) -> Picture:
+    """(N, height, width, 3) of all environments."""
     model = env.sim.scene.model
     known = [model.camera(i).name for i in range(model.ncam)]
     if view not in known:
         message = f"--view {view}: there are {', '.join(known)}.{did_you_mean(view, known)}"
         raise ConfigError(message)
-    return env.sim.render(env_id, view, width, height)
+    return env.sim.render(None, view, width, height)
 
 
 def _save(picture: Picture, out: Path) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.compiler.cameras import camera_names
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import StoredStates
-from embodichain.lab.sim.drawing.views import Look, View, Viewpoint, view_of
+from embodichain.lab.sim.drawing.views import Look, View, Viewpoint, camera_size, view_of
 from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg
 from embodichain.recording.api import Log
 from embodichain.recording.playback import Playback, Span
@@ -26,9 +26,6 @@ __all__ = ["FilmCamera", "Frame", "cameras_of", "frames"]
 
 _PIXELS = 200_000
 """Pixels of a call: more control steps at once are not cheaper per picture."""
-
-_SIZE = (640, 480)
-"""Pixels of a camera of the scene without a resolution."""
 
 
 class FilmCamera(NamedTuple):
@@ -124,7 +121,7 @@ def cameras_of(
         ConfigError: If there is no such camera.
     """
     sensors, model = _camera_sensors(log), log.model
-    scene = {model.camera(i).name: model.cam_resolution[i].tolist() for i in range(model.ncam)}
+    scene = {model.camera(i).name: camera_size(model, i) for i in range(model.ncam)}
     found = {}
     for name in sensors if names is None else dict.fromkeys(names):
         if name not in scene:
@@ -136,9 +133,7 @@ def cameras_of(
             pixels = size or (cfg.width, cfg.height)
             found[name] = FilmCamera(name, pixels, cfg.look, cfg.near, cfg.far)
         else:
-            width, height = scene[name]
-            own = (width, height) if min(width, height) > 1 else _SIZE
-            found[name] = FilmCamera(name, size or own)
+            found[name] = FilmCamera(name, size or scene[name])
     return found
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import mujoco
 import numpy as np
 from google.protobuf.message import DecodeError
+from mujoco.batch import MODEL_FIELDS
 
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState
@@ -35,8 +36,9 @@ if TYPE_CHECKING:
 
 __all__ = ["FirstPictures", "RowRenderer", "Shot", "camera_sensors", "compare", "shots_of"]
 
-_DRAWN = ("geom_", "mat_", "light_", "cam_", "body_", "jnt_", "qpos0")
-"""Prefixes of the model fields that pictures depend on."""
+_PREFIXES = ("geom_", "mat_", "light_", "cam_", "body_", "jnt_", "qpos0")
+_DRAWN = tuple(sorted(name for name in MODEL_FIELDS if name.startswith(_PREFIXES)))
+"""The model fields that pictures depend on and that can differ between environments."""
 _OUTPUTS: tuple[Output, ...] = ("color", "depth", "mask")
 _LOOKS: tuple[Look, ...] = ("fast", "full")
 _DIGEST = 32
@@ -75,11 +77,7 @@ def camera_sensors(env: ObservedEnv) -> list[Camera]:
 def shots_of(sensor: Camera) -> list[Shot]:
     """How a camera sensor is drawn: one shot, or a left and a right one."""
     cfg, model = sensor.cfg, sensor.engine.model
-    named = {name.removesuffix("_right") for name in sensor.reads}
-    outputs: list[Output] = ["color"] if "color" in named else []
-    outputs += ["depth"] if named - {"color", "mask"} else []
-    outputs += ["mask"] if "mask" in named else []
-    how = cfg.width, cfg.height, cfg.near, cfg.far, cfg.look, tuple(outputs)
+    how = cfg.width, cfg.height, cfg.near, cfg.far, cfg.look, sensor.outputs
     return [Shot(model.camera(i).name, *how) for i in sensor.index.ids]
 
 
@@ -113,9 +111,9 @@ class RowRenderer:
             env_id: The environment, whose model fields are used.
             row: (nstate,) state.
         """
-        for name, values in self._engine.model_fields().items():
-            if name.startswith(_DRAWN):
-                getattr(self._model, name).reshape(-1)[:] = values[env_id].reshape(-1)
+        for name in _DRAWN:
+            values = self._engine.model_values(name)
+            getattr(self._model, name)[...] = values[env_id if len(values) > 1 else 0]
         for target, columns in self._inputs:
             target[:] = row[columns]
         mujoco.mj_kinematics(self._model, self._data)

@@ -16,7 +16,7 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.drawing.views import Pictures, View
+from embodichain.lab.sim.drawing.views import Pictures, View, camera_size
 from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.recording.options import ImageOptions
 from embodichain.recording.pictures import RowRenderer, Shot, camera_sensors, shots_of
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Images", "image_topics"]
 
-_SCENE_SIZE = (640, 480)
-"""Pixels of a camera of the scene without a resolution."""
 _BACKGROUND = 65535
 """Value of the background in masks."""
 _MILLIMETRES = 1000.0
@@ -205,9 +203,7 @@ def _shots(env: ObservedEnv, cameras: list[Camera], options: ImageOptions) -> li
 
 def _scene_shot(model: mujoco.MjModel, camera: int) -> Shot:
     """How a camera of the scene that is no sensor is drawn: in full look."""
-    width, height = model.cam_resolution[camera].tolist()
-    if width < 2 or height < 2:
-        width, height = _SCENE_SIZE
+    width, height = camera_size(model, camera)
     extent, planes = float(model.stat.extent), model.vis.map
     near, far = float(planes.znear) * extent, float(planes.zfar) * extent
     return Shot(model.camera(camera).name, width, height, near, far, "full", ("color",))

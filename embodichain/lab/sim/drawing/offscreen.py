@@ -182,4 +182,4 @@ def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> Opened:
 
 @cache
 def _say_once(message: str) -> None:
-    _log.info(message)
+    _log.warning(message)

@@ -26,6 +26,7 @@ __all__ = [
     "View",
     "Viewpoint",
     "camera_id",
+    "camera_size",
     "view_of",
 ]
 
@@ -205,6 +206,12 @@ def camera_id(model: mujoco.MjModel, camera: str | int) -> int:
             f"{did_you_mean(str(camera), names)}"
         )
     return names.index(camera) if isinstance(camera, str) else camera
+
+
+def camera_size(model: mujoco.MjModel, camera: int) -> tuple[int, int]:
+    """Width and height in pixels of a camera of the scene; 640 x 480 if it has no resolution."""
+    width, height = model.cam_resolution[camera].tolist()
+    return (width, height) if min(width, height) > 1 else (640, 480)
 
 
 def view_of(

@@ -90,6 +90,14 @@ class Camera(BaseSensor):
 
     # -- images --------------------------------------------------------------------------------
 
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """What is drawn for its images: of ``color``, ``depth``, ``mask``."""
+        names = {name.removesuffix("_right") for name in self.reads}
+        needed = {"depth" if name in _BY_DEPTH else name for name in names}
+        kinds: tuple[Output, ...] = ("color", "depth", "mask")
+        return tuple(kind for kind in kinds if kind in needed)
+
     def read(self, name: str) -> NDArray[Any]:
         """Return an image of `reads`, (N, H, W, ...): do not write or store it.
 
@@ -116,11 +124,7 @@ class Camera(BaseSensor):
         return tuple(self._image(name, seen) for name in self.reads)
 
     def _draw(self, env_ids: EnvIndex | None) -> list[_Seen]:
-        names = {name.removesuffix("_right") for name in self.reads}
-        outputs: list[Output] = ["color"] if "color" in names else []
-        outputs += ["depth"] if names & _BY_DEPTH else []
-        outputs += ["mask"] if "mask" in names else []
-        views = [self._view(camera, tuple(outputs)) for camera in self.index.ids]
+        views = [self._view(camera, self.outputs) for camera in self.index.ids]
         pictures = self.host.draw(views, env_ids)
 
         def rows(values: Any) -> Any:
