@@ -117,10 +117,10 @@ class Images:
             step: The control step before its physics.
             rows: (N, nstate) rows.
         """
-        everyone, due = step % self._every == 0, self._due
+        all_due, due = step % self._every == 0, self._due
         self._due = set()
         for env_id in sorted(set(self._options.envs)):
-            if not everyone and env_id not in due:
+            if not all_due and env_id not in due:
                 continue
             feeds = [feed for feed in self._feeds if feed.env_id == env_id]
             drawn = self._renderer.draw(env_id, rows[env_id], self._shots)

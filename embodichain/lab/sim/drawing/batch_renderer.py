@@ -62,7 +62,7 @@ class BatchRenderer:
     ) -> None:
         self.context = Context()
         self._model, self._mark = model, mark
-        _say_what_is_left_out(model)
+        _warn_of_what_is_not_drawn(model)
         self._textures = SceneTextures(model)
         self._surfaces = SurfaceTable(model, self._textures.layers)
         self._meshes: dict[int, _Meshes] = {}
@@ -199,9 +199,9 @@ class BatchRenderer:
         for kind, key in meshes.kinds(self._surfaces.textured if colour else None):
             self._use("surfaces", {"LIGHTS": self._model.nlight, **kind})
             meshes.buffers.draw(key, layers)
-        veiled = colour and bool(self._surfaces.transparent.any())
-        if veiled:
-            target.begin_veil()
+        has_overlay = colour and bool(self._surfaces.transparent.any())
+        if has_overlay:
+            target.begin_overlay()
             self._draw_transparent(meshes, frame, table, defines)
         target.begin_pictures()
         self._draw_whole("shading", {**defines, "COLOUR": int(colour)}, meshes, layers)
@@ -212,9 +212,9 @@ class BatchRenderer:
             target.add_behind()
             has_sky = {"SKY": 1} if self._textures.sky >= 0 else {}
             self._draw_whole("sky", {**defines, **has_sky}, meshes, layers, 0.25)
-        if veiled:
+        if has_overlay:
             target.add_over()
-            self._draw_whole("veil", defines, meshes, layers)
+            self._draw_whole("overlay", defines, meshes, layers)
         self._mark("draw")
         found = {name: target.read(name) for name in target.outputs}
         self._mark("read")
@@ -336,7 +336,7 @@ class BatchRenderer:
         self.context.close()
 
 
-def _say_what_is_left_out(model: mujoco.MjModel) -> None:
+def _warn_of_what_is_not_drawn(model: mujoco.MjModel) -> None:
     for name, kind, count in (
         ("flexes", mujoco.mjtObj.mjOBJ_FLEX, model.nflex),
         ("skins", mujoco.mjtObj.mjOBJ_SKIN, model.nskin),

@@ -22,13 +22,13 @@ from collections.abc import Mapping
 
 from embodichain.lab.sim.drawing.shading_source import (
     LIGHT,
+    OVERLAY_FRAGMENT,
     SHADING_FRAGMENT,
     SHADING_VERTEX,
     SKY_FRAGMENT,
-    VEIL_FRAGMENT,
 )
 
-__all__ = ["UNITS", "shading", "shadows", "sky", "surfaces", "transparent", "veil"]
+__all__ = ["UNITS", "overlay", "shading", "shadows", "sky", "surfaces", "transparent"]
 
 UNITS = {
     "poses": 0,
@@ -40,7 +40,7 @@ UNITS = {
     "cubes": 6,
     "shadowMaps": 7,
     "surfaces": 8,
-    "veil": 9,
+    "overlay": 9,
     "order": 10,
     "distances": 11,
 }
@@ -57,7 +57,7 @@ layout(binding = 5) uniform sampler2DArray textures;
 layout(binding = 6) uniform samplerCubeArray cubes;
 layout(binding = 7) uniform sampler2DArrayShadow shadowMaps;
 layout(binding = 8) uniform usampler2DArray surfaces;
-layout(binding = 9) uniform sampler2DArray veil;
+layout(binding = 9) uniform sampler2DArray overlay;
 layout(binding = 10) uniform samplerBuffer order;
 layout(binding = 11) uniform sampler2DArray distances;
 uniform int geomCount;
@@ -269,9 +269,9 @@ def sky(defines: Defines) -> tuple[str, str]:
     return _source(defines, SHADING_VERTEX), _source(defines, SKY_FRAGMENT)
 
 
-def veil(defines: Defines) -> tuple[str, str]:
+def overlay(defines: Defines) -> tuple[str, str]:
     """Vertex and fragment shader that lay transparent surfaces over pictures; ``FULL``."""
-    return _source(defines, SHADING_VERTEX), _source(defines, VEIL_FRAGMENT)
+    return _source(defines, SHADING_VERTEX), _source(defines, OVERLAY_FRAGMENT)
 
 
 def shadows(defines: Defines) -> tuple[str, str]:

@@ -5,7 +5,7 @@ Parts of programs that `shaders` puts together.
 
 from __future__ import annotations
 
-__all__ = ["LIGHT", "SHADING_FRAGMENT", "SHADING_VERTEX", "SKY_FRAGMENT", "VEIL_FRAGMENT"]
+__all__ = ["LIGHT", "OVERLAY_FRAGMENT", "SHADING_FRAGMENT", "SHADING_VERTEX", "SKY_FRAGMENT"]
 
 LIGHT = """
 uniform vec3 headDiffuse, headSpecular;
@@ -228,7 +228,7 @@ void main() {
 }
 """
 
-VEIL_FRAGMENT = """
+OVERLAY_FRAGMENT = """
 flat in int layer;
 layout(location = 0) out vec4 colour;
 
@@ -236,11 +236,11 @@ void main() {
     ivec3 q = ivec3(ivec2(gl_FragCoord.xy), layer);
 #ifdef FULL
     q.xy *= 2;
-    colour = 0.25 * (texelFetch(veil, q, 0) + texelFetch(veil, q + ivec3(1, 0, 0), 0)
-                     + texelFetch(veil, q + ivec3(0, 1, 0), 0)
-                     + texelFetch(veil, q + ivec3(1, 1, 0), 0));
+    colour = 0.25 * (texelFetch(overlay, q, 0) + texelFetch(overlay, q + ivec3(1, 0, 0), 0)
+                     + texelFetch(overlay, q + ivec3(0, 1, 0), 0)
+                     + texelFetch(overlay, q + ivec3(1, 1, 0), 0));
 #else
-    colour = texelFetch(veil, q, 0);
+    colour = texelFetch(overlay, q, 0);
 #endif
 }
 """

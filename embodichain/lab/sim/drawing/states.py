@@ -76,7 +76,7 @@ class StoredStates:
         self._fields.append({k: v[env if len(v) > 1 else 0].copy() for k, v in fields.items()})
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all stored environments."""
         self._poses.clear()
         self._fields.clear()
 

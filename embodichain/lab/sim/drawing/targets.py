@@ -21,13 +21,13 @@ _FORMATS = {
 _PLACES = {name: place for place, name in enumerate(_FORMATS)}
 OUTPUT_BYTES = 4
 """Bytes of a pixel of any output."""
-_SAMPLE_BYTES = 8 + 4 + 4  # surface, its distance, veil
+_SAMPLE_BYTES = 8 + 4 + 4  # surface, its distance, overlay
 _SPARE_UNIT = 15
 """For textures that no program reads."""
 
 
 class PictureTarget:
-    """Pictures of one size, one a layer: their surfaces, what veils them, and the outputs.
+    """Pictures of one size, one a layer: their surfaces, the transparent overlay, and the outputs.
 
     Args:
         width: Pixels.
@@ -51,8 +51,8 @@ class PictureTarget:
         self._depths = self._texture("GL_DEPTH_COMPONENT32F", self._sampled)
         self._surface = self._texture("GL_RG32UI", self._sampled)
         self._surfaces = self._frame({0: self._surface}, self._depths)
-        self._veil: Any = None
-        self._veils: Any = None
+        self._overlay: Any = None
+        self._overlay_frame: Any = None
         self._read = {name: self._texture(_FORMATS[name][0], self.size) for name in self.outputs}
         places = {_PLACES[name]: texture for name, texture in self._read.items()}
         self._needs = self._texture("GL_DEPTH_COMPONENT32F", self.size)
@@ -105,14 +105,14 @@ class PictureTarget:
         GL.glClearBufferfv(GL.GL_DEPTH, 0, np.zeros(1, np.float32))
         GL.glClearBufferuiv(GL.GL_COLOR, 0, np.array([0, 0xFFFF, 0, 0], np.uint32))
 
-    def begin_veil(self) -> None:
+    def begin_overlay(self) -> None:
         """Draw transparent surfaces from now on, those behind first; they are cleared."""
         from OpenGL import GL
 
-        if self._veil is None:
-            self._veil = self._texture("GL_RGBA8", self._sampled)
-            self._veils = self._frame({0: self._veil}, self._depths)
-        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._veils)
+        if self._overlay is None:
+            self._overlay = self._texture("GL_RGBA8", self._sampled)
+            self._overlay_frame = self._frame({0: self._overlay}, self._depths)
+        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._overlay_frame)
         GL.glClearBufferfv(GL.GL_COLOR, 0, np.zeros(4, np.float32))
         GL.glDepthMask(False)
         GL.glEnable(GL.GL_BLEND)
@@ -145,7 +145,7 @@ class PictureTarget:
 
         self._add("GL_ONE", "GL_ONE_MINUS_SRC_ALPHA")
         GL.glDepthFunc(GL.GL_ALWAYS)
-        _bind(UNITS["veil"], self._veil)
+        _bind(UNITS["overlay"], self._overlay)
 
     def _add(self, source: str, destination: str) -> None:
         from OpenGL import GL
