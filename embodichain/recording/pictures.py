@@ -84,14 +84,10 @@ def shots_of(sensor: Camera) -> list[Shot]:
 class RowRenderer:
     """Draws single environments of an engine from state rows; the engine is not changed.
 
+    OpenGL is loaded with the first picture.
+
     Args:
         engine: The engine; its model fields are read.
-
-    Attributes:
-        about: The renderer, as the driver names it.
-
-    Raises:
-        RenderError: If nothing can be drawn here.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -101,8 +97,19 @@ class RowRenderer:
         layout = row_layout(self._model)
         inputs = {name: getattr(self._data, name) for name in ("qpos", "mocap_pos", "mocap_quat")}
         self._inputs = [(a.reshape(-1), layout[name]) for name, a in inputs.items() if a.size]
-        self._renderer = OffscreenRenderer(engine.model)
-        self.about = f"{self._renderer.kind}: {self._renderer.about}"
+        self._opened: OffscreenRenderer | None = None
+
+    def open(self) -> OffscreenRenderer:
+        """Open the renderer, if that has not been done; RenderError if nothing can be drawn."""
+        if self._opened is None:
+            self._opened = OffscreenRenderer(self._engine.model)
+        return self._opened
+
+    @property
+    def about(self) -> str:
+        """The renderer, as the driver names it; RenderError if nothing can be drawn."""
+        renderer = self.open()
+        return f"{renderer.kind}: {renderer.about}"
 
     def pose(self, env_id: int, row: F64) -> DataState:
         """Compute the poses of an environment; valid until the next call.
@@ -122,7 +129,7 @@ class RowRenderer:
         return DataState(self._data)
 
     def draw(self, env_id: int, row: F64, shots: Sequence[Shot]) -> list[tuple[View, Pictures]]:
-        """Draw an environment; each output has one row.
+        """Draw an environment; each output has one row, and a shot may have none.
 
         Args:
             env_id: The environment, whose model fields are used.
@@ -147,7 +154,9 @@ class RowRenderer:
             )
             for shot in shots
         ]
-        return list(zip(views, self._renderer.draw(state, views), strict=True))
+        drawn = [view for view in views if view.outputs]
+        pictures = iter(self.open().draw(state, drawn) if drawn else [])
+        return [(view, next(pictures) if view.outputs else {}) for view in views]
 
     def digests(self, env_id: int, row: F64, shots: Sequence[Shot]) -> list[bytes]:
         """SHA-256 of each shot: of its outputs one after another, in the order of the shot."""
