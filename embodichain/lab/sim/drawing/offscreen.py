@@ -57,7 +57,8 @@ class OffscreenRenderer:
     def __init__(self, model: mujoco.MjModel) -> None:
         kinds = _kinds()
         self._thread = render_thread()
-        self.kind, self.about, renderer = self._thread.call(partial(_open, model, kinds))
+        opened, self._better_failed = self._thread.call(partial(_open, model, kinds))
+        self.kind, self.about, renderer = opened
         self._renderer = renderer
         self._forget = weakref.finalize(self, self._thread.call_later, renderer.close)
         self._forget.atexit = False
@@ -71,7 +72,10 @@ class OffscreenRenderer:
         # Poses are computed in this thread: an engine may have to recompute constants for them,
         # and calls its listeners then.
         state.derived("geom_xpos")
-        return self._thread.call(partial(self._renderer.draw, state, views, envs))
+        drawn = self._thread.call(partial(self._renderer.draw, state, views, envs))
+        if self._better_failed is not None:
+            _say_once(f"pictures are drawn by the renderer {self.kind!r}: {self._better_failed}")
+        return drawn
 
     def pictures(
         self,
@@ -165,8 +169,11 @@ def _kinds() -> list[str]:
     return [named]
 
 
-def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> Opened:
-    """The first renderer of `kinds` that works here; called in the render thread."""
+def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> tuple[Opened, str | None]:
+    """The first renderer of `kinds` that works here, and why the first of all does not.
+
+    Called in the render thread.
+    """
     error: RenderError | None = None
     for kind in kinds:
         try:
@@ -174,9 +181,7 @@ def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> Opened:
         except RenderError as found:
             error = error or found
         else:
-            if error is not None:
-                _say_once(f"pictures are drawn by the renderer {kind!r}: {error}")
-            return opened
+            return opened, str(error) if error is not None else None
     raise error or RenderError("there is no renderer")
 
 
