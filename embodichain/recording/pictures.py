@@ -88,14 +88,10 @@ def shots_of(sensor: Camera) -> list[Shot]:
 class RowRenderer:
     """Draws single environments of an engine from state rows; the engine is not changed.
 
+    OpenGL is loaded with the first picture.
+
     Args:
         engine: The engine; its model fields are read.
-
-    Attributes:
-        about: The renderer, as the driver names it.
-
-    Raises:
-        RenderError: If there is no OpenGL here.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -105,10 +101,26 @@ class RowRenderer:
         layout = row_layout(self._model)
         inputs = {name: getattr(self._data, name) for name in ("qpos", "mocap_pos", "mocap_quat")}
         self._inputs = [(a.reshape(-1), layout[name]) for name, a in inputs.items() if a.size]
-        self._renderer = OffscreenRenderer(engine.model)
-        if self._renderer.kind == "rays":
-            raise RenderError(f"pictures of a log need OpenGL; {hint()}")
-        self.about = f"{self._renderer.kind}: {self._renderer.about}"
+        self._opened: OffscreenRenderer | None = None
+
+    def open(self) -> OffscreenRenderer:
+        """Open the renderer, if that has not been done.
+
+        Raises:
+            RenderError: If there is no OpenGL here.
+        """
+        if self._opened is None:
+            opened = OffscreenRenderer(self._engine.model)
+            if opened.kind == "rays":
+                raise RenderError(f"pictures of a log need OpenGL; {hint()}")
+            self._opened = opened
+        return self._opened
+
+    @property
+    def about(self) -> str:
+        """The renderer, as the driver names it; RenderError if there is no OpenGL here."""
+        renderer = self.open()
+        return f"{renderer.kind}: {renderer.about}"
 
     def pose(self, env_id: int, row: F64) -> DataState:
         """Compute the poses of an environment; valid until the next call.
@@ -128,7 +140,7 @@ class RowRenderer:
         return DataState(self._data)
 
     def draw(self, env_id: int, row: F64, shots: Sequence[Shot]) -> list[tuple[View, Pictures]]:
-        """Draw an environment; each output has one row.
+        """Draw an environment; each output has one row, and a shot may have none.
 
         Args:
             env_id: The environment, whose model fields are used.
@@ -136,6 +148,7 @@ class RowRenderer:
             shots: How.
 
         Raises:
+            RenderError: If there is no OpenGL here.
             ValueError: If there is no such camera.
         """
         state = self.pose(env_id, row)
@@ -152,7 +165,9 @@ class RowRenderer:
             )
             for shot in shots
         ]
-        return list(zip(views, self._renderer.draw(state, views), strict=True))
+        drawn = [view for view in views if view.outputs]
+        pictures = iter(self.open().draw(state, drawn) if drawn else [])
+        return [(view, next(pictures) if view.outputs else {}) for view in views]
 
     def digests(self, env_id: int, row: F64, shots: Sequence[Shot]) -> list[bytes]:
         """SHA-256 of each shot: of its outputs one after another, in the order of the shot."""
@@ -205,6 +220,7 @@ class FirstPictures:
         if self._renderer is None:
             try:
                 self._renderer = RowRenderer(self._engine)
+                self._renderer.open()
             except RenderError as error:
                 self._is_off = True
                 _log.warning("the log has no hashes of pictures: %s", error)
