@@ -11,6 +11,7 @@ from embodichain.config import resolve
 from embodichain.learning import SB3VecEnv, evaluate, export_policy, load_policy
 from embodichain.learning.asymmetric import AsymmetricActorCriticPolicy
 from embodichain.learning.exported import load_exported
+from embodichain.learning.exporting import FORMATS
 from embodichain.learning.normalization import NormalizeStatistics, load_statistics
 from embodichain.learning.policy import load_model
 from embodichain.learning.train import train
@@ -187,13 +188,13 @@ def test_statistics_are_those_of_vecnormalize(env, tmp_path):
         np.testing.assert_array_equal(found[name], wanted[name])
 
 
-@pytest.mark.parametrize("normalizes", [False, True])
-def test_export_writes_the_actor(tmp_path, normalized, normalizes):
-    path = normalized if normalizes else trained(tmp_path / "run", *PPO_LINES)
+@pytest.mark.parametrize("form", FORMATS)
+def test_export_writes_the_actor(tmp_path, normalized, form):
+    path = normalized if form == "onnx" else trained(tmp_path / "run", *PPO_LINES)
     env = embodichain.make("reach", 3, DEPLOYED)
     policy = load_policy(path, env)
-    out = tmp_path / "policy.pt"
-    assert export_policy(policy, env, out, "torchscript") <= 1e-4
+    out = tmp_path / f"policy{FORMATS[form]}"
+    assert export_policy(policy, env, out, form) <= 1e-4
     exported = load_exported(out)
     assert exported.metadata.columns[0] == "qpos[0]" and len(exported.metadata.columns) == 18
     exported.check(env)
