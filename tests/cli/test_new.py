@@ -13,6 +13,8 @@ import yaml
 from embodichain.cli import main
 from tests.helpers.mjcf_robots import ROBOTS
 
+pytestmark = pytest.mark.unmeasured
+
 REPO = Path(__file__).parents[2]
 
 
