@@ -237,8 +237,7 @@ def describe(
     found = check_views(physics.views, *places_of_views(known, world, incomplete))
     problems += [p.below("views") for p in found]
     problems += check_references(cfg, known, open_scene=open_scene)
-    ground = physics.has_ground
-    count = num_envs or cfg.num_envs
+    ground, count = physics.has_ground, num_envs or cfg.num_envs
     sensors, found = plan_sensors(
         cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=count
     )
@@ -253,7 +252,8 @@ def describe(
     try:  # MuJoCo finds further mistakes, such as a broken mesh file
         prepared.add_scene(compile_scene(*parts), parts)
     except ConfigError as error:
-        return list(error.problems)
+        places = {entity.uid: entity.path for entity in entities}
+        return [p.moved(places) for p in error.problems]
     return []
 
 
