@@ -128,7 +128,7 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
         problems.append(Problem(name, message))
     problems += check_shape(cfg.shape, scale, parts)
     look = cfg.shape.visual_material
-    if look is not None:
+    if look is not None and look.textures:
         found = check_textures(look.textures)
         problems += [p.below("shape.visual_material.textures") for p in found]
     if isinstance(cfg.shape, PlaneCfg) and cfg.body_type != "static":

@@ -29,9 +29,9 @@ from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, com
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
 from embodichain.lab.sim.compiler.scene_sensors import (
     SensorIndex,
-    add_sensors,
-    index_sensors,
-    silent_sensors,
+    add_sensor,
+    index_sensor,
+    is_silent,
 )
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
 from embodichain.lab.sim.compiler.views import add_views, place_views, scene_bounds
@@ -216,12 +216,16 @@ def compile_scene(
     roots = {p.uid: f"{p.uid}/{p.root_link_name}" for p in articulations}
     roots |= {uid: f"{PREFIX}{uid}" for uid in inside}
     add_views(spec, sim_cfg.views, roots)
-    add_sensors(spec, sensors)
+    for plan in sensors.values():
+        add_sensor(spec, plan)
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError(f"MuJoCo cannot compile the scene: {as_line(error)[0]}") from error
-    notes += silent_sensors(model, sensors)
+    for uid, plan in sensors.items():
+        if is_silent(model, plan):
+            links = ", ".join(plan.bodies)
+            notes.append(f"{uid}: no shape of {links} collides, so it reports no contact")
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
         index = entities[uid] = _index_object(model, uid, cfg)
@@ -239,8 +243,8 @@ def compile_scene(
         stat.extent, stat.center = max(2.0 * radius, 1.0), center
     place_lights(spec, model, lights, center, radius)
     place_views(spec, model, data, sim_cfg.views)
-    sensor_index = index_sensors(model, sensors, entities)
-    return CompiledScene(model, spec, entities, row, sensor_index, tuple(notes))
+    columns = {uid: index_sensor(model, plan, entities) for uid, plan in sensors.items()}
+    return CompiledScene(model, spec, entities, row, columns, tuple(notes))
 
 
 def _check(

@@ -48,36 +48,30 @@ class World:
     notes: tuple[str, ...]
 
 
-def read_world(cfg: SceneCfg, path: str) -> World | None:
-    """Read the file of a scene; None if it has none.
-
-    Args:
-        cfg: The scene.
-        path: Its key path, for messages.
+def read_world(cfg: SceneCfg) -> World:
+    """Read the file of a scene.
 
     Raises:
         ConfigError: If the file is missing, malformed or not an MJCF, or lacks the keyframe.
     """
     if not cfg.fpath:
-        if cfg.keyframe is not None:
-            message = "is one of a scene's file: fpath is missing"
-            raise ConfigError([Problem(f"{path}.keyframe", message)])
-        return None
+        message = "is one of a scene's file: fpath is missing"
+        raise ConfigError([Problem("scene.keyframe", message)])
     try:
         file = read_model(locate(cfg.fpath))
     except ConfigError as error:
-        raise ConfigError(Problem(f"{path}.fpath", str(p)) for p in error.problems) from error
+        raise ConfigError(Problem("scene.fpath", str(p)) for p in error.problems) from error
     spec, model = file.spec, file.model
     if file.is_urdf:
         message = f"{file.path}: a scene is an MJCF file; a URDF is a robot or an articulation"
-        raise ConfigError([Problem(f"{path}.fpath", message)])
+        raise ConfigError([Problem("scene.fpath", message)])
     if spec.compiler.settotalmass > 0:
         message = f"{file.path}: settotalmass would scale robots and objects too: give masses"
-        raise ConfigError([Problem(f"{path}.fpath", message)])
+        raise ConfigError([Problem("scene.fpath", message)])
     start, unused = mujoco.MjData(model), [model.key(i).name for i in range(model.nkey)]
     key = cfg.keyframe
     if key is not None and key not in unused:
-        raise ConfigError([no_such("keyframe", key, unused or ["none"], f"{path}.keyframe")])
+        raise ConfigError([no_such("keyframe", key, unused or ["none"], "scene.keyframe")])
     if key is None and unused:
         key = "home" if "home" in unused else unused[0]
     if key is not None:
