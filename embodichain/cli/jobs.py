@@ -7,11 +7,12 @@ A single job is composed with Hydra's compose API and executed here. Sweeps, ``-
 from __future__ import annotations
 
 import logging
+import os
 import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
     from embodichain.config.schema import RootCfg, Verb
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.recording import McapRecorder
+    from embodichain.recording import ImageOptions, McapRecorder
     from embodichain.recording.film import Filmed
 
 __all__ = [
@@ -82,18 +83,25 @@ class Job:
         """Whether only the result is printed."""
         return self.root.quiet or self.root.json
 
+    @property
+    def images(self) -> ImageOptions | None:
+        """The pictures of `record.images`."""
+        from embodichain.recording import ImageOptions
+
+        images = self.root.record.images
+        return None if images is None else ImageOptions(**vars(images))
+
     def attach_log(self, env: BaseEnv) -> McapRecorder | None:
         """Attach the log unless `record.format` is ``none``; closing the environment closes it."""
         if self.root.record.format == "none":
             return None
         from embodichain.config.resolved import dump_yaml
         from embodichain.config.run_folder import LOG
-        from embodichain.recording import ImageOptions, McapRecorder, RecordOptions
+        from embodichain.recording import McapRecorder, RecordOptions
 
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
-        if record.images is not None:
-            options["images"] = ImageOptions(**vars(record.images))
+        options["images"] = self.images
         recorder = McapRecorder(
             self.folder / LOG,
             env,
@@ -117,8 +125,11 @@ class Job:
         if cfg.name == "foxglove":
             from embodichain.recording.viewers.foxglove import FoxgloveView
 
-            shown = sorted({cfg.env, *self.root.record.view_envs})
-            live = FoxgloveView(env, cfg.host, cfg.port, shown, realtime=realtime)
+            record = self.root.record
+            shown = sorted({cfg.env, *record.view_envs})
+            if (images := self.images) is not None:
+                images = replace(images, envs=sorted({cfg.env, *images.envs}))
+            live = FoxgloveView(env, cfg.host, cfg.port, shown, realtime=realtime, images=images)
             env.add_observer(live)
             url = live.server.url
             where = f"{url} (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
@@ -295,15 +306,22 @@ def pinned(resolved: Resolved) -> Resolved:
 
 
 def check_extras(root: RootCfg) -> None:
-    """Check that the packages for the video and the viewer are installed.
+    """Check that the video, the pictures of the log and the viewer can be made here.
 
     Raises:
         ConfigError: A package is missing; names the extra.
+        RenderError: Pictures cannot be drawn here; names what to install.
     """
+    pictures = {"video": root.video, "record.images": root.record.images}
+    drawn = [key for key, wanted in pictures.items() if wanted and root.record.format != "none"]
     if root.video:
         from embodichain.utils.video import need_encoder
 
         need_encoder()
+    if drawn or "EMBODICHAIN_RENDERER" in os.environ:
+        from embodichain.lab.sim.drawing.offscreen import need_colors
+
+        need_colors(*drawn)
     if root.viewer.name == "foxglove":
         from embodichain.recording.viewers.foxglove import need_sdk
 

@@ -44,11 +44,15 @@ class Queue:
         self._waiting.append((time_ns, messages))
 
     def write(self, file: LogFile) -> None:
-        """Write all queued messages."""
-        while self._channels:
-            file.channel(*self._channels.popleft())
-        while self._waiting:
-            time_ns, messages = self._waiting.popleft()
+        """Write all queued messages; others may be queued by another thread meanwhile."""
+        while True:
+            entry = self._waiting.popleft() if self._waiting else None
+            # Taken after the message: its channels were declared before it was queued.
+            while self._channels:
+                file.channel(*self._channels.popleft())
+            if entry is None:
+                return
+            time_ns, messages = entry
             for topic, data in messages:
                 file.write(topic, time_ns, data)
 

@@ -8,6 +8,8 @@ import pytest
 from embodichain.lab.gym.envs import BaseEnv
 from tests.helpers.house import house
 
+pytestmark = pytest.mark.unmeasured
+
 
 def test_no_modules_import_each_other() -> None:
     """Imports inside of functions and under `if TYPE_CHECKING` count."""

@@ -3,6 +3,7 @@ import pytest
 from mcap.reader import make_reader
 
 from embodichain.recording.log_file import LogFile
+from embodichain.recording.log_writer import Queue
 
 TOPIC, SCHEMA = "/sim/steps", "embodichain.Steps"
 
@@ -112,3 +113,18 @@ def test_a_message_that_no_reader_would_unpack_is_not_written(tmp_path, monkeypa
     with pytest.raises(OSError, match="a message of 1001 bytes fits into no chunk"):
         log.write(TOPIC, 2, bytes(1001))
     log.close()
+
+
+def test_a_channel_may_be_declared_while_the_queue_is_written(tmp_path):
+    log, queue = start(tmp_path / "log.mcap"), Queue()
+
+    def messages():  # what another thread may do while a message is encoded
+        queue.channel("/log", "foxglove.Log")
+        queue.send(2, [("/log", b"later")])
+        yield TOPIC, b"first"
+
+    queue.send(1, messages())
+    queue.write(log)
+    log.finish()
+    log.close()
+    assert read(tmp_path / "log.mcap") == [b"first", b"later"]

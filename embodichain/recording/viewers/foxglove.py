@@ -6,6 +6,7 @@ Foxglove and Lichtblick connect to a `FoxgloveServer`. `FoxgloveView` serves a r
 
 from __future__ import annotations
 
+import logging
 import re
 import threading
 import time
@@ -17,10 +18,12 @@ from typing import TYPE_CHECKING, Any
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.api import EnvIndex, Write
 from embodichain.recording.chunks import LogReader
-from embodichain.recording.options import RecordOptions, check_options
+from embodichain.recording.options import ImageOptions, RecordOptions, check_options
+from embodichain.recording.pictures import camera_sensors
 from embodichain.recording.schema import descriptor_set
+from embodichain.recording.views.images import Images
 from embodichain.recording.views.views import Views
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 if TYPE_CHECKING:
     from foxglove import Channel
@@ -35,6 +38,7 @@ _ENV = re.compile(r"/env_(\d+)/")
 _EVERY_STEP = 1e9
 """Sampling rate in Hz of simulated time; a live view is limited by the wall clock instead."""
 _NAP = 0.02
+_log = logging.getLogger(__name__)
 
 
 def need_sdk() -> Any:
@@ -101,6 +105,10 @@ class FoxgloveServer:
         """Whether any channel has a subscriber."""
         return bool(self._subscriptions)
 
+    def is_wanted(self, topic: str) -> bool:
+        """Whether a channel has a subscriber; KeyError if it was not declared."""
+        return bool(self._channels[topic].has_sinks())
+
     def newcomers(self) -> set[str]:
         """Return topics with new subscriptions since the last call."""
         if not self._new:
@@ -132,9 +140,8 @@ class FoxgloveServer:
     def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
         """Send messages to their subscribers; KeyError if a channel was not declared."""
         for topic, data in messages:
-            channel = self._channels[topic]
-            if channel.has_sinks():
-                channel.log(data, log_time=time_ns)
+            if self.is_wanted(topic):
+                self._channels[topic].log(data, log_time=time_ns)
 
     def restart(self) -> None:
         """Signal that time starts again: clients drop their data and stay subscribed."""
@@ -154,6 +161,9 @@ class FoxgloveView(StepObserver):
     Without subscriptions no messages are encoded. A scene is sent again with every subscription to
     it. The server sends on its own threads and drops messages for viewers that are too slow.
 
+    Pictures of cameras are drawn while something is subscribed to them. If they cannot be drawn
+    here, a warning and a line of ``/log`` give the reason, and the other channels continue.
+
     Args:
         env: The environment.
         host: The address to listen on; there is no password.
@@ -161,13 +171,15 @@ class FoxgloveView(StepObserver):
         view_envs: Environments to show.
         fps: Maximum sampling rate in 1/s of wall-clock time.
         realtime: Whether steps run in real time while there are subscriptions.
+        images: Pictures; `rate` is their maximum in 1/s of wall-clock time. None: of all camera
+            sensors in `view_envs`, as JPEG.
 
     Attributes:
         server: The server, with its address: `url`, `port`.
 
     Raises:
         ConfigError: If foxglove-sdk is not installed, the address cannot be listened on, or an
-            environment does not exist.
+            environment or a camera does not exist.
     """
 
     def __init__(
@@ -178,19 +190,27 @@ class FoxgloveView(StepObserver):
         view_envs: Sequence[int] = (0,),
         fps: float = 30.0,
         realtime: bool = False,
+        images: ImageOptions | None = None,
     ) -> None:
-        options = RecordOptions(view_envs=view_envs, view_hz=_EVERY_STEP)
+        if images is None and camera_sensors(env):
+            images = ImageOptions(envs=view_envs, format="jpeg")
+        options = RecordOptions(view_envs=view_envs, view_hz=_EVERY_STEP, images=images)
         check_options(options, env.num_envs)
         self.server = FoxgloveServer(host, port)
+        weakref.finalize(self, self.server.close)  # also when Python exits: it has native threads
         self._envs = view_envs
         self._interval, self._realtime = 1.0 / fps, realtime
         self._step_dt = float(env.step_dt)
         self._period_ns, self._start_ns = round(self._step_dt * 1e9), time.time_ns()
         self._step = 0
-        self._shown = self._stepped = 0.0
+        self._shown = self._drawn = self._stepped = 0.0
         self._active = False
         self._views = Views(env, options, self.server, self._now)
-        weakref.finalize(self, self.server.close)  # also when Python exits: it has native threads
+        self._images: Images | None = None
+        if images is not None:
+            wanted = self.server.is_wanted
+            self._images = Images(env, images, self.server, self._now, wanted)
+            self._image_interval = max(self._interval, 1.0 / images.rate)
 
     def _now(self) -> int:
         return self._start_ns + self._step * self._period_ns
@@ -226,10 +246,27 @@ class FoxgloveView(StepObserver):
             self._shown = now
             self._views.on_rows(self._step, env.sim.engine.rows)
             self._views.on_step(self._step, step)
+        if self._images is not None:
+            self._draw(self._images, env, now, newcomers)
         if self._realtime:
             ahead = self._step_dt - (time.monotonic() - self._stepped)
             time.sleep(max(0.0, ahead))
             self._stepped = time.monotonic()
+
+    def _draw(self, images: Images, env: ObservedEnv, now: float, newcomers: set[str]) -> None:
+        """Send pictures if they are due, or have a new subscriber."""
+        new = any("/camera/" in topic for topic in newcomers)
+        if not new and now - self._drawn < self._image_interval:
+            return
+        if new:
+            images.restart()  # a subscriber can decode only what begins with an IDR picture
+        self._drawn = now
+        try:
+            images.send(env.sim.engine.rows)
+        except RenderError as error:
+            self._images = None
+            _log.warning("viewer: no pictures of cameras: %s", error)
+            self._views.say(f"no pictures of cameras: {error}", "ERROR")
 
     def on_close(self, env: ObservedEnv) -> None:
         """Close the server and its connections."""

@@ -18,6 +18,8 @@ __all__ = ["Encoder", "H264Encoder", "encoder_of", "jpeg", "png"]
 
 _JPEG_QUALITY = 90
 _PNG_LEVEL = 3
+_SLOWEST = Fraction(1, 1000)
+"""Pictures a second: the encoder needs a rate above zero."""
 _X264 = "scenecut=0:repeat-headers=1:annexb=1:bframes=0"
 
 
@@ -77,7 +79,7 @@ class H264Encoder:
             raise ConfigError([Problem("record.images.format", "h264 needs the package av", hint)])
         import av
 
-        per_second = Fraction(rate).limit_denominator(1000)
+        per_second = max(_SLOWEST, Fraction(rate).limit_denominator(1000))
         self._av: Any = av
         self._codec: Any = av.CodecContext.create("libx264", "w")
         self._codec.width, self._codec.height = width, height

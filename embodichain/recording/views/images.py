@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -47,6 +47,10 @@ class _Feed(NamedTuple):
     frame: str
     encode: Encoder
 
+    def topic(self, name: str) -> str:
+        """Topic of an output, or of the calibration."""
+        return f"/{self.frame}/{'image' if name == 'color' else name}"
+
 
 class Images:
     """Draws cameras of some environments and writes their pictures.
@@ -61,16 +65,25 @@ class Images:
         options: Which cameras and environments, how often, and in which format.
         sink: Receives the messages.
         now: Returns the log time in ns.
+        wanted: Whether a topic has a receiver; only these are drawn, and OpenGL is loaded with the
+            first picture. None: all topics have one.
 
     Raises:
         ConfigError: If there is no such camera, or a package is missing.
-        RenderError: If nothing can be drawn here.
+        RenderError: If nothing can be drawn here and `wanted` is None.
     """
 
     def __init__(
-        self, env: ObservedEnv, options: ImageOptions, sink: Sink, now: Callable[[], int]
+        self,
+        env: ObservedEnv,
+        options: ImageOptions,
+        sink: Sink,
+        now: Callable[[], int],
+        wanted: Callable[[str], bool] | None = None,
     ) -> None:
         self._options, self._sink, self._now = options, sink, now
+        self._wanted = wanted or (lambda topic: True)
+        self._env_ids = sorted(set(options.envs))
         cameras = camera_sensors(env)
         self._shots = _shots(env, cameras, options)
         self._entities = {s.camera: c.index.entity_of_geom for c in cameras for s in shots_of(c)}
@@ -80,17 +93,17 @@ class Images:
         self._due: set[int] = set()
         self._feeds: list[_Feed] = []
         self._renderer = RowRenderer(env.sim.engine)
+        if wanted is None:
+            self._renderer.open()
         self.restart()
         video = options.format == "h264"
         image = "foxglove.CompressedVideo" if video else "foxglove.CompressedImage"
         other = "foxglove.CompressedImage" if options.format == "png" else "foxglove.RawImage"
         sink.channel("/tf", "foxglove.FrameTransforms")
         for feed in self._feeds:
-            topic = f"/{feed.frame}"
-            sink.channel(f"{topic}/calibration", "foxglove.CameraCalibration")
+            sink.channel(feed.topic("calibration"), "foxglove.CameraCalibration")
             for output in feed.shot.outputs:
-                name = "image" if output == "color" else output
-                sink.channel(f"{topic}/{name}", image if output == "color" else other)
+                sink.channel(feed.topic(output), image if output == "color" else other)
 
     def restart(self) -> None:
         """Begin new videos, so that the next pictures need none before them."""
@@ -102,7 +115,7 @@ class Images:
                 _frame(env_id, shot),
                 encoder_of(how, shot.width, shot.height, self._rate),
             )
-            for env_id in sorted(set(self._options.envs))
+            for env_id in self._env_ids
             for shot in self._shots
         ]
 
@@ -119,11 +132,26 @@ class Images:
         """
         all_due, due = step % self._every == 0, self._due
         self._due = set()
-        for env_id in sorted(set(self._options.envs)):
-            if not all_due and env_id not in due:
-                continue
+        self.send(rows, [i for i in self._env_ids if all_due or i in due])
+
+    def send(self, rows: F64, env_ids: Sequence[int] | None = None) -> None:
+        """Draw environments as they are now.
+
+        Args:
+            rows: (N, nstate) rows.
+            env_ids: Which of those in the options; None is all.
+
+        Raises:
+            RenderError: If an output cannot be drawn here.
+        """
+        for env_id in self._env_ids if env_ids is None else env_ids:
             feeds = [feed for feed in self._feeds if feed.env_id == env_id]
-            drawn = self._renderer.draw(env_id, rows[env_id], self._shots)
+            outputs = [tuple(o for o in f.shot.outputs if self._wanted(f.topic(o))) for f in feeds]
+            posed = self._wanted("/tf") or any(self._wanted(f.topic("calibration")) for f in feeds)
+            if not posed and not any(outputs):
+                continue
+            shots = [replace(f.shot, outputs=o) for f, o in zip(feeds, outputs, strict=True)]
+            drawn = self._renderer.draw(env_id, rows[env_id], shots)
             time_ns = self._now()
             messages = [
                 (topic, message.SerializeToString())
@@ -135,22 +163,22 @@ class Images:
     def _messages(
         self, feed: _Feed, view: View, pictures: Pictures, time_ns: int
     ) -> Iterator[tuple[str, Any]]:
-        topic, how = f"/{feed.frame}", self._options.format
-        made: list[tuple[str, Any]] = [(f"{topic}/calibration", _calibration(feed.shot, view))]
+        how = self._options.format
+        made: list[tuple[str, Any]] = [("calibration", _calibration(feed.shot, view))]
         if "color" in pictures:
             data = feed.encode(np.ascontiguousarray(pictures["color"][0, ..., :3]))
             kind = CompressedVideo if how == "h264" else CompressedImage
-            made.append((f"{topic}/image", kind(data=data, format=how)))
+            made.append(("color", kind(data=data, format=how)))
         if "depth" in pictures:
-            made.append((f"{topic}/depth", _numbers(_depth(pictures["depth"][0]), how)))
+            made.append(("depth", _numbers(_depth(pictures["depth"][0]), how)))
         if "mask" in pictures:
             entities = self._entities[feed.shot.camera][pictures["mask"][0]]
             values = np.where(entities < 0, _BACKGROUND, entities).astype(np.uint16)
-            made.append((f"{topic}/mask", _numbers(values, how)))
-        for _, message in made:
+            made.append(("mask", _numbers(values, how)))
+        for name, message in made:
             message.frame_id = feed.frame
             message.timestamp.FromNanoseconds(time_ns)
-        yield from made
+            yield feed.topic(name), message
         yield "/tf", _transform(feed, view, time_ns)
 
 

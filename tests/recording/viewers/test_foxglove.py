@@ -1,6 +1,7 @@
 """The live server, seen by a WebSocket client of others and decoded by published messages."""
 
 import base64
+import io
 import json
 import socket
 import struct
@@ -9,21 +10,32 @@ import time
 
 import numpy as np
 import pytest
+import torch
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.reader import make_reader
+from PIL import Image
 from websockets.sync.client import connect
 
-from embodichain.recording import McapRecorder
+import embodichain
+from embodichain.lab.sim.drawing.offscreen import VARIABLE
+from embodichain.recording import ImageOptions, McapRecorder, pictures
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.viewers.foxglove import FoxgloveView
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import SmallEnv
+from tests.recording.views.test_images import SCENE, WALL_PIXEL, nal_types, recorded
 
 DECODERS = {
     "/tf": FrameTransforms, "/log": Log, "scene": SceneUpdate, "joint_states": JointStates,
+    "foxglove.CameraCalibration": CameraCalibration, "foxglove.CompressedImage": CompressedImage,
+    "foxglove.CompressedVideo": CompressedVideo, "foxglove.RawImage": RawImage,
 }  # fmt: skip
 
 
@@ -71,7 +83,8 @@ class Client:
             if isinstance(data, bytes) and data[0] == 1:
                 number, time_ns = struct.unpack_from("<IQ", data, 1)
                 topic = self.topics[number]
-                kind = DECODERS.get(topic) or DECODERS.get(topic.rsplit("/", 1)[1])
+                names = topic, topic.rsplit("/", 1)[1], self.channels[topic]["schemaName"]
+                kind = next((DECODERS[name] for name in names if name in DECODERS), None)
                 return topic, time_ns, kind.FromString(data[13:]) if kind else data[13:]
 
     def until(self, topic):
@@ -126,14 +139,19 @@ def test_its_channels_are_those_of_the_file(live, tmp_path):
     env.reset()
     env.step()
     env.close()
-    with (tmp_path / "log.mcap").open("rb") as stream:
+    check_channels(live[1].server.port, tmp_path / "log.mcap")
+
+
+def check_channels(port, path):
+    """The server has the channels that a log has for people."""
+    with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     in_file = {
         channel.topic: summary.schemas[channel.schema_id]
         for channel in summary.channels.values()
-        if not channel.topic.startswith(("/sim/", "/episode"))  # for programs
+        if not channel.topic.startswith(("/sim/", "/episode", "/pictures"))  # for programs
     }
-    with Client(live[1].server.port) as client:
+    with Client(port) as client:
         found = client.meet(len(in_file))
     assert client.server["capabilities"] == []  # clients cannot change anything
     assert set(found) == set(in_file)
@@ -214,6 +232,7 @@ def _step_until(env, condition):
 
 def test_real_time_is_kept_while_anything_is_subscribed_to(monkeypatch):
     env = SmallEnv()
+    env.step_dt = 1000.0  # seconds: far more than a step takes
     env.add_observer(view := FoxgloveView(env, port=0, realtime=True))
     slept = []
     monkeypatch.setattr(time, "sleep", slept.append)
@@ -227,7 +246,7 @@ def test_real_time_is_kept_while_anything_is_subscribed_to(monkeypatch):
             pass
         env.step()
         env.step()
-        assert len(slept) == 2 and slept[0] == 0.0 < slept[1] <= 0.02
+        assert len(slept) == 2 and slept[0] == 0.0 and 900.0 < slept[1] <= 1000.0
     env.close()
 
 
@@ -268,3 +287,122 @@ def test_without_the_package_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "foxglove", None)
     with pytest.raises(ConfigError, match=r"pip install 'embodichain\[foxglove\]'"):
         FoxgloveView(SmallEnv(), port=0)
+
+
+# -- pictures of cameras ---------------------------------------------------------------------------
+
+
+class WithCamera:
+    """Two cart poles and a camera, shown live; `step` is a control step."""
+
+    def __init__(self, images=None, **view):
+        self.env = embodichain.make("cart_pole", 2, SCENE)
+        self.view = FoxgloveView(self.env, port=0, images=images, fps=1e9, **view)
+        self.env.add_observer(self.view)
+        self.env.reset(seed=0)
+
+    def step(self):
+        self.env.step(torch.zeros(2, 1))
+
+    def close(self):
+        self.env.close()
+
+
+CAMERA = "/env_1/camera/front"
+
+
+@pytest.fixture(scope="module")
+def log_with_pictures(tmp_path_factory):
+    path = tmp_path_factory.mktemp("live") / "log.mcap"
+    return recorded(path, ImageOptions(envs=[1], format="jpeg"), steps=1, view_envs=[1])
+
+
+def test_camera_sensors_have_the_channels_of_a_log_with_pictures(log_with_pictures):
+    env = WithCamera(view_envs=[1])
+    env.step()
+    check_channels(env.view.server.port, log_with_pictures)
+    env.close()
+
+
+def test_live_pictures_are_of_the_simulation():
+    env = WithCamera(ImageOptions(envs=[1], format="png", rate=1e9), view_envs=[1])
+    with Running(env), Client(env.view.server.port) as client:
+        client.meet(9)
+        client.subscribe("/tf", CAMERA + "/image", CAMERA + "/depth", CAMERA + "/calibration")
+        _, time_ns, depth = client.until(CAMERA + "/depth")
+        with Image.open(io.BytesIO(depth.data)) as image:
+            assert np.asarray(image)[WALL_PIXEL] == 3000  # the wall is 3 m away
+        assert depth.timestamp.ToNanoseconds() == time_ns
+        _, _, color = client.until(CAMERA + "/image")
+        with Image.open(io.BytesIO(color.data)) as image:
+            assert (image.format, image.size) == ("PNG", (64, 48))
+        lens = client.until(CAMERA + "/calibration")[2]
+        assert list(lens.K) == pytest.approx([60, 0, 30, 0, 70, 25, 0, 0, 1])
+        frames = []
+        while "env_1/camera/front" not in frames:
+            frames = [frame.child_frame_id for frame in client.until("/tf")[2].transforms]
+        assert {color.frame_id, depth.frame_id, lens.frame_id} == set(frames)
+
+
+def test_pictures_are_drawn_only_for_their_subscribers(monkeypatch):
+    opened = []
+    renderer = pictures.OffscreenRenderer
+    monkeypatch.setattr(
+        pictures, "OffscreenRenderer", lambda model: opened.append(model) or renderer(model)
+    )
+    env = WithCamera(view_envs=[1])
+    with Running(env), Client(env.view.server.port) as client:
+        client.meet(9)
+        client.subscribe("/tf", CAMERA + "/calibration")
+        client.until(CAMERA + "/calibration")
+        assert not opened  # its pose and its lens are no picture
+        client.subscribe(CAMERA + "/image")
+        assert client.until(CAMERA + "/image")[2].format == "jpeg"
+        assert len(opened) == 1
+
+
+def test_the_rate_bounds_pictures():
+    env = WithCamera(ImageOptions(rate=1e-9))
+    with Client(env.view.server.port) as client:
+        env.step()
+        client.meet(9)
+        topic = "/env_0/camera/front/image"
+        client.subscribe(topic, "/env_0/metrics")
+        _step_until(env, lambda: env.view.server.is_wanted("/env_0/metrics"))
+        for _ in range(20):
+            env.step()
+        found = []
+        while found.count("/env_0/metrics") < 20:
+            found.append(client.receive()[0])
+    env.close()
+    assert found.count(topic) == 1  # the one that every subscriber gets
+
+
+def test_a_later_subscriber_of_a_video_begins_with_a_picture_that_needs_none_before():
+    pytest.importorskip("av")
+    env = WithCamera(ImageOptions(envs=[1], rate=1e9), view_envs=[1])
+    port, topic = env.view.server.port, CAMERA + "/image"
+    with Running(env), Client(port) as first:
+        first.meet(9)
+        first.subscribe(topic)
+        kinds = [nal_types(first.until(topic)[2].data) for _ in range(5)]
+        assert any(5 not in kind for kind in kinds)
+        with Client(port) as second:
+            second.meet(9)
+            second.subscribe(topic)
+            kinds = [nal_types(second.until(topic)[2].data) for _ in range(5)]
+        assert any({7, 8, 5} <= set(kind) for kind in kinds)  # long before the next one is due
+
+
+def test_a_run_goes_on_where_no_picture_can_be_drawn(monkeypatch, caplog):
+    monkeypatch.setenv(VARIABLE, "rays")
+    env = WithCamera(view_envs=[1])
+    with Running(env), Client(env.view.server.port) as client:
+        client.meet(9)
+        client.subscribe("/tf", "/log", CAMERA + "/image")
+        line = client.until("/log")[2]
+        while line.level != Log.Level.ERROR:
+            line = client.until("/log")[2]
+        assert line.message.startswith("no pictures of cameras: ")
+        assert "viewer: no pictures of cameras: " in caplog.text
+        client.until("/tf")

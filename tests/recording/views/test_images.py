@@ -186,6 +186,12 @@ def test_each_file_of_a_log_begins_with_a_picture_that_needs_none_before(tmp_pat
         assert {7, 8, 5} <= set(nal_types(first.data))
 
 
+def test_a_video_may_have_a_picture_in_an_hour(tmp_path):
+    pytest.importorskip("av")
+    path = recorded(tmp_path / "log.mcap", ImageOptions(rate=1 / 3600), steps=2)
+    assert len(decoded(path, "/env_0/camera/front/image")) == 1
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

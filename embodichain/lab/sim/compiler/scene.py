@@ -270,6 +270,8 @@ def _check(
 def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:
     """Attach an articulation at its pose; return messages for the user."""
     notes = _options(child, spec, f"{parsed.uid}: {parsed.path}")
+    for path, options in parsed.attached_options:
+        notes += _options(options.copy(), spec, f"{parsed.uid}: {path}")
     pos, quat = initial_pose(parsed.cfg)
     frame = spec.worldbody.add_frame(pos=pos, quat=quat)
     spec.attach(child, frame=frame, prefix=f"{parsed.uid}/")
