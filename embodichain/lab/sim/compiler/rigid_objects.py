@@ -44,6 +44,7 @@ __all__ = [
     "check_object",
     "check_pose",
     "check_shape",
+    "collides",
     "damping_of",
     "inertia_about_axes",
     "initial_pose",
@@ -351,11 +352,16 @@ def _add_material(spec: mujoco.MjSpec, name: str, part: MadePart) -> str:
     return name
 
 
-def set_contact(body: mujoco.MjsBody, friction: float, collides: bool) -> None:
+def collides(geom: mujoco.MjsGeom) -> bool:
+    """Whether a geom takes part in collision."""
+    return bool(geom.contype or geom.conaffinity)
+
+
+def set_contact(body: mujoco.MjsBody, friction: float, enabled: bool) -> None:
     """Set the sliding friction of a body's geoms, and whether they collide."""
     for geom in body.geoms:
         geom.friction[0] = friction
-        if not collides:
+        if not enabled:
             geom.contype = geom.conaffinity = 0
 
 
