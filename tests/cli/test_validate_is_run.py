@@ -138,6 +138,7 @@ def test_every_registered_term_has_an_example() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("how", SPOILED)
 @pytest.mark.parametrize("kind", sorted({entry.kinds[0] for entry in ENTRIES}))
 def test_every_term_with_spoiled_parameters(

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+pytestmark = pytest.mark.unmeasured
+
 REPO = Path(__file__).parents[2]
 SKILLS = sorted((REPO / ".claude" / "skills").glob("*/SKILL.md"))
 PAGES = [REPO / "AGENTS.md", *SKILLS]

@@ -31,6 +31,7 @@ from embodichain.utils.configclass import configclass
 __all__ = [
     "DEFAULT_RENDERER",
     "ArticulationCfg",
+    "AttachedFileCfg",
     "Four",
     "GPUMemoryCfg",
     "JointDrivePropertiesCfg",
@@ -319,6 +320,30 @@ class SolverCfg:
     """Whether to use the closed form where there is one."""
 
 
+@configclass
+class AttachedFileCfg:
+    """A URDF or MJCF file fixed on a link of a robot: a gripper, a tool, a sensor's mount.
+
+    It becomes part of the robot: its links, joints, actuators and cameras are named ``NAME/...``,
+    with the key of this entry as NAME.
+    """
+
+    fpath: str | None = None
+    """A .urdf or .xml file, found by `embodichain.data.get_data_path`."""
+    to: str = ""
+    """The link it is fixed on; of another attached file, ``NAME/LINK``."""
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    """Metres: origin of the file's world in the frame of the link."""
+    rot: Vec3 = (0.0, 0.0, 0.0)
+    """Euler angles in degrees, intrinsic XYZ, in the frame of the link."""
+    quat: Quat | None = None
+    """wxyz; overrides `rot`."""
+    attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
+    """Friction and collision of its links, as `ArticulationCfg.attrs`."""
+    collision: Literal["hull", "decompose"] = "hull"
+    """Collision geometry of a URDF's meshes."""
+
+
 def _by_part(value: Any) -> Any:
     """Take one solver without a part name as that of the whole robot."""
     names = {field.name for field in dataclasses.fields(SolverCfg)}
@@ -337,6 +362,9 @@ class RobotCfg(ArticulationCfg):
     """Several URDF files assembled into one robot, instead of `fpath`."""
     solver_cfg: Annotated[dict[str, SolverCfg] | None, BeforeValidator(_by_part)] = None
     """Control part -> its tool point; a single `SolverCfg` is that of the whole robot."""
+    # ours
+    attach: dict[str, AttachedFileCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Name -> a file fixed on one of its links, in this order; a robot has one handle."""
 
 
 @configclass
