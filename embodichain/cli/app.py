@@ -21,6 +21,7 @@ from click.shell_completion import BashComplete, add_completion_class, shell_com
 
 from embodichain.cli import process
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.mujoco_gl import check_mujoco_gl
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
@@ -104,6 +105,12 @@ class Verb(click.Command):
 
     examples: tuple[tuple[str, str], ...] = ()
     keys = False
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Call the verb, if MuJoCo can be imported; `doctor` says why it cannot."""
+        if self.name != "doctor":
+            check_mujoco_gl()
+        return super().invoke(ctx)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write keys, examples and exit codes, unwrapped."""

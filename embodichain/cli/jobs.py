@@ -7,6 +7,7 @@ A single job is composed with Hydra's compose API and executed here. Sweeps, ``-
 from __future__ import annotations
 
 import logging
+import os
 import shlex
 import sys
 import time
@@ -305,15 +306,27 @@ def pinned(resolved: Resolved) -> Resolved:
 
 
 def check_extras(root: RootCfg) -> None:
-    """Check that the packages for the video and the viewer are installed.
+    """Check that the video, the pictures of the log and the viewer can be made here.
 
     Raises:
         ConfigError: A package is missing; names the extra.
+        RenderError: Pictures cannot be drawn here; names what to install.
     """
+    logged = root.record.format != "none"
+    images = root.record.images if logged or root.viewer.name == "foxglove" else None
+    drawn = ["video"] * bool(root.video) + ["record.images"] * (images is not None)
     if root.video:
         from embodichain.utils.video import need_encoder
 
         need_encoder()
+    if images is not None and images.format == "h264":
+        from embodichain.recording.views.encoders import need_h264
+
+        need_h264()
+    if drawn or "EMBODICHAIN_RENDERER" in os.environ:
+        from embodichain.lab.sim.drawing.offscreen import need_colors
+
+        need_colors(*drawn)
     if root.viewer.name == "foxglove":
         from embodichain.recording.viewers.foxglove import need_sdk
 

@@ -70,9 +70,7 @@ OURS: Final[Mapping[str, str]] = {
 }
 """Name -> where it is here, for every module of EmbodiChain that has the name."""
 
-_SOLVERS = (
-    "IK solvers are not classes here: the terms that need inverse kinematics solve it themselves"
-)
+_SOLVERS = "declare solver_cfg, and call robot.compute_ik: the solver follows from the arm"
 _PLANNERS = "motion planning is not available: interpolate joint targets, or train a policy"
 _LLM = "agents driven by language models are not available"
 _RL = "train with `embodichain train task=NAME`, on Stable-Baselines3"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,10 +18,12 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from mujoco.batch import MODEL_FIELDS
 
+from embodichain.lab.sim.drawing.gl import hint
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState
 from embodichain.lab.sim.drawing.views import Look, Output, Pictures, View, view_of
-from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, row_layout
+from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.lab.sim.sensors.cfg import CameraCfg
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.log_error import DamageError, LogError
@@ -28,6 +31,7 @@ from embodichain.recording.options import LARGEST_SIDE
 from embodichain.recording.schema import PICTURES_TOPIC, message_class
 from embodichain.recording.simulation import Simulation, always, never
 from embodichain.recording.trajectory import follow
+from embodichain.utils.errors import RenderError
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
@@ -42,6 +46,7 @@ _DRAWN = tuple(sorted(name for name in MODEL_FIELDS if name.startswith(_PREFIXES
 _OUTPUTS: tuple[Output, ...] = ("color", "depth", "mask")
 _LOOKS: tuple[Look, ...] = ("fast", "full")
 _DIGEST = 32
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,14 +105,21 @@ class RowRenderer:
         self._opened: OffscreenRenderer | None = None
 
     def open(self) -> OffscreenRenderer:
-        """Open the renderer, if that has not been done; RenderError if nothing can be drawn."""
+        """Open the renderer, if that has not been done.
+
+        Raises:
+            RenderError: If there is no OpenGL here.
+        """
         if self._opened is None:
-            self._opened = OffscreenRenderer(self._engine.model)
+            opened = OffscreenRenderer(self._engine.model)
+            if opened.kind == "rays":
+                raise RenderError(f"pictures of a log need OpenGL; {hint()}")
+            self._opened = opened
         return self._opened
 
     @property
     def about(self) -> str:
-        """The renderer, as the driver names it; RenderError if nothing can be drawn."""
+        """The renderer, as the driver names it; RenderError if there is no OpenGL here."""
         renderer = self.open()
         return f"{renderer.kind}: {renderer.about}"
 
@@ -137,7 +149,7 @@ class RowRenderer:
             shots: How.
 
         Raises:
-            RenderError: If an output cannot be drawn here.
+            RenderError: If there is no OpenGL here.
             ValueError: If there is no such camera.
         """
         state = self.pose(env_id, row)
@@ -172,6 +184,8 @@ class RowRenderer:
 class FirstPictures:
     """Hashes the first pictures of episodes, for the cameras that something reads.
 
+    Without OpenGL, where cameras have depth and masks only, there are none, and a warning says so.
+
     Args:
         env: The environment.
         sink: Receives the messages.
@@ -183,6 +197,7 @@ class FirstPictures:
         self._sink, self._now = sink, now
         self._begun: set[int] = set()
         self._renderer: RowRenderer | None = None
+        self._is_off = False
         sink.channel(PICTURES_TOPIC, "embodichain.Pictures")
 
     def restart(self) -> None:
@@ -198,16 +213,19 @@ class FirstPictures:
         Args:
             step: The control step.
             rows: (N, nstate) rows before its physics.
-
-        Raises:
-            RenderError: If the pictures, which were drawn before, cannot be drawn here.
         """
         ids, self._begun = sorted(self._begun), set()
         shots = [s for camera in self._cameras if camera.was_drawn for s in shots_of(camera)]
-        if not ids or not shots:
+        if not ids or not shots or self._is_off:
             return
         if self._renderer is None:
-            self._renderer = RowRenderer(self._engine)
+            try:
+                self._renderer = RowRenderer(self._engine)
+                self._renderer.open()
+            except RenderError as error:
+                self._is_off = True
+                _log.warning("the log has no hashes of pictures: %s", error)
+                return
         digests = [self._renderer.digests(env_id, rows[env_id], shots) for env_id in ids]
         for i, shot in enumerate(shots):
             message = message_class("Pictures")(

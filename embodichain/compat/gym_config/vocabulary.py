@@ -42,7 +42,6 @@ _SLEEP = "MuJoCo puts nothing to sleep here"
 _RENDER = "MuJoCo's rasterizer draws, in a log viewer or with viewer=native"
 _USD = "USD is not read"
 _ROBOT_SENSORS = "a sensor on a robot is declared under sensor, with a link as parent"
-_IK = "inverse kinematics is not available yet"
 _RECORD = "the log of a run contains its trajectory: embodichain replay"
 _MESH = "a mesh collides as its convex hull; `collision: decompose` splits it into convex parts"
 _EXPERT = "expert data is not collected here"
@@ -104,7 +103,7 @@ ROBOT: Vocabulary = {
     **ARTICULATION,
     **each(HANDLED, "class_type robot_type init_qpos urdf_cfg solver_cfg"),
     "control_parts": KEEP,
-    "workspace_cfg": _IK,
+    "workspace_cfg": "workspaces are not analysed",
     **each(_ROBOT_SENSORS, "sensors enable_sensor"),
 }
 
@@ -116,18 +115,18 @@ URDF: Vocabulary = {
 }
 URDF_COMPONENT: Vocabulary = each(KEEP, "component_type urdf_path transform")
 _SOLVER_SETTINGS = """
-    ik_nearest_weight pos_eps rot_eps max_iterations dt damp num_samples
-    is_only_position_constraint ik_method ik_params mesh_path fixed_input_tasks
+    dt damp is_only_position_constraint ik_method ik_params mesh_path fixed_input_tasks
     variable_input_tasks fail_on_joint_limit_violation show_ik_warnings command_type
     use_relative_mode sort_ik safe_margin dh_params qpos_limits T_b_ob T_e_oe link_lengths ur_type
     rotation_directions a1 a2 b c1 c2 c3 c4 offsets flip_axes has_parallelogram
 """
 SOLVER: Vocabulary = {
     **each(KEEP, "end_link_name root_link_name tcp"),
-    "class_type": "it gives the tool point; no solver runs",
+    **each(KEEP, "ik_nearest_weight pos_eps rot_eps max_iterations num_samples"),
+    "class_type": "the solver follows from the arm: closed form, or damped least squares",
     "urdf_path": "kinematics are those of the robot",
     "joint_names": "joints are those of the control part",
-    **each("a setting of a solver, and none runs", _SOLVER_SETTINGS),
+    **each("a setting of another solver", _SOLVER_SETTINGS),
 }
 
 DRIVE: Vocabulary = {

@@ -149,14 +149,13 @@ def tool_of(
         if part_name is not None:
             raise ConfigError([Problem("part_name", "give either end_effector_cfg or this")])
         return end_effector_cfg
-    from embodichain.lab.gym.envs.mdp._ik import tool_links
+    from embodichain.lab.gym.envs.mdp._tools import tool_links
 
     if env.robot is None:
         raise ConfigError([Problem("end_effector_cfg", "the task has no robot: give a link")])
     with as_parameters({"control_parts": "part_name"}):
         entity = env.scene_entity({"uid": env.robot.uid, "control_parts": part_name})
-    names = entity.asset.parsed.link_names
-    links = [names[i] for i in tool_links(entity)]
+    links = tool_links(entity)
     if len(links) != 1:
         message = f"name one link as the tool; the robot suggests {', '.join(links) or 'none'}"
         raise ConfigError([Problem("end_effector_cfg", message)])

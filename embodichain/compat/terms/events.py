@@ -13,7 +13,7 @@ from embodichain.lab.gym.envs.managers.param_types import Axes6, Box2, Box3, Fin
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
-from embodichain.lab.gym.envs.mdp._ik import Reach
+from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.lab.gym.envs.mdp.events.pushes import EpisodeTimer, PushBySettingVelocity
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, pose_to_matrix, quat_multiply
@@ -80,7 +80,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
             links = list(robot_cfg.link_names) or None
             picked = {"uid": robot_cfg.uid, "control_parts": control_part, "link_names": links}
             robot_cfg = env.scene_entity(picked)
-        self._reach = Reach(robot_cfg, "robot_cfg")
+        self._arm = arm_solver(robot_cfg, "robot_cfg")
         self._robot, self._asset = robot_cfg.asset, entity_cfg.asset
         box = np.array(position_bounds, np.float64)
         if reference_height is not None:
@@ -96,12 +96,10 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         """Draw positions until each of these environments has one; place the object."""
         left: EnvIndex = np.arange(env.num_envs) if env_ids is None else env_ids
         places: F64 = np.zeros((env.num_envs, 3))
-        root_pos, root_quat = self._robot.read_pose()
         found = []
         for _ in range(self._attempts):
             pos = self._position(env.event_manager, left)
-            root = root_pos[left], root_quat[left]
-            solved = self._reach.solve(*root, self._home[left], pos, None)[1]
+            solved = self._arm.inverse(self._home[left], pos, None, left, restarts=False)[1]
             places[left[solved]] = pos[solved]
             found.append(left[solved])
             left = left[~solved]

@@ -31,6 +31,7 @@ from embodichain.utils.configclass import configclass
 __all__ = [
     "DEFAULT_RENDERER",
     "ArticulationCfg",
+    "AttachedFileCfg",
     "Four",
     "GPUMemoryCfg",
     "JointDrivePropertiesCfg",
@@ -281,10 +282,11 @@ class ArticulationCfg(ObjectBaseCfg):
 
 @configclass
 class SolverCfg:
-    """First link, last link and tool point of a control part. No solver uses it.
+    """Tool point of a control part, and settings of its inverse kinematics.
 
     A `tcp` becomes a separate link, `PART_tcp` (`tcp` for the whole robot), which terms use as the
-    part's tool.
+    part's tool. Arms built like those of Universal Robots are solved in closed form, others by
+    damped least squares.
     """
 
     class_type: str = "SolverCfg"
@@ -300,12 +302,52 @@ class SolverCfg:
     tcp: Any = None
     """The tool point in the frame of `end_link_name`: a 4x4 matrix; None is that frame."""
     ik_nearest_weight: list[float] | None = None
-    """No effect."""
+    """Weights of the joints of the chain in the distance from the seed, by which the closed form
+    ranks solutions; None is 1."""
+    pos_eps: Annotated[float, Field(gt=0)] = 1e-5
+    """Metres: a solution is at most this far from the target."""
+    rot_eps: Annotated[float, Field(gt=0)] = 1e-5
+    """Rad: likewise."""
+    max_iterations: Annotated[int, Field(ge=1)] = 60
+    """Of one search from one initial point."""
+    num_samples: Annotated[int, Field(ge=0)] = 30
+    """Further initial points of the search, where it fails."""
+    # ours
+    posture: dict[str, float] | None = dataclasses.field(default=None, kw_only=True)
+    """Joint-name regex -> position (rad or m) that a redundant arm approaches in its null space;
+    joints that are not matched have no preference."""
+    closed_form: bool = dataclasses.field(default=True, kw_only=True)
+    """Whether to use the closed form where there is one."""
+
+
+@configclass
+class AttachedFileCfg:
+    """A URDF or MJCF file fixed on a link of a robot: a gripper, a tool, a sensor's mount.
+
+    It becomes part of the robot: its links, joints, actuators and cameras are named ``NAME/...``,
+    with the key of this entry as NAME.
+    """
+
+    fpath: str | None = None
+    """A .urdf or .xml file, found by `embodichain.data.get_data_path`."""
+    to: str = ""
+    """The link it is fixed on; of another attached file, ``NAME/LINK``."""
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    """Metres: origin of the file's world in the frame of the link."""
+    rot: Vec3 = (0.0, 0.0, 0.0)
+    """Euler angles in degrees, intrinsic XYZ, in the frame of the link."""
+    quat: Quat | None = None
+    """wxyz; overrides `rot`."""
+    attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
+    """Friction and collision of its links, as `ArticulationCfg.attrs`."""
+    collision: Literal["hull", "decompose"] = "hull"
+    """Collision geometry of a URDF's meshes."""
 
 
 def _by_part(value: Any) -> Any:
     """Take one solver without a part name as that of the whole robot."""
-    flat = isinstance(value, Mapping) and any(key in value for key in ("class_type", "tcp"))
+    names = {field.name for field in dataclasses.fields(SolverCfg)}
+    flat = isinstance(value, Mapping) and not names.isdisjoint(value)
     return {"default": value} if flat or isinstance(value, SolverCfg) else value
 
 
@@ -320,6 +362,9 @@ class RobotCfg(ArticulationCfg):
     """Several URDF files assembled into one robot, instead of `fpath`."""
     solver_cfg: Annotated[dict[str, SolverCfg] | None, BeforeValidator(_by_part)] = None
     """Control part -> its tool point; a single `SolverCfg` is that of the whole robot."""
+    # ours
+    attach: dict[str, AttachedFileCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Name -> a file fixed on one of its links, in this order; a robot has one handle."""
 
 
 @configclass

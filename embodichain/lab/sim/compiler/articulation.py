@@ -22,7 +22,7 @@ from embodichain.lab.sim.compiler.drives import (
 from embodichain.lab.sim.compiler.index import F64, Mask
 from embodichain.lab.sim.compiler.names import exact_pattern, match
 from embodichain.lab.sim.compiler.rigid_objects import check_pose
-from embodichain.lab.sim.compiler.robot_assembly import assemble
+from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
 from embodichain.lab.sim.compiler.robot_files import (
     MUJOCO_ERRORS,
     ModelFile,
@@ -37,9 +37,6 @@ from embodichain.lab.sim.compiler.robot_joints import (
     control_names,
     initial_controls,
     movable_joints,
-    read_joints,
-    read_keyframe,
-    read_mimics,
     read_servos,
     resolve_qpos,
 )
@@ -47,10 +44,9 @@ from embodichain.lab.sim.compiler.robot_links import (
     add_attachments,
     add_tools,
     check_attachments,
-    prepare_shapes,
+    prepare_file,
     resolve_tools,
     set_root,
-    strip_world,
 )
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import listing
@@ -102,6 +98,7 @@ class ParsedArticulation:
         init_ctrl: (M,) initial controls.
         init_act: (K,) initial activations, in the order of its actuators.
         keyframe: The file's keyframe, for the root and ball joints, or None.
+        attached_options: Path of each attached file, and an empty model with its physics options.
         notes: Messages for the user about the file, one line each.
     """
 
@@ -143,6 +140,7 @@ class ParsedArticulation:
     init_ctrl: F64
     init_act: F64
     keyframe: Keyframe | None
+    attached_options: tuple[tuple[str, mujoco.MjSpec], ...]
     notes: tuple[str, ...]
 
     @property
@@ -212,26 +210,30 @@ def parse_with_problems(
             for p in error.problems
         ]
     problems = [*_unsupported(cfg, file), *check_pose(cfg)]
-    joints = read_joints(file.model, file.velocity_limits, is_urdf=file.is_urdf)
-    mimics = read_mimics(file.model)
+    attached = getattr(cfg, "attach", {})
+    try:
+        robot = prepare_file(file, cfg.attrs)
+        if attached:
+            robot, wrong = attach_files(robot, attached, file.velocity_limits)
+            problems += wrong
+    except ConfigError as error:
+        return None, [*problems, *error.problems]
+    except MUJOCO_ERRORS as error:
+        return None, [*problems, Problem("fpath", f"{file.path}: {as_line(error)[0]}")]
+    joints, mimics, keyframe = robot.joints, robot.mimics, robot.keyframe
     parts, wrong = _control_parts(getattr(cfg, "control_parts", None), joints.names)
     problems += wrong
     gains, wrong = resolve_drives(cfg.drive_pros, joints, parts, mimics.ids)
     problems += [p.below("drive_pros") for p in wrong]
-    keyframe = read_keyframe(file.spec, file.model)
     qpos, wrong = resolve_qpos(cfg.init_qpos, joints, mimics, keyframe)
     problems += wrong
     links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
     problems += check_attachments(links, cfg.attachments)
     tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments])
     problems += wrong
-    said = [*strip_world(file.spec), *_unused(file.spec, keyframe)]
     try:
-        for key in list(file.spec.keys):
-            file.spec.delete(key)
         drives, replaced = apply_drives(file.spec, gains, joints)
-        notes = [*file.notes, *(f"{file.path}: {line}" for line in (*said, *replaced))]
-        prepare_shapes(file.spec, cfg, file.is_urdf)
+        notes = [*robot.notes, *(f"{file.path}: {line}" for line in replaced)]
         if not problems:
             add_attachments(file.spec, cfg.attachments)
             add_tools(file.spec, tools)
@@ -295,6 +297,7 @@ def parse_with_problems(
             init_ctrl=init_ctrl,
             init_act=init_act,
             keyframe=keyframe,
+            attached_options=robot.attached_options,
             notes=tuple(notes),
         ),
         problems,
@@ -409,17 +412,3 @@ def _ctrl_limits(model: mujoco.MjModel, drives: Sequence[str], qpos_limits: F64)
         if name:
             limits[model.actuator_ctrladr[model.actuator(name).id]] = low_high
     return limits
-
-
-def _unused(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
-    """Return messages about unused keyframes and about mocap bodies, which do not move."""
-    said: list[str] = []
-    others = [repr(key.name) for key in spec.keys if keyframe is None or key.name != keyframe.name]
-    if others:
-        used = keyframe.name if keyframe is not None else ""
-        said.append(f"it starts at its keyframe {used!r}; left out: {', '.join(others)}")
-    tops = list(spec.worldbody.bodies)
-    mocap = [repr(body.name) for body in tops if body.mocap]
-    if mocap and len(tops) > 1:
-        said.append(f"mocap bodies are fixed to its base: {', '.join(mocap)}")
-    return said

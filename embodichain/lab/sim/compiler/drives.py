@@ -28,7 +28,7 @@ import numpy as np
 from embodichain.lab.sim.cfg import SimulationManagerCfg
 from embodichain.lab.sim.compiler.index import F64, Ids, Mask
 from embodichain.lab.sim.compiler.names import match
-from embodichain.lab.sim.compiler.robot_joints import JOINT_TRANSMISSIONS, FileJoints, Servos
+from embodichain.lab.sim.compiler.robot_joints import JOINT_TRANSMISSIONS, FileJoints
 from embodichain.lab.sim.drive_cfg import NO_LIMIT, FileFirst, JointDrivePropertiesCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.random import RandomStreams
@@ -83,26 +83,28 @@ def resolve_drives(
     In a URDF every other joint has a drive, with the fields' defaults where no key names it. In an
     MJCF, joints that `stiffness` or `damping` names have one (a number names the joints that the
     file's actuators act on, or all if it has none); values that are not given are those of the
-    file's servo, else the fields' defaults.
+    file's servo, else the fields' defaults. Numbers do not concern joints of attached MJCF files.
     Without a drive (`drive_type: none` included) joints keep the file's damping and actuators.
     """
     problems: list[Problem] = []
-    count, servos = len(joints.names), joints.servos
+    count, servos, urdf = len(joints.names), joints.servos, joints.from_urdf
     no_joint = np.zeros(count, np.bool_)
 
     def value(name: str, default: F64) -> tuple[F64, Mask]:
         """Values, and a mask of the joints that were given one."""
         wanted = getattr(cfg, name)
-        if wanted == "file" or (servos is not None and isinstance(wanted, FileFirst)):
+        if wanted == "file":
             return default.copy(), no_joint
         found = _per_joint(name, wanted, joints.names, parts, problems)
         given = ~np.isnan(found)
+        if isinstance(wanted, FileFirst):
+            given &= urdf
+        elif not isinstance(wanted, Mapping):
+            given &= ~joints.by_name
         return np.where(given, found, default), given
 
     def servo(name: str, default: float) -> F64:
         """Values of the file's position servos, or a default."""
-        if servos is None:
-            return np.full(count, default)
         return np.where(servos.stiffness > 0, getattr(servos, name), default)
 
     stiffness, stiff = value("stiffness", servo("stiffness", 1e4))
@@ -114,8 +116,8 @@ def resolve_drives(
         velocity, _ = value("max_velocity", velocity)
     if not (velocity > 0).all():
         problems.append(Problem("max_velocity", "must be positive; null is no limit"))
-    files = servos is not None or cfg.max_effort == "file"
-    effort, limited = value("max_effort", joints.qf_limits if files else np.full(count, 1e10))
+    files = ~urdf | (cfg.max_effort == "file")
+    effort, limited = value("max_effort", np.where(files, joints.qf_limits, 1e10))
     friction = joints.friction.copy()
     if isinstance(cfg.friction, Mapping) or cfg.friction != 0:
         friction, _ = value("friction", friction)
@@ -126,40 +128,34 @@ def resolve_drives(
         message = "must be positive; a joint that shall not push needs stiffness 0 instead"
         problems.append(Problem("max_effort", message))
     effort = np.where((effort > 0) & (effort < NO_LIMIT), effort, np.inf)
-    driven, relimited = np.ones(count, np.bool_), no_joint.copy()
-    # Without a drive: values of the file's servo or the joint.
-    own = np.zeros(count), joints.damping, joints.qf_limits
-    if servos is None:
+    if urdf.any():
         problems += [
             Problem(name, "a URDF has no gains: give numbers")
             for name in ("stiffness", "damping")
             if getattr(cfg, name) == "file"
         ]
-    else:
-        served = servos.drive >= 0
-        own = (
-            servos.stiffness,
-            np.where(served, servos.damping, joints.damping),
-            np.where(served, servos.max_effort, joints.qf_limits),
-        )
-        driven, wrong = _named(cfg, servos, stiff, damped)
-        problems += wrong
-        relimited = limited & ~driven & served
-        idle = limited & ~driven & ~relimited
-        if isinstance(cfg.max_effort, Mapping) and idle.any():
-            names = ", ".join(joints.names[i] for i in np.flatnonzero(idle))
-            message = f"joints without a drive or servo: {names}; give stiffness or damping"
-            problems.append(Problem("max_effort", message))
+    served = servos.drive >= 0
+    driven, wrong = _named(cfg, joints, stiff, damped)
+    problems += wrong
+    driven |= urdf
+    relimited = limited & ~driven & served
+    idle = limited & ~driven & ~relimited
+    if isinstance(cfg.max_effort, Mapping) and idle.any():
+        names = ", ".join(joints.names[i] for i in np.flatnonzero(idle))
+        message = f"joints without a drive or servo: {names}; give stiffness or damping"
+        problems.append(Problem("max_effort", message))
     driven[list(mimic)] = False
     if cfg.drive_type == "none":
         driven[:] = relimited[:] = False
     if cfg.drive_type == "acceleration":
-        stiffness = np.where(stiff | (servos is None), stiffness * joints.inertia, stiffness)
-        damping = np.where(damped | (servos is None), damping * joints.inertia, damping)
+        stiffness = np.where(stiff | urdf, stiffness * joints.inertia, stiffness)
+        damping = np.where(damped | urdf, damping * joints.inertia, damping)
+    own_damping = np.where(served, servos.damping, joints.damping)
+    own_effort = np.where(served, servos.max_effort, joints.qf_limits)
     gains = DriveGains(
-        stiffness=np.where(driven, stiffness, own[0]),
-        damping=np.where(driven, damping, own[1]),
-        max_effort=np.where(driven | relimited, effort, own[2]),
+        stiffness=np.where(driven, stiffness, servos.stiffness),
+        damping=np.where(driven, damping, own_damping),
+        max_effort=np.where(driven | relimited, effort, own_effort),
         max_velocity=velocity,
         friction=friction,
         armature=armature,
@@ -171,16 +167,17 @@ def resolve_drives(
 
 
 def _named(
-    cfg: JointDrivePropertiesCfg, servos: Servos, stiff: Mask, damped: Mask
+    cfg: JointDrivePropertiesCfg, joints: FileJoints, stiff: Mask, damped: Mask
 ) -> tuple[Mask, list[Problem]]:
-    """Return which joints of an MJCF the gains name."""
+    """Return which joints of MJCF files the gains name."""
+    own = ~(joints.from_urdf | joints.by_name)
     driven = np.zeros(len(stiff), np.bool_)
     problems: list[Problem] = []
     for name, given in (("stiffness", stiff), ("damping", damped)):
         if isinstance(getattr(cfg, name), Mapping):
             driven |= given
-        elif given.any():
-            driven |= servos.actuated | (servos.count == 0)
+        elif (given & own).any():
+            driven |= own & (joints.servos.actuated | (joints.own_actuators == 0))
             if not driven.any() and cfg.drive_type != "none":
                 message = (
                     "one number is for the joints that the file's actuators act on, and these act "
@@ -244,14 +241,13 @@ def apply_drives(
         joint.frictionloss = float(gains.friction[i])
     notes, limited = [], []
     driven = [name for i, name in enumerate(names) if gains.driven[i]]
-    if servos is not None:
-        own = list(spec.actuators)
-        for i in np.flatnonzero(gains.relimited).tolist():
-            servo = own[servos.drive[i]]
-            _limit(servo, float(gains.max_effort[i] / abs(servos.gear[i])))
-            limited.append(repr(servo.name))
-        if not driven and not servos.count:
-            notes.append("no joint is driven: it has no actuators, and drive_pros names no joint")
+    own = list(spec.actuators)
+    for i in np.flatnonzero(gains.relimited).tolist():
+        servo = own[servos.drive[i]]
+        _limit(servo, float(gains.max_effort[i] / abs(servos.gear[i])))
+        limited.append(repr(servo.name))
+    if names and not driven and not servos.count and not joints.from_urdf.any():
+        notes.append("no joint is driven: it has no actuators, and drive_pros names no joint")
     if limited:
         notes.append(f"max_effort (drive_pros) replaces the force limits of {', '.join(limited)}")
     notes += _remove_actuators(spec, driven)

@@ -44,6 +44,7 @@ __all__ = [
     "check_object",
     "check_pose",
     "check_shape",
+    "collides",
     "damping_of",
     "inertia_about_axes",
     "initial_pose",
@@ -128,9 +129,8 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
         problems.append(Problem(name, message))
     problems += check_shape(cfg.shape, scale, parts)
     look = cfg.shape.visual_material
-    if look is not None:
-        found = check_textures(look.textures)
-        problems += [p.below("shape.visual_material.textures") for p in found]
+    if look is not None and look.textures is not None:
+        problems += check_textures(look.textures, "shape.visual_material.textures")
     if isinstance(cfg.shape, PlaneCfg) and cfg.body_type != "static":
         message = f"a Plane must be static, got {cfg.body_type!r}"
         problems.append(Problem("body_type", message))
@@ -352,11 +352,16 @@ def _add_material(spec: mujoco.MjSpec, name: str, part: MadePart) -> str:
     return name
 
 
-def set_contact(body: mujoco.MjsBody, friction: float, collides: bool) -> None:
+def collides(geom: mujoco.MjsGeom) -> bool:
+    """Whether a geom takes part in collision."""
+    return bool(geom.contype or geom.conaffinity)
+
+
+def set_contact(body: mujoco.MjsBody, friction: float, enabled: bool) -> None:
     """Set the sliding friction of a body's geoms, and whether they collide."""
     for geom in body.geoms:
         geom.friction[0] = friction
-        if not collides:
+        if not enabled:
             geom.contype = geom.conaffinity = 0
 
 

@@ -1,20 +1,37 @@
-"""`assemble`: several URDF files as one model, by EmbodiChain's rules."""
+"""Several files as one robot: `assemble` by EmbodiChain's rules, `attach_files` by name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import mujoco
+import numpy as np
 
-from embodichain.lab.sim.cfg import ObjectBaseCfg
+from embodichain.lab.sim.cfg import AttachedFileCfg, ObjectBaseCfg
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import no_such
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
-from embodichain.lab.sim.compiler.robot_files import ModelFile, compile_quietly, locate, read_model
+from embodichain.lab.sim.compiler.robot_files import (
+    MUJOCO_ERRORS,
+    ModelFile,
+    as_line,
+    compile_quietly,
+    locate,
+    read_model,
+)
+from embodichain.lab.sim.compiler.robot_joints import (
+    Keyframe,
+    read_joints,
+    read_mimics,
+    resolve_qpos,
+)
+from embodichain.lab.sim.compiler.robot_links import RobotModel, prepare_file
 from embodichain.lab.sim.urdf_cfg import COMPONENTS, URDFCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["assemble", "attach"]
+__all__ = ["assemble", "attach", "attach_files"]
 
 _ON_FIRST = ("chassis", "head", "left_hand", "right_hand", "hand")
 """Components with children on their first link; the others have them on the file's last link."""
@@ -136,7 +153,7 @@ def _read(
             problems += [Problem(f"{path}.urdf_path", str(p)) for p in error.problems]
             continue
         if not file.is_urdf and len(parts) > 1:
-            problems.append(Problem(f"{path}.urdf_path", f"{file.path} is no URDF"))
+            problems.append(Problem(f"{path}.urdf_path", f"{file.path} is no URDF: see attach"))
         files.setdefault(kind, file)
     if problems:
         raise ConfigError(problems)
@@ -164,3 +181,131 @@ def _renamed(
         found[name] = new
         taken.add(new)
     return found
+
+
+# ----------------------------------------------------------------------------------- attached files
+
+
+def attach_files(
+    robot: RobotModel, attached: Mapping[str, AttachedFileCfg], velocity_limits: dict[str, float]
+) -> tuple[RobotModel, list[Problem]]:
+    """Fix files on links of a robot.
+
+    Everything in a file is kept, except for its lights and planes, a free joint, physics options
+    and keyframes (one gives initial values).
+
+    Args:
+        robot: The robot's own file; its spec changes.
+        attached: Name -> file, in order; a later one may be fixed on a link of an earlier one.
+        velocity_limits: Joint name -> limit of the robot's own file.
+
+    Returns:
+        The robot without the files that are wrong, and every mistake, with paths that begin with
+        ``attach``.
+
+    Raises:
+        ConfigError: If MuJoCo refuses the whole.
+    """
+    spec, problems = robot.spec, list[Problem]()
+    parts, urdf = {"": robot}, {n for n, u in _from_urdf(robot) if u}
+    options: list[tuple[str, mujoco.MjSpec]] = []
+    velocity, notes = dict(velocity_limits), [*robot.notes]
+    for name, cfg in attached.items():
+        found, file = _check(name, cfg, spec)
+        problems += found
+        if file is None or found:
+            continue
+        prefix = f"{name}/"
+        part = parts[prefix] = prepare_file(file, cfg.attrs)
+        notes += [*part.notes, *_loosen(file)]
+        urdf |= {f"{prefix}{n}" for n, u in _from_urdf(part) if u}
+        velocity |= {f"{prefix}{n}": limit for n, limit in file.velocity_limits.items()}
+        options.append((f"{file.path} (attach.{name})", mujoco.MjSpec()))
+        options[-1][1].option = file.spec.option
+        # The scene's options apply: MuJoCo would warn about each that differs.
+        file.spec.option = spec.option
+        attach(spec, file.spec, cfg.to, *initial_pose(_pose(cfg)), prefix)
+    try:
+        model = compile_quietly(spec)
+    except MUJOCO_ERRORS as error:
+        raise ConfigError([Problem("attach", as_line(error)[0])]) from error
+    joints = read_joints(model, velocity, urdf, tuple(prefix for prefix in parts if prefix))
+    keyframe = _joined(parts, joints.names)
+    notes = [*dict.fromkeys(notes)]  # two grippers of one file
+    whole = RobotModel(
+        spec, model, joints, read_mimics(model), keyframe, tuple(notes), tuple(options)
+    )
+    return whole, problems
+
+
+def _from_urdf(part: RobotModel) -> Iterable[tuple[str, bool]]:
+    return zip(part.joints.names, part.joints.from_urdf.tolist(), strict=True)
+
+
+def _check(
+    name: str, cfg: AttachedFileCfg, robot: mujoco.MjSpec
+) -> tuple[list[Problem], ModelFile | None]:
+    """Return what is wrong with an entry, and the file if it can be read."""
+    path, problems = f"attach.{name}", list[Problem]()
+    links = [body.name for body in robot.bodies[1:]]  # the first is the world
+    if not name.strip() or "/" in name:
+        problems.append(Problem(path, f"the name {name!r} must be a word without '/'"))
+    elif any(link.startswith(f"{name}/") for link in links):
+        problems.append(Problem(path, f"links of the robot are named {name}/... already"))
+    if not cfg.to:
+        problems.append(
+            Problem(f"{path}.to", f"missing value: a link; there are: {', '.join(links)}")
+        )
+    elif cfg.to not in links:
+        problems.append(no_such("link", cfg.to, links, f"{path}.to"))
+    wrong = check_pose(_pose(cfg))
+    problems += [replace(p, path=f"{path}.{p.path.removeprefix('init_')}") for p in wrong]
+    try:
+        file = read_model(locate(cfg.fpath), cfg.collision == "decompose")
+    except ConfigError as error:
+        return [*problems, *(Problem(f"{path}.fpath", str(p)) for p in error.problems)], None
+    if cfg.collision == "decompose" and not file.is_urdf:
+        message = "only of a URDF: an MJCF file says itself which shapes collide; leave it out"
+        problems.append(Problem(f"{path}.collision", message))
+    return problems, file
+
+
+def _pose(cfg: AttachedFileCfg) -> ObjectBaseCfg:
+    return ObjectBaseCfg(init_pos=cfg.pos, init_rot=cfg.rot, init_quat=cfg.quat)
+
+
+def _loosen(file: ModelFile) -> list[str]:
+    """Remove free joints and mocap flags, which an attached file cannot have."""
+    notes: list[str] = []
+    for body in file.spec.worldbody.bodies:
+        free = [joint for joint in body.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+        if free or body.mocap:
+            notes.append(f"{file.path}: its free body {body.name!r} is fixed on the robot's link")
+        for joint in free:
+            file.spec.delete(joint)
+        body.mocap = False
+    return notes
+
+
+def _joined(parts: Mapping[str, RobotModel], names: tuple[str, ...]) -> Keyframe | None:
+    """Return the initial values of all files as one keyframe; None if none has one."""
+    given = [(prefix, p.keyframe) for prefix, p in parts.items() if p.keyframe is not None]
+    if not given:
+        return None
+    qpos, qvel = dict[str, float](), dict[str, float]()
+    for prefix, part in parts.items():
+        at, _ = resolve_qpos(None, part.joints, part.mimics, part.keyframe)
+        speeds = np.zeros(len(at)) if part.keyframe is None else part.keyframe.qvel
+        for name, value, speed in zip(part.joints.names, at, speeds, strict=True):
+            qpos[f"{prefix}{name}"], qvel[f"{prefix}{name}"] = value, speed
+    own = next((key for prefix, key in given if not prefix), None)
+    return Keyframe(
+        name=given[0][1].name,
+        qpos=np.array([qpos[name] for name in names]),
+        qvel=np.array([qvel[name] for name in names]),
+        root=None if own is None else own.root,
+        root_qvel=np.zeros(6) if own is None else own.root_qvel,
+        balls={f"{prefix}{name}": v for prefix, key in given for name, v in key.balls.items()},
+        ctrl={f"{prefix}{name}": v for prefix, key in given for name, v in key.ctrl.items()},
+        act={f"{prefix}{name}": v for prefix, key in given for name, v in key.act.items()},
+    )

@@ -16,7 +16,7 @@ import numpy as np
 
 from embodichain.data import DataNotFoundError, get_data_path, resolve_package_uri
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.robot_links import collides
+from embodichain.lab.sim.compiler.rigid_objects import collides
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler
 from embodichain.lab.sim.meshes.mesh_conversion import (
     MAX_STL_FACES,

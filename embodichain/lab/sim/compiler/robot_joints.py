@@ -6,7 +6,7 @@ generation); on a joint, length is ``gear * q`` and the joint's force is ``gear 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -184,8 +184,14 @@ class FileJoints:
     armature: F64
     inertia: F64
     """Joint-space inertia at qpos0 (`dof_M0`), kg m^2 or kg."""
-    servos: Servos | None = None
-    """Servos of the file; None for a URDF, which has no actuators."""
+    servos: Servos
+    """Servos of the files."""
+    from_urdf: Mask
+    """Joints of URDF files, which have no actuators."""
+    by_name: Mask
+    """Joints of attached MJCF files: only names in `drive_pros` change them, no single number."""
+    own_actuators: int
+    """Number of actuators of the robot's own file, without attached ones."""
 
 
 @dataclass(frozen=True)
@@ -204,19 +210,25 @@ def movable_joints(model: mujoco.MjModel) -> Ids:
 
 
 def read_joints(
-    model: mujoco.MjModel, velocity_limits: Mapping[str, float], *, is_urdf: bool
+    model: mujoco.MjModel,
+    velocity_limits: Mapping[str, float],
+    urdf: Collection[str],
+    attached: tuple[str, ...] = (),
 ) -> FileJoints:
-    """Return a file's data of its movable joints.
+    """Return a robot's data of its movable joints, as its files have them.
 
     Args:
-        model: The file's model.
+        model: The model of the file, attached ones included.
         velocity_limits: Joint name -> limit, where the file has one (an `MjModel` has none).
-        is_urdf: Whether it is a URDF, which has no actuators.
+        urdf: Names of joints from URDF files, which have no actuators.
+        attached: Prefixes of the names of attached files.
     """
     ids = movable_joints(model)
     names = tuple(model.joint(i).name for i in ids)
     dofs = model.jnt_dofadr[ids]
     limited = model.jnt_limited[ids].astype(np.bool_)[:, None]
+    from_urdf = np.array([name in urdf for name in names], np.bool_)
+    actuators = [model.actuator(i).name for i in range(model.nactuator)]
     return FileJoints(
         names=names,
         qpos_limits=np.where(limited, model.jnt_range[ids], [[-np.inf, np.inf]]),
@@ -226,7 +238,10 @@ def read_joints(
         friction=model.dof_frictionloss[dofs].copy(),
         armature=model.dof_armature[dofs].copy(),
         inertia=model.dof_M0[dofs].copy(),
-        servos=None if is_urdf else read_servos(model, ids),
+        servos=read_servos(model, ids),
+        from_urdf=from_urdf,
+        by_name=np.array([name.startswith(attached) for name in names], np.bool_) & ~from_urdf,
+        own_actuators=sum(not name.startswith(attached) for name in actuators),
     )
 
 

@@ -1,4 +1,4 @@
-"""Links of an articulation: its root, visual and collision shapes, and added links.
+"""A robot file made ready: its root, visual and collision shapes, and added links.
 
 A config adds shapes fixed on links (`attachments`) and tool points of control parts (`solver_cfg`).
 """
@@ -27,8 +27,18 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     add_shape,
     check_pose,
     check_shape,
+    collides,
     initial_pose,
     set_contact,
+)
+from embodichain.lab.sim.compiler.robot_files import ModelFile
+from embodichain.lab.sim.compiler.robot_joints import (
+    FileJoints,
+    Keyframe,
+    Mimics,
+    read_joints,
+    read_keyframe,
+    read_mimics,
 )
 from embodichain.lab.sim.shapes import PlaneCfg
 from embodichain.utils.errors import ConfigError, Problem
@@ -37,12 +47,12 @@ __all__ = [
     "MAX_MASKED",
     "ROOT_NAME",
     "WHOLE",
+    "RobotModel",
     "Tool",
     "add_attachments",
     "add_tools",
     "check_attachments",
-    "collides",
-    "prepare_shapes",
+    "prepare_file",
     "resolve_tools",
     "separate",
     "set_root",
@@ -56,23 +66,72 @@ ROOT_NAME = "root"
 """Name of the body added if a file's world has several bodies, or one with joints."""
 
 
-def collides(geom: mujoco.MjsGeom) -> bool:
-    """Whether a geom takes part in collision."""
-    return bool(geom.contype or geom.conaffinity)
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """A robot's file, with those attached to it, before drives and links of its config are added.
+
+    Attributes:
+        spec: The edited file; names of an attached file begin with ``NAME/``.
+        model: The file's model, before it was edited.
+        joints: Data of its joints.
+        mimics: Joints that follow others.
+        keyframe: Initial values that the file gives, or None.
+        notes: Messages for the user, one line each.
+        attached_options: Path of each attached file, and an empty model with its physics options,
+            which have no effect.
+    """
+
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    joints: FileJoints
+    mimics: Mimics
+    keyframe: Keyframe | None
+    notes: tuple[str, ...]
+    attached_options: tuple[tuple[str, mujoco.MjSpec], ...] = ()
 
 
-def prepare_shapes(spec: mujoco.MjSpec, cfg: ArticulationCfg, is_urdf: bool) -> None:
-    """Set groups of visual and collision shapes, and apply the config's attributes.
+def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
+    """Read joints and keyframe of a file, and prepare its spec, which changes.
+
+    Lights, planes and keyframes are removed, and shapes are given groups and attributes.
+    """
+    urdf = [joint.name for joint in file.spec.joints] if file.is_urdf else ()
+    joints = read_joints(file.model, file.velocity_limits, urdf)
+    keyframe = read_keyframe(file.spec, file.model)
+    said = [*strip_world(file.spec), *_unused(file.spec, keyframe)]
+    for key in list(file.spec.keys):
+        file.spec.delete(key)
+    prepare_shapes(file.spec, attrs, file.is_urdf)
+    notes = (*file.notes, *(f"{file.path}: {line}" for line in said))
+    return RobotModel(file.spec, file.model, joints, read_mimics(file.model), keyframe, notes)
+
+
+def _unused(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
+    """Return messages about unused keyframes and about mocap bodies, which do not move."""
+    said: list[str] = []
+    others = [repr(key.name) for key in spec.keys if keyframe is None or key.name != keyframe.name]
+    if others:
+        used = keyframe.name if keyframe is not None else ""
+        said.append(f"it starts at its keyframe {used!r}; left out: {', '.join(others)}")
+    tops = list(spec.worldbody.bodies)
+    mocap = [repr(body.name) for body in tops if body.mocap]
+    if mocap and len(tops) > 1:
+        said.append(f"mocap bodies are fixed to its base: {', '.join(mocap)}")
+    return said
+
+
+def prepare_shapes(spec: mujoco.MjSpec, attrs: RigidBodyAttributesCfg, is_urdf: bool) -> None:
+    """Set groups of visual and collision shapes, and apply a config's attributes.
 
     A URDF has no friction: `attrs.dynamic_friction` is used. An MJCF keeps its own unless the
     config's differs from the default.
     """
-    friction = float(cfg.attrs.dynamic_friction)
+    friction = float(attrs.dynamic_friction)
     own_friction = not is_urdf and friction == RigidBodyAttributesCfg().dynamic_friction
     for geom in spec.geoms:
         if not own_friction:
             geom.friction[0] = friction
-        if not cfg.attrs.enable_collision:
+        if not attrs.enable_collision:
             geom.contype = geom.conaffinity = 0
     for mesh in spec.meshes:
         if mesh.maxhullvert < 0:

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.drawing.gl import HINT, context_class
+from embodichain.lab.sim.drawing.gl import context_class, hint
 from embodichain.lab.sim.drawing.states import DRAWN_FIELDS, DRAWN_POSES
 from embodichain.lab.sim.drawing.views import DrawnState, Pictures, View
 from embodichain.utils.errors import RenderError
@@ -58,7 +58,7 @@ class ClassicRenderer:
             self._gl.make_current()
             self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except (ImportError, AttributeError, OSError, RuntimeError, mujoco.FatalError) as error:
-            raise RenderError(f"no picture can be made here ({error}); {HINT}") from error
+            raise RenderError(f"no picture can be made here ({error}); {hint()}") from error
         self.about = _about()
         mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR

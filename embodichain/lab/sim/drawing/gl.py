@@ -15,17 +15,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.viewer import has_display
 from embodichain.utils.errors import RenderError
 
-__all__ = ["HINT", "Context", "NumberTexture", "Program", "VertexBuffers", "context_class"]
+__all__ = [
+    *("VARIABLE", "Context", "NumberTexture", "Program", "VertexBuffers"),
+    *("context_class", "hint"),
+]
 
-HINT = (
-    "off-screen rendering needs EGL: `apt-get install libegl1 libgl1-mesa-dri` (Debian, Ubuntu), "
-    "or set MUJOCO_GL to a library that works here"
-)
-"""What to do where no context can be made."""
+VARIABLE = "EMBODICHAIN_RENDERER"
+"""Environment variable that names the only renderer to try."""
+_EGL = "EGL: `apt-get install libegl1 libgl1-mesa-dri` (Debian, Ubuntu)"
 _NEEDED = "GL_ARB_shader_viewport_layer_array"
 _VERSION = (4, 5)
+_WITHOUT_DISPLAY = ("egl", "osmesa")
+"""Values of MUJOCO_GL."""
 
 
 class Context:
@@ -46,7 +50,7 @@ class Context:
             self._context.make_current()
             from OpenGL import GL
         except (ImportError, AttributeError, OSError, RuntimeError) as error:
-            raise RenderError(f"no picture can be made here ({error}); {HINT}") from error
+            raise RenderError(f"no picture can be made here ({error}); {hint()}") from error
         self.vendor, self.renderer, self.version = (
             _text(GL.glGetString(name) or b"unknown")
             for name in (GL.GL_VENDOR, GL.GL_RENDERER, GL.GL_VERSION)
@@ -76,18 +80,41 @@ class Context:
         self._context.free()
 
 
+def hint() -> str:
+    """What to do where no context can be made."""
+    first = f"{VARIABLE} is 'rays': unset it; " if os.environ.get(VARIABLE) == "rays" else ""
+    named = _named()
+    if named not in ("", "egl"):
+        return f"{first}MUJOCO_GL is {named!r}: unset it, and install {_EGL}"
+    needs = f"off-screen rendering needs {_EGL}"
+    return f"{first}{needs}, or set MUJOCO_GL to a library that works here"
+
+
 def context_class() -> Any:
     """EGL's on Linux unless MUJOCO_GL names another, else MuJoCo's choice.
 
     MuJoCo's own default on Linux, GLFW, needs a display, and the main thread.
+
+    Raises:
+        RuntimeError: If MUJOCO_GL turns OpenGL off, or GLFW has no display.
     """
-    if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL"):
+    named = _named()
+    if sys.platform.startswith("linux") and not named:
         from mujoco.egl import GLContext
 
         return GLContext
     import mujoco
 
+    if not hasattr(mujoco, "GLContext"):
+        raise RuntimeError("MUJOCO_GL turns OpenGL off")
+    if named not in _WITHOUT_DISPLAY and not has_display():
+        raise RuntimeError("GLFW needs a display")
     return mujoco.GLContext
+
+
+def _named() -> str:
+    """MUJOCO_GL, as MuJoCo reads it."""
+    return os.environ.get("MUJOCO_GL", "").lower().strip()
 
 
 def _text(message: Any) -> str:

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.drawing.gl import VARIABLE, hint
 from embodichain.lab.sim.drawing.thread import render_thread
 from embodichain.lab.sim.drawing.views import (
     DrawnState,
@@ -25,10 +26,8 @@ from embodichain.lab.sim.drawing.views import (
 from embodichain.utils.errors import ConfigError, Problem, RenderError
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["VARIABLE", "OffscreenRenderer"]
+__all__ = ["OffscreenRenderer", "need_colors"]
 
-VARIABLE = "EMBODICHAIN_RENDERER"
-"""Environment variable that names the only renderer to try."""
 _log = logging.getLogger(__name__)
 
 
@@ -72,7 +71,12 @@ class OffscreenRenderer:
         # Poses are computed in this thread: an engine may have to recompute constants for them,
         # and calls its listeners then.
         state.derived("geom_xpos")
-        drawn = self._thread.call(partial(self._renderer.draw, state, views, envs))
+        try:
+            drawn = self._thread.call(partial(self._renderer.draw, state, views, envs))
+        except RenderError as error:
+            if self.kind != "rays":
+                raise
+            raise RenderError(f"{error}; {self._better_failed or hint()}") from error
         if self._better_failed is not None:
             _say_once(f"pictures are drawn by the renderer {self.kind!r}: {self._better_failed}")
         return drawn
@@ -123,6 +127,29 @@ def _close_at_exit() -> None:
     atexit.register(close)
 
 
+def need_colors(*keys: str) -> None:
+    """Check that EMBODICHAIN_RENDERER names a renderer, and that colours can be drawn here.
+
+    Args:
+        keys: What the colours are for, named in the message; if empty, nothing is drawn.
+
+    Raises:
+        ConfigError: If EMBODICHAIN_RENDERER names no renderer.
+        RenderError: If they cannot be drawn; names the packages to install.
+    """
+    kinds = [kind for kind in _kinds() if kind != "rays"]
+    if not keys:
+        return
+    thread = render_thread()
+    try:
+        if not kinds:
+            raise RenderError(f"colours need OpenGL; {hint()}")
+        (_, _, renderer), _ = thread.call(partial(_open, mujoco.MjSpec().compile(), kinds))
+    except RenderError as error:
+        raise RenderError(f"{', '.join(keys)}: {error}") from error
+    thread.call(renderer.close)
+
+
 Opened = tuple[str, str, Renderer]
 
 
@@ -161,11 +188,9 @@ def _kinds() -> list[str]:
     if not named:
         return list(_RENDERERS)
     if named not in _RENDERERS:
-        message = (
-            f"no renderer {named!r}; allowed: {', '.join(_RENDERERS)}."
-            f"{did_you_mean(named, _RENDERERS)}"
-        )
-        raise ConfigError([Problem(VARIABLE, message)])
+        message = f"no renderer {named!r}; allowed: {', '.join(_RENDERERS)}."
+        problem = Problem(VARIABLE, message, did_you_mean(named, _RENDERERS).strip())
+        raise ConfigError([problem.at("environment variable")])
     return [named]
 
 

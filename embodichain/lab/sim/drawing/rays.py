@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drawing.geometry import VISIBLE_GROUPS
-from embodichain.lab.sim.drawing.gl import HINT
 from embodichain.lab.sim.drawing.views import DrawnState, Pictures, View
 from embodichain.utils.errors import RenderError
 
@@ -63,9 +62,9 @@ class RayRenderer:
             RenderError: If a view has the output ``color``, or `state` is not an engine.
         """
         if any("color" in view.outputs for view in views):
-            raise RenderError(f"colours need OpenGL, which does not work here; {HINT}")
+            raise RenderError("colours need OpenGL, and rays draw here")
         if not isinstance(state, CastingState):
-            raise RenderError(f"stored states are drawn with OpenGL, not with rays; {HINT}")
+            raise RenderError("stored states need OpenGL, and rays draw here")
         wanted = np.arange(state.num_envs) if envs is None else envs
         rows, places = np.unique(wanted, return_inverse=True)  # rays are cast in sorted ones
         drawn = [_draw(state, view, rows, self._geoms) for view in views]

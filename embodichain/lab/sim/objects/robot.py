@@ -1,26 +1,47 @@
-"""`Robot`: an articulation with drives and control parts."""
+"""`Robot`: an articulation with drives, control parts and inverse kinematics."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
-from embodichain.lab.sim.objects._arrays import to_tensor
+import numpy as np
+import torch
+
+from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.unavailable import not_available
+from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 from embodichain.utils.tensor_mapping import TensorMapping
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.cfg import RobotCfg
+    from embodichain.lab.sim.cfg import RobotCfg, SolverCfg
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
 __all__ = ["Robot"]
 
-_IK = "IK solvers come later"
-
 
 class Robot(Articulation):
-    """An articulation with drives and control parts."""
+    """An articulation with drives, control parts and inverse kinematics.
+
+    Methods of kinematics take a control part, or None for the whole robot, whose k joints are the
+    columns of ``get_qpos(name)``. The tool is the tool point that `solver_cfg` gives the part, else
+    the farthest link that all its joints move. Poses are in the environment's frame: x, y, z, qw,
+    qx, qy, qz or 4x4 matrices. They compute with the model's geometry, without contacts, and do not
+    change the simulation.
+    """
 
     cfg: RobotCfg
+
+    @cached_property
+    def _arms(self) -> dict[str | None, ArmSolver]:
+        return {}
+
+    def destroy(self) -> None:
+        """Release the engine and the file's model; names and limits remain."""
+        self._arms.clear()
+        super().destroy()
 
     @property
     def control_parts(self) -> dict[str, list[str]]:
@@ -33,11 +54,189 @@ class Robot(Articulation):
         parts = {"qpos": self.read_qpos(), "qvel": self.read_qvel(), "qf": self.read_efforts()}
         return TensorMapping({name: to_tensor(values) for name, values in parts.items()})
 
-    compute_fk = not_available("compute_fk", f"{_IK}; get_link_pose reads the simulated pose")
-    compute_ik = not_available("compute_ik", _IK)
-    compute_batch_fk = not_available("compute_batch_fk", _IK)
-    compute_batch_ik = not_available("compute_batch_ik", _IK)
-    compute_jacobian = not_available("compute_jacobian", _IK)
-    get_solver = not_available("get_solver", _IK)
-    init_solver = not_available("init_solver", _IK)
-    get_control_part_base_pose = not_available("get_control_part_base_pose", _IK)
+    # -- kinematics ----------------------------------------------------------------------------
+
+    def get_solver(self, name: str | None = None) -> ArmSolver:
+        """The kinematics of a control part's tool.
+
+        Raises:
+            ValueError: If there is no such part, or not exactly one link that can be its tool.
+            ConfigError: If its joints do not move the tool.
+        """
+        found = self._arms.get(name)
+        if found is None:
+            from embodichain.lab.sim.solvers.arm_solver import ArmSolver, tool_bodies
+
+            joints = self.get_joint_ids(name, remove_mimic=True)
+            self.index  # noqa: B018  (compiles)
+            tool = self.parsed.tools.get(name or "default")
+            bodies = [self.body_of(tool)] if tool else tool_bodies(self, joints)
+            if len(bodies) != 1:
+                links = [self.link_names[list(self.index.body_ids).index(body)] for body in bodies]
+                where = f"part {name!r}" if name else "the whole robot"
+                raise ValueError(
+                    f"{self.uid}: {where} suggests {', '.join(links) or 'no link'} as the tool: "
+                    "declare solver_cfg: {PART: {end_link_name: LINK}}"
+                )
+            found = self._arms[name] = ArmSolver(self, joints, bodies[0], self.solver_cfg(name))
+        return found
+
+    def solver_cfg(self, name: str | None = None) -> SolverCfg:
+        """Settings of a control part's inverse kinematics, or the default ones."""
+        from embodichain.lab.sim.cfg import SolverCfg
+
+        given = self.cfg.solver_cfg or {}
+        if isinstance(given, SolverCfg):
+            return given
+        return given.get(name or "default") or SolverCfg()
+
+    def compute_fk(
+        self, qpos: Any, name: str | None = None, to_matrix: bool = False, env_ids: Any = None
+    ) -> torch.Tensor:
+        """Pose of the tool at joint positions.
+
+        Args:
+            qpos: (n, k) rad or m, or (k,) for all n environments. Joints of the chain that are not
+                in the part have their present positions.
+            name: The control part.
+            to_matrix: Whether to return matrices.
+            env_ids: The n environments; None is all N.
+
+        Returns:
+            (n, 7), or (n, 4, 4).
+        """
+        solver = self.get_solver(name)
+        whole, ids = self._with_part(qpos, name, env_ids, "qpos")
+        pose = np.concatenate(solver.forward(whole, ids), axis=1)
+        return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
+
+    def compute_ik(
+        self,
+        pose: Any,
+        joint_seed: Any = None,
+        name: str | None = None,
+        env_ids: Any = None,
+        return_all_solutions: bool = False,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Joint positions that move the tool to a pose.
+
+        Arms with the geometry of the UR family are solved in closed form, and the solution nearest
+        to the seed is returned; others by damped least squares from the seed, then from other
+        points between the limits.
+
+        Args:
+            pose: (n, 7) or (n, 4, 4) target.
+            joint_seed: (n, k) or (k,) initial positions; None is the present ones.
+            name: The control part.
+            env_ids: The n environments; None is all N.
+            return_all_solutions: Return all of them (S = 8; 1 without a closed form), the nearest
+                first.
+
+        Returns:
+            (n,) bool success, and (n, k) joint positions within the limits; those of a pose that is
+            not reached are the nearest that were found. With all solutions (n, S) and (n, S, k).
+        """
+        solver = self.get_solver(name)
+        target, ids = self._pose_rows(pose, env_ids, "pose")
+        seed, _ = self._with_part(joint_seed, name, env_ids, "joint_seed")
+        joints = self._joints(None, name)
+        pos, quat = target[:, :3], target[:, 3:]
+        if return_all_solutions:
+            all_found, exist = solver.solutions(seed, pos, quat, ids)
+            chosen = np.moveaxis(all_found[..., joints], 0, 1)
+            return torch.from_numpy(exist.T.copy()), to_tensor(chosen)
+        found, reached = solver.inverse(seed, pos, quat, ids)
+        return torch.from_numpy(reached), to_tensor(found[:, joints])
+
+    def compute_batch_fk(
+        self, qpos: Any, name: str | None = None, to_matrix: bool = False, env_ids: Any = None
+    ) -> torch.Tensor:
+        """`compute_fk` of m positions in each environment: (n, m, k) -> (n, m, 7 or 4, 4)."""
+        solver = self.get_solver(name)
+        ids, given = self._batched(qpos, 1, env_ids, "qpos")
+        whole = self._filled(given, name, ids)
+        pose = np.concatenate(solver.forward(whole, ids), axis=1)
+        found = pose_to_matrix(pose) if to_matrix else pose
+        return to_tensor(found.reshape(*np.shape(qpos)[:2], *found.shape[1:]))
+
+    def compute_batch_ik(
+        self, pose: Any, joint_seed: Any = None, name: str | None = None, env_ids: Any = None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """`compute_ik` of m poses in each environment: (n, m, 7 or 4, 4) -> (n, m), (n, m, k).
+
+        ``joint_seed`` is (n, m, k), or None for the present positions.
+        """
+        solver = self.get_solver(name)
+        matrices = len(np.shape(pose)) == 4
+        ids, target = self._batched(pose, 2 if matrices else 1, env_ids, "pose")
+        target = matrix_to_pose(target) if matrices else target
+        quat = normalize_quat(target[:, 3:])
+        seed = None
+        if joint_seed is not None:
+            _, seed = self._batched(joint_seed, 1, env_ids, "joint_seed")
+        whole = self._filled(seed, name, ids)
+        found, reached = solver.inverse(whole, target[:, :3], quat, ids)
+        shape = np.shape(pose)[:2]
+        chosen = found[:, self._joints(None, name)]
+        return torch.from_numpy(reached.reshape(shape)), to_tensor(chosen.reshape(*shape, -1))
+
+    def compute_jacobian(
+        self, qpos: Any = None, name: str | None = None, env_ids: Any = None
+    ) -> torch.Tensor:
+        """(n, 6, k) linear velocity of the tool, then angular velocity, per joint velocity.
+
+        Environment's axes; columns of joints that do not move the tool are 0. Arguments are those
+        of `compute_fk`; None is the present positions.
+        """
+        solver = self.get_solver(name)
+        whole, ids = self._with_part(qpos, name, env_ids, "qpos")
+        found = np.zeros((len(whole), 6, self.dof))
+        found[..., solver.moving] = solver.jacobian(whole, ids)
+        return to_tensor(found[..., self._joints(None, name)])
+
+    def get_control_part_base_pose(
+        self, name: str | None = None, env_ids: Any = None, to_matrix: bool = False
+    ) -> torch.Tensor:
+        """Pose of the part's `root_link_name`, else of the robot's root: (n, 7) or (n, 4, 4)."""
+        self.get_joint_ids(name)  # raises for a part that does not exist
+        link = self.solver_cfg(name).root_link_name or self.root_link_name
+        return self.get_link_pose(link, env_ids, to_matrix)
+
+    def _with_part(
+        self, qpos: Any, name: str | None, env_ids: Any, what: str
+    ) -> tuple[F64, EnvIndex | None]:
+        """(n, D) present positions, with those of a part replaced."""
+        ids = as_env_ids(env_ids, self.num_instances)
+        whole = self.read_qpos()[self._rows(env_ids)].copy()
+        if qpos is not None:
+            joints = self._joints(None, name)
+            values, _ = self._checked(qpos, len(joints), env_ids, what, shared=True)
+            whole[:, joints] = values
+        return whole, ids
+
+    def _batched(self, values: Any, inner: int, env_ids: Any, what: str) -> tuple[EnvIndex, F64]:
+        """Environments (n m,) and values (n m, ...) of an array (n, m, ...)."""
+        ids = as_env_ids(env_ids, self.num_instances)
+        ids = np.arange(self.num_instances) if ids is None else ids
+        shape = np.shape(values)
+        if len(shape) != 2 + inner or shape[0] != len(ids):
+            raise ValueError(
+                f"{self.uid}: {what} must have {2 + inner} axes, {len(ids)} environments first, "
+                f"got {shape}"
+            )
+        width = int(np.prod(shape[2:]))
+        count = shape[0] * shape[1]
+        flat = as_rows(values.reshape(count, width), count, width, f"{self.uid}: {what}")
+        return np.repeat(ids, shape[1]), flat.reshape(count, *shape[2:])
+
+    def _filled(self, qpos: F64 | None, name: str | None, ids: EnvIndex) -> F64:
+        """(n, D) present positions of environments, with those (n, k) of a part replaced."""
+        whole = self.read_qpos()[ids]
+        if qpos is not None:
+            joints = self._joints(None, name)
+            if qpos.shape[1] != len(joints):
+                raise ValueError(f"{self.uid}: {len(joints)} joints are wanted, got {qpos.shape}")
+            whole[:, joints] = qpos
+        return whole
+
+    init_solver = not_available("init_solver", "declare solver_cfg: tool points are compiled")

@@ -24,6 +24,7 @@ from embodichain.lab.sim.sensors.depth_images import (
     slopes,
 )
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
+from embodichain.utils.errors import RenderError
 from embodichain.utils.math import (
     look_at,
     matrix_to_pose,
@@ -125,7 +126,10 @@ class Camera(BaseSensor):
 
     def _draw(self, env_ids: EnvIndex | None) -> list[_Seen]:
         views = [self._view(camera, self.outputs) for camera in self.index.ids]
-        pictures = self.host.draw(views, env_ids)
+        try:
+            pictures = self.host.draw(views, env_ids)
+        except RenderError as error:
+            raise RenderError(f"camera {self.uid!r}: {error}") from error
 
         def rows(values: Any) -> Any:
             return values if len(values) == 1 or env_ids is None else values[env_ids]

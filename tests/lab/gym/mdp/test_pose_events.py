@@ -6,9 +6,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from embodichain.lab.gym.envs.cfg import EventCfg
-from embodichain.lab.gym.envs.mdp._ik import Reach
+from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.lab.gym.envs.observers import StepObserver
-from embodichain.lab.sim.cfg import RobotCfg
 from embodichain.utils.errors import ConfigError
 from tests.helpers.ur10_task import CUBE_POS, GOAL_POS, HOME
 from tests.lab.gym.mdp.test_events import build, poses
@@ -109,26 +108,6 @@ def test_an_unchanged_orientation_is_not_written_for_observers(
     assert fields_of_a_step() == unchanged  # the reset has turned it back
 
 
-def test_inverse_kinematics_find_reachable_poses(make) -> None:
-    spread = event("randomize_robot_qpos", **ARM, qpos_range=[-0.6, 0.6])
-    env = make(events={"q": spread}, num_envs=64)
-    env.reset()
-    reach = Reach(env.scene_entity(TOOL["entity_cfg"]))
-    root = env.robot.read_pose()
-    pos, quat = tool(env)
-    start = np.tile(HOME, (64, 1))
-    found, solved = reach.solve(*root, start, pos, quat)
-    assert solved.mean() > 0.95
-    env.robot.write_qpos(found)
-    reached, turned = tool(env)
-    assert np.linalg.norm(reached - pos, axis=1)[solved].max() < 5e-4
-    error = (rotation(turned).inv() * rotation(quat)).magnitude()
-    assert error[solved].max() < 5e-4
-    alone, ok = reach.solve(*(part[5:6] for part in root), start[:1], pos[5:6], quat[5:6])
-    assert ok[0] == solved[5] and np.array_equal(alone[0], found[5])
-    assert reach.solve(*root, start, pos, None)[1].all()
-
-
 def test_the_tool_is_moved_and_turned_by_the_draw(make) -> None:
     plain = make(num_envs=32)
     plain.reset()
@@ -159,11 +138,11 @@ def test_out_of_reach_keeps_the_joints(make) -> None:
 
 def test_without_a_link_the_tool_is_the_farthest_one(make) -> None:
     env = make()
-    reach = Reach(env.scene_entity(ARM["entity_cfg"]))
-    assert reach.body == env.robot.body_of("ee_link")
-    assert list(reach.joints) == [0, 1, 2, 3, 4, 5]
+    arm = arm_solver(env.scene_entity(ARM["entity_cfg"]))
+    assert arm.chain.body == env.robot.body_of("ee_link")
+    assert list(arm.moving) == [0, 1, 2, 3, 4, 5]
     wrist = {"uid": "ur10", "joint_names": "Joint[56]", "link_names": "wrist_3_link"}
-    assert list(Reach(env.scene_entity(wrist)).joints) == [4, 5]
+    assert list(arm_solver(env.scene_entity(wrist)).moving) == [4, 5]
 
 
 def test_targets_are_matrices_on_the_environment(make) -> None:
@@ -294,43 +273,3 @@ def test_an_object_stays_if_nothing_is_within_reach(make) -> None:
     what = reach_event(position_bounds=[[5, 5, 5], [6, 6, 6]], max_attempts=3)
     env, _ = build(make, what)
     assert np.array_equal(poses(env, "goal")[0], np.tile(GOAL_POS, (3, 1)))
-
-
-GANTRY = """<mujoco model="gantry"><worldbody><body name="base"><geom size="0.05" mass="1"/>
-  <body name="cart" pos="0.1 0 0.2" euler="10 20 30">
-    <joint name="x" type="slide" axis="1 0.5 0" range="-1 1"/><geom size="0.05" mass="1"/>
-    <body name="arm" pos="0 0.1 0.1">
-      <joint name="pan" axis="0 0 1" pos="0.05 0.02 0" range="-3 3"/>
-      <joint name="tilt" axis="0 1 0.3" pos="0 0 0.1" range="-3 3"/>
-      <geom size="0.05" mass="1"/>
-      <body name="plate" pos="0.3 0 0" euler="0 0 45"><geom size="0.02" mass="0.1"/>
-        <body name="lift" pos="0 0 0.1"><joint name="z" type="slide" axis="0 0 1" range="-1 1"/>
-          <geom size="0.02" mass="0.1"/>
-          <body name="tip" pos="0.05 0 0.02"><geom size="0.01" mass="0.1"/></body>
-      </body></body>
-    </body>
-  </body>
-</body></worldbody></mujoco>"""
-
-
-def test_slides_and_axes_off_the_origin(make, tmp_path) -> None:
-    path = tmp_path / "gantry.xml"
-    path.write_text(GANTRY)
-    robot = {"uid": "gantry"}
-    env = make(
-        robot=RobotCfg(uid="gantry", fpath=str(path), init_pos=(0.3, 0, 1), init_rot=(0, 40, 9)),
-        events={"q": event("randomize_robot_qpos", entity_cfg=robot, qpos_range=[-0.8, 0.8])},
-        num_envs=32,
-    )
-    env.reset()
-    gantry, body = env.robot, env.robot.body_of("tip")
-    reach = Reach(env.scene_entity({"uid": "gantry", "link_names": "tip"}))
-    wanted = env.sim.engine.derived("xpos")[:, body].copy()
-    # Positions alone: four joints, three equations.
-    start = np.zeros_like(gantry.read_qpos())
-    found, solved = reach.solve(*gantry.read_pose(), start, wanted, None)
-    assert solved.mean() > 0.9
-    assert (np.abs(found[:, [0, 3]]) <= 1).all()
-    gantry.write_qpos(found)
-    missing = np.linalg.norm(env.sim.engine.derived("xpos")[:, body] - wanted, axis=1)
-    assert missing[solved].max() < 5e-4

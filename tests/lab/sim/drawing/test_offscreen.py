@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.drawing.offscreen import VARIABLE, OffscreenRenderer
+from embodichain.lab.sim.drawing.gl import VARIABLE
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState, StoredStates
 from embodichain.lab.sim.drawing.views import Optics, View, Viewpoint, view_of
 from embodichain.lab.sim.engine.cpu import CpuEngine
@@ -220,6 +221,7 @@ def test_without_a_driver_one_error_names_the_packages(tmp_path, kind):
     """EGL finds its drivers in a folder of JSON files; here it is empty."""
     script = f"""
 import mujoco
+from embodichain.lab.sim.drawing.gl import VARIABLE
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.engine.cpu import CpuEngine
 engine = CpuEngine(mujoco.MjModel.from_xml_string({SCENE!r}), 1)

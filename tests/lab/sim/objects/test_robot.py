@@ -184,11 +184,6 @@ def test_applied_effort_and_clear(sim, robot):
     assert not robot.get_qvel().any()
 
 
-def test_what_needs_a_solver_says_so(robot):
-    with pytest.raises(NotImplementedError, match="IK"):
-        robot.compute_ik(torch.zeros(3, 7))
-
-
 def test_excluded_entities_survive_a_reset(sim, robot):
     box = sim.get_rigid_object("box")
     sim.update(step=10)

@@ -16,7 +16,7 @@ from embodichain.lab.gym.envs.managers.param_types import Axes6, Box3, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
-from embodichain.lab.gym.envs.mdp._ik import Reach
+from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_conjugate, quat_multiply, quat_rotate
 
@@ -321,8 +321,8 @@ class RandomizeRobotEefPose(Term):
     """Offsets the pose of a robot's tool at random, by inverse kinematics; velocities become 0.
 
     The tool's pose is moved by U(position_range) in the environment's axes and rotated by
-    U(rotation_range) in its own; damped least squares solves for joints, from their positions, and
-    drive targets are set to them. Where the pose is out of reach, joints do not change.
+    U(rotation_range) in its own; inverse kinematics solve for joints near their positions, and drive
+    targets are set to them. Where the pose is out of reach, joints do not change.
     EmbodiChain's event of the same name.
 
     Args:
@@ -344,7 +344,7 @@ class RandomizeRobotEefPose(Term):
         rotation_range: Box3 | None = None,
     ) -> None:
         self._asset = asset = entity_cfg.asset
-        self._reach = Reach(entity_cfg)
+        self._arm = arm_solver(entity_cfg)
         self._position = Uniform.within("position", position_range)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
         index = asset.entity
@@ -353,7 +353,7 @@ class RandomizeRobotEefPose(Term):
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw, solve and write the joint positions of these environments."""
-        asset, engine, body = self._asset, self._asset.engine, self._reach.body
+        asset, engine, body = self._asset, self._asset.engine, self._arm.chain.body
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         pos, quat = engine.derived("xpos")[ids, body], engine.derived("xquat")[ids, body]
         if self._position is not None:
@@ -361,9 +361,8 @@ class RandomizeRobotEefPose(Term):
         if self._rotation is not None:
             angles = self._rotation(env.event_manager, env_ids)
             quat = quat_multiply(quat, euler_xyz_to_quat(angles))
-        root_pos, root_quat = (part[ids] for part in asset.read_pose())
         qpos = asset.read_qpos()[ids]
-        found, solved = self._reach.solve(root_pos, root_quat, qpos, pos, quat)
+        found, solved = self._arm.inverse(qpos, pos, quat, ids, restarts=False)
         qpos = np.where(solved[:, None], found, qpos)
         asset.write_qpos(qpos, None, env_ids)
         engine.write("qvel", 0.0, env_ids, self._dofs)

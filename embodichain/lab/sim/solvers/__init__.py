@@ -1,0 +1,1 @@
+"""Kinematics of serial chains: forward, differential, inverse (iterative and closed form)."""

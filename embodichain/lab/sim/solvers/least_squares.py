@@ -1,0 +1,270 @@
+"""Damped least squares: `joint_step`, one step towards a pose, and `LeastSquares`, the search.
+
+Environments are in the last axis, as in `chain`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from embodichain.lab.sim.solvers.chain import Chain, matmul
+from embodichain.utils.math import matrix_to_quat
+from embodichain.utils.random import RandomStreams
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.solvers.chain import Frames
+
+__all__ = ["LeastSquares", "Target", "joint_step", "pose_error", "squared", "times", "transposed"]
+
+_DAMPING = 1e-8
+_LONGEST_STEP = 0.5
+"""Rad or m: no joint moves farther in one iteration."""
+_SHORTEST_STEP = 1e-5
+"""Rad or m: a search ends when no joint moves farther than this in an iteration."""
+_PATIENCE, _PROGRESS = 8, 0.9
+"""A search ends when this many iterations leave more than this share of the squared error."""
+_ROUNDS = 3
+"""Solutions of a step: after each, joints that it moves beyond a limit are fixed there."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Poses in the frame of the root.
+
+    Attributes:
+        position: (3, n) metres.
+        rotation: (3, 3, n), or None: the orientation is free.
+    """
+
+    position: F64
+    rotation: F64 | None
+
+    def rows(self, which: NDArray[np.int64]) -> Target:
+        """The targets of some of the environments."""
+        turned = None if self.rotation is None else self.rotation[..., which]
+        return Target(self.position[:, which], turned)
+
+
+def pose_error(frames: Frames, target: Target) -> F64:
+    """(6, n) from the tool to the target: metres, then a rotation vector; (3, n) without rotation.
+
+    The rotation vector is the logarithm of R_target R_tool^T.
+    """
+    shift: F64 = target.position - frames.position
+    if target.rotation is None:
+        return shift
+    turn = matmul(target.rotation, np.swapaxes(frames.rotation, 0, 1))
+    w, x, y, z = np.ascontiguousarray(matrix_to_quat(np.moveaxis(turn, -1, 0)).T)
+    sine = np.sqrt(x * x + y * y + z * z)
+    # angle / sine tends to 2 for small angles.
+    factor = np.divide(2.0 * np.arctan2(sine, w), sine, out=np.full_like(w, 2.0), where=sine > 1e-9)
+    return np.concatenate([shift, np.stack([x, y, z]) * factor])
+
+
+def squared(vectors: F64) -> F64:
+    """(n,) squared lengths of vectors (r, n)."""
+    found: F64 = vectors[0] * vectors[0]
+    for row in vectors[1:]:
+        found = found + row * row
+    return found
+
+
+def joint_step(
+    error: F64, jacobian: F64, lowest: F64, highest: F64, posture: F64 | None = None
+) -> F64:
+    """One step of damped least squares within bounds.
+
+    dq = v + J^T (J J^T + c I)^-1 (e - J v), c = |e|^2 / 2 + 1e-8, where v is a motion of the null
+    space; the damping is T. Sugihara's ("Solvability-unconcerned inverse kinematics by the
+    Levenberg-Marquardt method", IEEE Transactions on Robotics 27(5), 2011). Joints that would pass
+    a bound are fixed at it, and the others compensate for them.
+
+    Args:
+        error: (r, n) of the pose.
+        jacobian: (r, k, n).
+        lowest: (k, n) least changes of joint positions, not above 0.
+        highest: (k, n) largest changes, not below 0.
+        posture: (k, n) wanted changes in the null space, or None.
+
+    Returns:
+        (k, n) changes of joint positions within the bounds.
+    """
+    damping = 0.5 * squared(error) + _DAMPING
+    wanted = np.zeros_like(lowest) if posture is None else np.clip(posture, lowest, highest)
+    step = _solved(error, jacobian, damping, wanted)
+    fixed = np.zeros(step.shape, np.bool_)
+    rows = np.arange(step.shape[1])
+    for _ in range(_ROUNDS - 1):
+        beyond = ((step < lowest) | (step > highest))[:, rows] & ~fixed[:, rows]
+        hit = beyond.any(axis=0)
+        rows = rows[hit]
+        if not len(rows):
+            break
+        fixed[:, rows] |= beyond[:, hit]
+        held, columns = fixed[:, rows], jacobian[..., rows]
+        bounded = np.clip(step[:, rows], lowest[:, rows], highest[:, rows])
+        motion = np.where(held, bounded, wanted[:, rows])
+        free = columns * ~held
+        left = error[:, rows] - times(columns, np.where(held, bounded, 0.0))
+        step[:, rows] = _solved(left, free, damping[rows], motion)
+    within: F64 = np.clip(step, lowest, highest)
+    return within
+
+
+def times(jacobian: F64, motion: F64) -> F64:
+    """(r, n) J v."""
+    found: F64 = jacobian[:, 0] * motion[0]
+    for joint in range(1, len(motion)):
+        found = found + jacobian[:, joint] * motion[joint]
+    return found
+
+
+def transposed(jacobian: F64, error: F64) -> F64:
+    """(k, n) J^T e."""
+    found: F64 = jacobian[0] * error[0]
+    for row in range(1, len(error)):
+        found = found + jacobian[row] * error[row]
+    return found
+
+
+def _solved(error: F64, jacobian: F64, damping: F64, motion: F64) -> F64:
+    """(k, n) v + J^T (J J^T + c I)^-1 (e - J v)."""
+    size, count = len(error), len(motion)
+    gram = jacobian[:, None, 0] * jacobian[None, :, 0]
+    for joint in range(1, count):
+        gram = gram + jacobian[:, None, joint] * jacobian[None, :, joint]
+    gram[np.arange(size), np.arange(size)] += damping
+    left = error - times(jacobian, motion)
+    # LAPACK solves each environment's system alone.
+    y = np.linalg.solve(np.moveaxis(gram, -1, 0), left.T[..., None])[..., 0].T.astype(np.float64)
+    step: F64 = motion + transposed(jacobian, y)
+    return step
+
+
+class LeastSquares:
+    """Search of joint positions by damped least squares, with restarts.
+
+    Restarts begin at points between the joint limits. These are the same for every environment and
+    every call, so that a solution depends only on the target, the initial positions and the limits.
+
+    Args:
+        chain: The chain.
+        moving: (k,) joints of the chain that the search may move.
+        position_tolerance: Metres.
+        rotation_tolerance: Rad.
+        max_iterations: Of one search.
+        posture: (k,) joint positions that a redundant chain approaches, NaN for joints without
+            a preference; or None.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        moving: NDArray[np.int64],
+        position_tolerance: float,
+        rotation_tolerance: float,
+        max_iterations: int,
+        posture: F64 | None = None,
+    ) -> None:
+        self._chain, self._moving = chain, moving
+        self._tolerances = position_tolerance, rotation_tolerance
+        self._iterations = max_iterations
+        self._posture = posture
+
+    def solve(
+        self,
+        start: F64,
+        target: Target,
+        low: F64,
+        high: F64,
+        restarts: int,
+        env_ids: EnvIndex | None,
+    ) -> tuple[F64, NDArray[np.bool_]]:
+        """Search from initial positions, then from other points where that fails.
+
+        Args:
+            start: (K, n) initial positions of the chain's joints.
+            target: The poses.
+            low: (k, n) lowest positions of the moving joints; -inf is no limit.
+            high: (k, n) highest.
+            restarts: Further searches after the first.
+            env_ids: (n,) environments, or None for all.
+
+        Returns:
+            (K, n) joint positions, within the limits, of the first search that reaches the target,
+            else of the one that comes nearest; (n,) whether the target is reached.
+        """
+        count = start.shape[1]
+        best, nearest = start.copy(), np.full(count, np.inf)
+        reached = np.zeros(count, np.bool_)
+        left = np.arange(count)
+        points = RandomStreams(0, 1).uniform("restarts", (restarts, len(self._moving)))
+        for attempt in range(1 + restarts):
+            ids = left if env_ids is None else env_ids[left]
+            least, most = low[:, left], high[:, left]
+            qpos = start[:, left]
+            if attempt:
+                first = np.where(np.isfinite(least), least, -np.pi)
+                last = np.where(np.isfinite(most), most, np.pi)
+                qpos[self._moving] = first + (last - first) * points[0, attempt - 1][:, None]
+            qpos[self._moving] = np.clip(qpos[self._moving], least, most)
+            found, distance, done = self._search(qpos, target.rows(left), least, most, ids)
+            better = distance < nearest[left]
+            best[:, left[better]], nearest[left[better]] = found[:, better], distance[better]
+            best[:, left[done]], reached[left[done]] = found[:, done], True
+            left = left[~done]
+            if not len(left):
+                break
+        return best, reached
+
+    def _search(
+        self, qpos: F64, target: Target, low: F64, high: F64, ids: EnvIndex
+    ) -> tuple[F64, F64, NDArray[np.bool_]]:
+        """Joint positions (K, n), lengths of the pose errors (n,), and whether they are reached."""
+        count, moving = qpos.shape[1], self._moving
+        found, distance = qpos.copy(), np.empty(count)
+        done = np.zeros(count, np.bool_)
+        rows = np.arange(count)
+        earlier = np.full(count, np.inf)
+        for iteration in range(self._iterations + 1):
+            frames = self._chain.frames(qpos, ids)
+            error = pose_error(frames, target)
+            length = squared(error)
+            reached = squared(error[:3]) < self._tolerances[0] ** 2
+            if len(error) > 3:
+                reached &= squared(error[3:]) < self._tolerances[1] ** 2
+            jacobian = self._chain.jacobian(frames)[: len(error), moving]
+            now = qpos[moving]
+            lean = self._towards_posture(now)
+            step = joint_step(error, jacobian, low - now, high - now, lean)
+            longest = np.abs(step).max(axis=0)
+            step = step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-12))
+            settled = longest <= (_SHORTEST_STEP if lean is None else 1e-3)
+            over = settled | (reached if lean is None else False)
+            if iteration == self._iterations:
+                over[:] = True
+            elif iteration % _PATIENCE == 0 and lean is None:
+                over |= length > _PROGRESS * earlier
+                earlier = length
+            found[:, rows[over]], distance[rows[over]] = qpos[:, over], length[over]
+            done[rows[over]] = reached[over]
+            go = ~over
+            if not go.any():
+                break
+            qpos[moving] = now + step
+            if not go.all():
+                rows, ids, qpos, target = rows[go], ids[go], qpos[:, go], target.rows(go)
+                low, high, earlier = low[:, go], high[:, go], earlier[go]
+        return found, distance, done
+
+    def _towards_posture(self, qpos: F64) -> F64 | None:
+        """(k, n) a part of the way from the moving joints' positions to the posture."""
+        if self._posture is None:
+            return None
+        return 0.2 * np.nan_to_num(self._posture[:, None] - qpos)
