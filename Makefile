@@ -53,9 +53,10 @@ system:
 system-tests: system
 	@sh scripts/system_deps.sh $(PYTHON) chromium
 
-# loadfile: what a test module builds once (a wheel, a log) is built once.
+# worksteal: neighbours share a worker, so what a module builds once (a wheel, a log) is rarely built
+# twice, and no worker is idle while the other has a long module left.
 test: venv
-	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term $(PYTEST_ARGS)
 
 lint: venv
 	$(BIN)/ruff check .

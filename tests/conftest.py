@@ -1,6 +1,13 @@
-"""What every test gets: an empty working directory, and one thread for torch."""
+"""What every test gets: an empty working directory, and one thread for torch.
+
+Coverage adds half to the CPU time of a test. Tests of whole pages, of benchmarks or of all terms,
+whose lines the tests of single modules cover, are marked `unmeasured`.
+"""
 
 import os
+import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,3 +29,27 @@ def empty_cwd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     cwd.mkdir()
     monkeypatch.chdir(cwd)
     return cwd
+
+
+@pytest.fixture(autouse=True)
+def without_coverage(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[None]:
+    """Executes a test marked `unmeasured`, and the processes that it starts, without coverage.
+
+    pytest-cov's own `no_cover` has no effect in the workers of xdist: coverage, which each of them
+    starts as a subprocess, continues there.
+    """
+    if request.node.get_closest_marker("unmeasured") is None:
+        yield
+        return
+    monkeypatch.delenv("COVERAGE_PROCESS_CONFIG", raising=False)
+    main, threads = sys.gettrace(), threading.gettrace()
+    sys.settrace(None)
+    threading.settrace(None)
+    yield
+    threading.settrace(threads)
+    sys.settrace(main)
+    if thread := sys.modules.get("embodichain.lab.sim.drawing.thread"):
+        # it serves later tests too, and may have started in this one
+        thread.render_thread().call(lambda: sys.gettrace() or sys.settrace(threads))

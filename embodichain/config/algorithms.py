@@ -41,7 +41,14 @@ ALGO_INSTEAD = {
 }
 """Keys that other tools have below the algorithm (rl-zoo3), and what to use instead."""
 # Keys that are not arguments of the algorithm's class.
-_NOT_ARGUMENTS = ("name", "normalize", "normalize_kwargs", "noise_type", "noise_std")
+_NOT_ARGUMENTS = (
+    "name",
+    "normalize",
+    "normalize_kwargs",
+    "noise_type",
+    "noise_std",
+    "critic_groups",
+)
 
 Count = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0)]
@@ -61,6 +68,9 @@ class AlgoCfg:
     MultiInputPolicy a dict."""
     learning_rate: Schedule | None = None
     gamma: Share | None = None
+    critic_groups: Annotated[list[str], Field(min_length=1)] | None = None
+    """Observation groups that the critic reads; null is `policy`, the group that the policy reads.
+    Needs MultiInputPolicy."""
     policy_kwargs: dict[str, Any] = {}
     """Arguments of the policy's class: `net_arch`, `log_std_init`..."""
     normalize: Literal["obs", "reward", "both"] | bool | None = None

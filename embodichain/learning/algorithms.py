@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Dict
 from pydantic import TypeAdapter, ValidationError
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import (
@@ -20,11 +20,15 @@ from stable_baselines3.common.noise import (
     VectorizedActionNoise,
 )
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from embodichain.config.algorithms import ALGORITHMS, AlgoCfg
+from embodichain.learning.asymmetric import ASYMMETRIC
 from embodichain.learning.extractors import SmallCnn
+from embodichain.learning.normalization import number_keys
+from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.type_errors import unknown_key, what_is_wrong
@@ -59,7 +63,7 @@ _POLICY_INSTEAD = {
 _NORMALIZE_INSTEAD = {
     "venv": "the environment is the task's",
     "training": "it is true while training",
-    "norm_obs_keys": "observations are normalized if they are one flat vector",
+    "norm_obs_keys": "every observation that is no image is normalized",
 }
 _LINEAR = "lin_"
 _DEFAULT_STD = 0.1
@@ -95,12 +99,14 @@ class Algorithm:
         arguments: Keyword arguments of its class.
         normalize: Keyword arguments of `VecNormalize`; None if nothing is normalized.
         noise: Kind and standard deviation (None is 0.1) of action noise; None without noise.
+        critic_groups: Observation groups of the critic; empty if it reads what the policy reads.
     """
 
     name: str
     arguments: dict[str, Any]
     normalize: dict[str, Any] | None = None
     noise: tuple[str, float | None] | None = None
+    critic_groups: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, cfg: AlgoCfg) -> Algorithm:
@@ -123,6 +129,7 @@ class Algorithm:
             raise ConfigError([Problem("algo.policy", message)])
         policy = algorithm.policy_aliases[cfg.policy]
         arguments["policy_kwargs"], problems = _check_policy_kwargs(policy, cfg.policy_kwargs)
+        problems += _check_critic(cfg, policy)
         path = "algo.normalize_kwargs"
         given, found = _check_call(VecNormalize, cfg.normalize_kwargs, _NORMALIZE_INSTEAD, path)
         problems += found
@@ -138,7 +145,7 @@ class Algorithm:
             normalize |= {"norm_reward": cfg.normalize != "obs", **given}
         kind = getattr(cfg, "noise_type", None)
         noise = None if kind is None else (kind, getattr(cfg, "noise_std", None))
-        return cls(cfg.name, arguments, normalize, noise)
+        return cls(cfg.name, arguments, normalize, noise, tuple(cfg.critic_groups or ()))
 
     @property
     def flat(self) -> bool:
@@ -150,7 +157,7 @@ class Algorithm:
         """Whether the algorithm learns from a replay buffer."""
         return issubclass(algorithm_class(self.name), OffPolicyAlgorithm)
 
-    def build(self, vec_env: VecEnv, seed: int | None) -> BaseAlgorithm:
+    def build(self, vec_env: SB3VecEnv, seed: int | None) -> BaseAlgorithm:
         """Construct the algorithm for an environment, with `VecNormalize` if configured.
 
         Args:
@@ -167,18 +174,32 @@ class Algorithm:
         if str(arguments["policy"]).startswith("Mlp") and not vector:
             message = f"{arguments['policy']} takes a flat vector, the observation is an image: "
             raise ConfigError([Problem("algo.policy", message + "use CnnPolicy")])
-        if self.normalize is not None and self.normalize["norm_obs"] and not vector:
-            message = "observations with images are not normalized: use reward, or false"
-            raise ConfigError([Problem("algo.normalize", message)])
+        if self.critic_groups:
+            keys = {"actor_keys": vec_env.actor_keys, "critic_keys": vec_env.critic_keys}
+            policy = algorithm_class(self.name).policy_aliases[arguments["policy"]]
+            arguments["policy"] = ASYMMETRIC[policy]
+            arguments["policy_kwargs"] = {**arguments["policy_kwargs"], **keys}
         if self.noise is not None:
             (width,) = vec_env.action_space.shape or (0,)
             arguments["action_noise"] = action_noise(*self.noise, width, vec_env.num_envs)
-        env = vec_env if self.normalize is None else VecNormalize(vec_env, **self.normalize)
+        env = self._normalized(vec_env)
         algorithm: Callable[..., BaseAlgorithm] = algorithm_class(self.name)
         try:
             return algorithm(env=env, seed=seed, device="cpu", **arguments)
         except (AssertionError, TypeError, ValueError) as error:  # how SB3 refuses
             raise ConfigError([Problem("algo", f"{self.name} refuses this: {error}")]) from error
+
+    def _normalized(self, vec_env: SB3VecEnv) -> VecEnv:
+        if self.normalize is None:
+            return vec_env
+        kwargs, space = dict(self.normalize), vec_env.observation_space
+        if kwargs["norm_obs"]:
+            numbers = number_keys(space)
+            if not numbers:
+                message = "an observation of images is not normalized: use reward, or false"
+                raise ConfigError([Problem("algo.normalize", message)])
+            kwargs |= {"norm_obs_keys": numbers} if isinstance(space, Dict) else {}
+        return VecNormalize(vec_env, **kwargs)
 
 
 def action_noise(kind: str, std: float | None, width: int, num_envs: int) -> ActionNoise:
@@ -200,6 +221,23 @@ def _scheduled(value: Any) -> Any:
     if isinstance(value, str) and value.startswith(_LINEAR):
         return LinearSchedule(float(value.removeprefix(_LINEAR)), 0.0, 1.0)
     return value
+
+
+def _check_critic(cfg: AlgoCfg, policy: type[BasePolicy]) -> list[Problem]:
+    """Check that actor and critic of the policy can read different groups."""
+    if not cfg.critic_groups:
+        return []
+    if not cfg.policy.startswith("MultiInput"):
+        message = "groups of the critic need a dict of observations: algo.policy=MultiInputPolicy"
+        return [Problem("algo.critic_groups", message)]
+    if policy not in ASYMMETRIC:
+        message = f"{cfg.name} has one view of the observation; "
+        message += "ppo, a2c, trpo, sac, td3 and ddpg can have two"
+        return [Problem("algo.critic_groups", message)]
+    if cfg.policy_kwargs.get("share_features_extractor"):
+        message = "actor and critic with groups of their own share no features"
+        return [Problem("algo.policy_kwargs.share_features_extractor", message)]
+    return []
 
 
 def _check_policy_kwargs(

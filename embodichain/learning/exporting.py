@@ -5,6 +5,7 @@ Normalization, clipping and scaling to the task's bounds are part of the exporte
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from collections.abc import Callable
@@ -13,9 +14,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from embodichain import __version__
+from embodichain.learning.asymmetric import actor_space
 from embodichain.learning.exported import (
     INPUT,
     METADATA,
@@ -25,7 +28,7 @@ from embodichain.learning.exported import (
     load_exported,
     need_onnx,
 )
-from embodichain.learning.normalization import NormalizeStatistics
+from embodichain.learning.normalization import number_keys
 from embodichain.learning.policy import LearnedPolicy
 from embodichain.learning.spaces import observation_columns
 from embodichain.utils.atomic import atomic_file
@@ -44,6 +47,7 @@ TOLERANCE = 1e-5
 _CHECKED = 256  # number of observations on which the file is compared
 _OPSET = 17
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 
 
 def export_policy(
@@ -84,8 +88,8 @@ def export_policy(
         embodichain=__version__,
         trained_in=policy.trained_in.to_json() if policy.trained_in is not None else None,
     )
-    observations = _observations(policy)
-    wanted = policy.act(observations)
+    observations = _observations(network)
+    wanted = policy.act(network.split(observations))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, new=True) as temporary:
@@ -111,26 +115,41 @@ class _Network(torch.nn.Module):
         self.policy = policy.model.policy.eval()
         space: Any = env.single_action_space
         statistics = policy.statistics
+        self.entries = _entries(policy, env)
+        self.width = len(observation_columns(env, policy.group))
         self.normalizes = statistics is not None and statistics.norm_obs
         self.clip = statistics.clip_obs if statistics is not None else 0.0
-        self._buffers_of(statistics)
+        if statistics is not None and self.normalizes:
+            # float64, as in `VecNormalize`: a large mean would lose digits in float32.
+            mean, variance = self._flat(statistics.obs_mean), self._flat(statistics.obs_var)
+            self.register_buffer("mean", torch.from_numpy(mean))
+            deviation = np.sqrt(variance + statistics.epsilon)
+            self.register_buffer("deviation", torch.from_numpy(deviation))
         self.register_buffer("low", torch.from_numpy(np.array(space.low, np.float32)))
         self.register_buffer("high", torch.from_numpy(np.array(space.high, np.float32)))
 
-    def _buffers_of(self, statistics: NormalizeStatistics | None) -> None:
-        if statistics is None:
-            return
-        # float64, as in `VecNormalize`: a large mean would lose digits in float32.
-        deviation = np.sqrt(statistics.obs_var + statistics.epsilon)
-        self.register_buffer("mean", torch.from_numpy(statistics.obs_mean.copy()))
-        self.register_buffer("deviation", torch.from_numpy(deviation))
+    def _flat(self, moments: Any) -> F64:
+        """(K,) means or variances of the columns."""
+        if self.entries is not None:
+            moments = np.concatenate([moments[name].ravel() for name in self.entries])
+        return np.array(moments, np.float64)
+
+    def split(self, obs: Any) -> Any:
+        """Return flat observations (N, K), arrays or tensors, as the policy takes them."""
+        if self.entries is None:
+            return obs
+        ends = np.cumsum([math.prod(shape) for shape in self.entries.values()]).tolist()
+        return {
+            name: obs[:, end - math.prod(shape) : end].reshape(-1, *shape)
+            for (name, shape), end in zip(self.entries.items(), ends, strict=True)
+        }
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Return actions within the task's bounds."""
         if self.normalizes:
             scaled = (obs.double() - self.mean) / self.deviation
             obs = scaled.clamp(-self.clip, self.clip).float()
-        action = self.policy._predict(obs, deterministic=True).clamp(-1.0, 1.0)
+        action = self.policy._predict(self.split(obs), deterministic=True).clamp(-1.0, 1.0)
         return 0.5 * ((1.0 - action) * self.low + (1.0 + action) * self.high)
 
 
@@ -139,21 +158,30 @@ def _refuse(policy: LearnedPolicy, path: Path) -> None:
         raise _taken(path)
     if not policy.deterministic:
         raise ConfigError([Problem("policy", "only deterministic policies are exported")])
-    if len(policy.model.observation_space.shape or ()) != 1:
-        message = f"{policy.name} sees images: policies of one flat vector are exported"
+    space = actor_space(policy.model.policy)
+    if len(number_keys(space)) < (len(space) if isinstance(space, spaces.Dict) else 1):
+        message = f"{policy.name} sees images: policies of numbers are exported"
         raise ConfigError([Problem("policy", message)])
     if hasattr(policy.model.policy, "lstm_actor"):
         message = f"{policy.name} is recurrent: a file without memory cannot act as it does"
         raise ConfigError([Problem("policy", message)])
 
 
-def _observations(policy: LearnedPolicy) -> F32:
+def _entries(policy: LearnedPolicy, env: BaseEnv) -> dict[str, tuple[int, ...]] | None:
+    """Entry -> shape, in the order of the columns; None for a policy of flat vectors."""
+    space = actor_space(policy.model.policy)
+    if not isinstance(space, spaces.Dict):
+        return None
+    names = env.observation_manager.group_terms(policy.group)
+    return {name: space[name].shape or () for name in names}
+
+
+def _observations(network: _Network) -> F32:
     """(n, K) observations distributed as in training, some of them far outside."""
-    space: Any = policy.model.observation_space
-    drawn = np.random.default_rng(0).normal(size=(_CHECKED, *space.shape))
+    drawn = np.random.default_rng(0).normal(size=(_CHECKED, network.width))
     drawn[::4] *= 20.0  # outside the clipping range
-    if policy.statistics is not None:
-        drawn = policy.statistics.obs_mean + drawn * np.sqrt(policy.statistics.obs_var)
+    if network.normalizes:
+        drawn = network.mean.numpy() + drawn * network.deviation.numpy()
     return drawn.astype(np.float32)
 
 

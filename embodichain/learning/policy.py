@@ -16,11 +16,13 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from embodichain.config.run_folder import CONFIG
 from embodichain.learning.algorithms import algorithm_class
+from embodichain.learning.asymmetric import actor_space
 from embodichain.learning.checkpoint import find_checkpoint, read_digest, read_note
 from embodichain.learning.exported import SUFFIXES, ExportedPolicy, load_exported
 from embodichain.learning.normalization import (
     NormalizeStatistics,
     load_statistics,
+    number_keys,
     statistics_path,
 )
 from embodichain.learning.spaces import ActionScale, LearnerView
@@ -191,7 +193,7 @@ class LearnedPolicy(TrainedPolicy):
     def _fit(self, env: BaseEnv) -> None:
         scale = ActionScale(env.single_action_space)
         pairs = (
-            ("observations", self.model.observation_space, self._view(env).space),
+            ("observations", actor_space(self.model.policy), self._view(env).space),
             ("actions", self.model.action_space, scale.space),
         )
         differences = [
@@ -211,14 +213,21 @@ class LearnedPolicy(TrainedPolicy):
             problems.append(f"sees {seen}, not an array or a dict of arrays")
         elif self.statistics is not None and not self.statistics.norm_obs:
             pass  # of rewards only
-        elif self.statistics is not None and self.statistics.obs_mean.shape != seen.shape:
-            have = self.statistics.obs_mean.shape
-            problems.append(f"sees observations {seen.shape}, its statistics are of {have}")
+        elif self.statistics is not None and self.statistics.shape != _numbers(seen):
+            have, want = self.statistics.shape, _numbers(seen)
+            problems.append(f"sees observations {want}, its statistics are of {have}")
         whole = isinstance(done, spaces.Box) and (done.low == -1).all() and (done.high == 1).all()
         if not whole:
             problems.append(f"acts in {done}, not in [-1, 1] as on an SB3VecEnv")
         if problems:
             raise ConfigError([Problem("policy", f"{self.name} {what}") for what in problems])
+
+
+def _numbers(space: Any) -> Any:
+    """The shape of the part of an observation that is normalized; name -> shape for a dict."""
+    if isinstance(space, spaces.Dict):
+        return {name: space[name].shape for name in number_keys(space)}
+    return space.shape
 
 
 def _shape(space: Any) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -98,14 +99,14 @@ def observation_box(env: BaseEnv, group: str) -> spaces.Box:
     return spaces.Box(-np.inf, np.inf, (width,), np.float32)
 
 
-def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
-    """Return the spaces of one environment's observations by name, in the order of the task.
+def observation_dict(env: BaseEnv, *groups: str) -> spaces.Dict:
+    """Return the spaces of one environment's observations in some groups, by name.
 
     Raises:
-        ConfigError: If no observation is in the group; lists the groups.
+        ConfigError: If no observation is in a group; lists the groups.
     """
     try:
-        names = env.observation_manager.group_terms(group)
+        names = [name for group in groups for name in env.observation_manager.group_terms(group)]
     except ValueError as error:
         raise ConfigError(str(error)) from error
     return entry_spaces(env.single_observation_space, names)
@@ -119,18 +120,23 @@ class LearnerView:
         group: The observation group.
         flatten: Whether it is one array: the flat vector of the group, or its only entry if that
             is an image.
+        others: Further groups, whose entries are in the dict.
 
     Attributes:
         space: Space of one environment.
 
     Raises:
-        ConfigError: If no observation is in the group, or it has images and further entries and
-            `flatten` is set; names the terms.
+        ConfigError: If no observation is in a group, or `flatten` is set and the group has images
+            and further entries (names the terms) or there are other groups.
     """
 
-    def __init__(self, env: BaseEnv, group: str, flatten: bool = True) -> None:
+    def __init__(
+        self, env: BaseEnv, group: str, flatten: bool = True, others: Sequence[str] = ()
+    ) -> None:
         self._env, self._group = env, group
-        self._named: spaces.Dict | None = observation_dict(env, group)
+        self._named: spaces.Dict | None = observation_dict(env, group, *others)
+        if flatten and others:
+            raise ConfigError("the observation of several groups is a dict: use flatten=False")
         self._image = ""
         self.space: spaces.Space[Any] = self._named
         if flatten and len(self._named) == 1 and env.observation_manager.image_terms(group):

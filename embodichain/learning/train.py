@@ -31,6 +31,7 @@ from embodichain.learning.train_logs import check_wandb, wandb_writers
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
     "TORCH_THREADS",
@@ -179,7 +180,18 @@ def _vec_env(env: BaseEnv, algorithm: Algorithm) -> SB3VecEnv:
     if algorithm.flat and images and len(manager.group_terms(GROUP)) > 1:
         message = f"{no_vector(GROUP, images)}: use MultiInputPolicy"
         raise ConfigError([Problem("algo.policy", message)])
-    return SB3VecEnv(env, GROUP, flatten=algorithm.flat)
+    unknown = [
+        Problem(
+            "algo.critic_groups",
+            f"no observation is in group {group!r}; there are: {', '.join(manager.groups)}",
+            did_you_mean(group, manager.groups).strip(),
+        )
+        for group in algorithm.critic_groups
+        if group not in manager.groups
+    ]
+    if unknown:
+        raise ConfigError(unknown)
+    return SB3VecEnv(env, GROUP, flatten=algorithm.flat, critic_groups=algorithm.critic_groups)
 
 
 def _checked_algorithm(resolved: Resolved) -> Algorithm:

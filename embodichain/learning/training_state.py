@@ -231,8 +231,14 @@ def load_buffer(path: Path, buffer: ReplayBuffer, env_steps: int) -> None:
 
 
 def _arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
-    found = {name: getattr(buffer, name, None) for name in _ARRAYS}
-    return {name: array for name, array in found.items() if array is not None}
+    found: dict[str, Any] = {name: getattr(buffer, name, None) for name in _ARRAYS}
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, value in found.items():
+        if isinstance(value, dict):  # of a dict of observations
+            arrays |= {f"{name}/{key}": array for key, array in value.items()}
+        elif value is not None:
+            arrays[name] = value
+    return arrays
 
 
 def _wrong_buffer(path: Path, why: str) -> ConfigError:

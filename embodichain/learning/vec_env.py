@@ -19,7 +19,12 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.judging import none_set
-from embodichain.learning.spaces import ActionScale, LearnerView, require_torch_batch
+from embodichain.learning.spaces import (
+    ActionScale,
+    LearnerView,
+    observation_dict,
+    require_torch_batch,
+)
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -61,16 +66,27 @@ class SB3VecEnv(VecEnv):
         flatten: Whether the observation is one vector, or one image if the group is that image
             alone; otherwise it is a dict, for policies named ``MultiInputPolicy``, with an entry
             for each observation in its shape and type.
+        critic_groups: Groups that the critic reads, see `asymmetric`; their entries are in the
+            dict too. Empty: the critic reads what the policy reads.
+
+    Attributes:
+        actor_keys: Entries of a dict that the actor reads.
+        critic_keys: Entries of a dict that the critic reads.
 
     Raises:
-        ConfigError: If the group is empty, has images and is to be flat, or the action space has no
-            finite bounds.
+        ConfigError: If a group is empty, if the observation is to be flat and has images or several
+            groups, or if the action space has no finite bounds.
         TypeError: If the environment is one of `gymnasium.make` or `make_vec` with numpy arrays.
         ValueError: If the environment does not reset in the same step.
     """
 
     def __init__(
-        self, env: gym.Env[Any, Any], group: str = "policy", *, flatten: bool = True
+        self,
+        env: gym.Env[Any, Any],
+        group: str = "policy",
+        *,
+        flatten: bool = True,
+        critic_groups: Sequence[str] = (),
     ) -> None:
         require_torch_batch(env, "SB3VecEnv")
         self.env = env
@@ -78,7 +94,9 @@ class SB3VecEnv(VecEnv):
         self.group = group
         self._scale = ActionScale(self.base.single_action_space)
         num_envs = self.base.num_envs
-        self._observed = LearnerView(self.base, group, flatten)
+        self._observed = LearnerView(self.base, group, flatten, critic_groups)
+        self.actor_keys = tuple(observation_dict(self.base, group))
+        self.critic_keys = tuple(observation_dict(self.base, *(critic_groups or (group,))))
         super().__init__(num_envs, self._observed.space, self._scale.space)
         self.metadata = dict(env.metadata)
         self._has_success = self.base.judges_success

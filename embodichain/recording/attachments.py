@@ -18,7 +18,7 @@ import yaml
 import zstandard
 
 from embodichain.config.run_folder import versions
-from embodichain.lab.sim.engine.api import row_layout
+from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.archive import load_mjz, scene_archive
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import LogError

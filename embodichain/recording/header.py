@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 
-from embodichain.lab.sim.engine.api import row_layout
+from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.columns import moved_ranges
 from embodichain.recording.log_error import LARGEST_CHUNK, DamageError, LogError
 from embodichain.recording.options import RecordOptions

@@ -22,7 +22,8 @@ from embodichain.lab.sim.drawing.gl import hint
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState
 from embodichain.lab.sim.drawing.views import Look, Output, Pictures, View, view_of
-from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, row_layout
+from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.lab.sim.sensors.cfg import CameraCfg
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.log_error import DamageError, LogError

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
+from embodichain.lab.sim.engine.fields import DERIVED_FIELDS
 from embodichain.recording.attachments import check_rows
 from embodichain.recording.block import Call, Run
 from embodichain.recording.chunks import LogReader

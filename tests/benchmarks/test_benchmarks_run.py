@@ -16,6 +16,8 @@ from benchmarks.plain_task import PlainTask
 from benchmarks.rounds import measure
 from embodichain.learning import SB3VecEnv
 
+pytestmark = pytest.mark.unmeasured
+
 REPO = Path(__file__).parents[2]
 
 

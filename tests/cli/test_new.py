@@ -13,6 +13,8 @@ import yaml
 from embodichain.cli import main
 from tests.helpers.mjcf_robots import ROBOTS
 
+pytestmark = pytest.mark.unmeasured
+
 REPO = Path(__file__).parents[2]
 
 
@@ -24,7 +26,7 @@ def python(*arguments: str, cwd: Path | None = None) -> str:
         env={**os.environ, "PYTEST_ADDOPTS": ""},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=240,
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
@@ -37,18 +39,26 @@ def new(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, list[s
     return data
 
 
-def follow(commands: list[str]) -> str:
-    """Does what `new` says comes next, the last with a short run; returns what pytest said."""
-    said = ""
-    for command in commands:
-        program, *arguments = command.split()
-        if program == "embodichain":
-            short = ["max_steps=2", "record=none", "--quiet"] if arguments[0] == "run" else []
-            python("-m", "embodichain", *arguments, *short)
-        else:
-            assert (program, arguments[:2]) == ("python", ["-m", "pytest"])
-            said = python(*arguments, "-q", "-p", "no:cacheprovider")
-    return said
+# All commands in one process: they import torch and MuJoCo once.
+EMBODICHAIN = """
+import json, sys
+from embodichain.cli import main
+sys.exit(max(main(arguments) for arguments in json.loads(sys.argv[1])))
+"""
+
+
+def follow(*steps: list[str]) -> str:
+    """Executes the `next` commands of `new`, with short runs; returns the output of pytest."""
+    commands = [command.split() for step in steps for command in step]
+    ours = [arguments for program, *arguments in commands if program == "embodichain"]
+    tests = [arguments for program, *arguments in commands if program == "python"]
+    assert len(ours) + len(tests) == len(commands)
+    short = ["max_steps=2", "record=none", "--quiet"]
+    ours = [[*words, *(short if words[0] == "run" else [])] for words in ours]
+    python("-c", EMBODICHAIN, json.dumps(ours))
+    assert [words[:-1] for words in tests] == [["-m", "pytest"]] * len(steps)
+    files = [words[-1] for words in tests]
+    return python("-m", "pytest", *files, "-q", "-p", "no:cacheprovider")
 
 
 def lint(*files: str) -> None:
@@ -203,27 +213,27 @@ _SMALL = """<mujoco model="small"><worldbody><body name="base">
 </body></worldbody></mujoco>"""
 
 
-@pytest.mark.parametrize(
-    ("file", "flags"),
-    [
-        ("UniversalRobots/UR10/UR10.urdf", []),
-        ("panda_description/urdf/panda.urdf", []),
-        ("panda_description/urdf/panda.urdf", ["--python"]),
-        ("small.xml", []),
-        ("small.xml", ["--python"]),
-        ("ur5e.xml", []),
-        ("ur5e.xml", ["--python"]),
-        ("hand.xml", []),
-    ],
-)
-def test_a_task_fits_the_robot_that_is_named(
-    file: str, flags: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+_NAMED = [
+    ("UniversalRobots/UR10/UR10.urdf", []),
+    ("panda_description/urdf/panda.urdf", []),
+    ("panda_description/urdf/panda.urdf", ["--python"]),
+    ("small.xml", []),
+    ("small.xml", ["--python"]),
+    ("ur5e.xml", []),
+    ("ur5e.xml", ["--python"]),
+    ("hand.xml", []),
+]
+
+
+def test_a_task_fits_the_robot_that_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     for name, text in {"small": _SMALL, **ROBOTS}.items():
         Path(f"{name}.xml").write_text(text)
-    made = new(capsys, "my_reach", "--robot", file, *flags)
-    assert "4 passed" in follow(made["next"])
-    lint(*(path for path in made["wrote"] if path.endswith(".py")))
+    made = [
+        new(capsys, f"reach_{Path(file).stem.lower()}{len(flags)}", "--robot", file, *flags)
+        for file, flags in _NAMED
+    ]
+    assert f"{4 * len(_NAMED)} passed" in follow(*(task["next"] for task in made))
+    lint(*(path for task in made for path in task["wrote"] if path.endswith(".py")))
 
 
 def test_what_is_written_of_a_robot(capsys: pytest.CaptureFixture[str]) -> None:

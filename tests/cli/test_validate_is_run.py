@@ -19,6 +19,8 @@ from tests.config.conftest import WriteTask, write_task  # noqa: F401  (a fixtur
 from tests.helpers.example_scene import write_task as write_scene
 from tests.lab.gym.mdp.test_examples import ENTRIES, example_of
 
+pytestmark = pytest.mark.unmeasured
+
 Params = dict[str, Any]
 
 

@@ -10,6 +10,8 @@ import yaml
 
 from embodichain.config import resolve
 
+pytestmark = pytest.mark.unmeasured
+
 REPO = Path(__file__).parents[2]
 PAGES = [REPO / "README.md", *sorted((REPO / "docs").glob("*.md"))]
 

@@ -15,6 +15,8 @@ import pytest
 
 from embodichain.cli import main
 
+pytestmark = pytest.mark.unmeasured
+
 REPO = Path(__file__).parents[2]
 GYM_CONFIG = REPO / "tests" / "helpers" / "gym_configs" / "push.yaml"  # what commands call so
 ELSEWHERE = ("make", "git clone", "pip")  # what sets a machine up: tests/packaging runs it

@@ -7,6 +7,8 @@ import torch
 import embodichain
 from tests.end_to_end.test_invariance import action_of, tensors
 
+pytestmark = pytest.mark.unmeasured
+
 SICK, STEPS = 1, 6
 STATE = [f"{f}={v}" for f in ("qpos", "qvel", "mocap_pos") for v in ("nan", "inf", "1e30")]
 # In these, nothing shows it: only the neighbours are compared.

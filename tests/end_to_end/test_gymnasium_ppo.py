@@ -7,12 +7,15 @@ differs: `make_vec` with Gymnasium's vector wrappers, or `make` in a `SyncVector
 
 import gymnasium as gym
 import numpy as np
+import pytest
 import torch
 from gymnasium.wrappers import vector
 from torch import nn
 from torch.distributions import Normal
 
 import embodichain  # noqa: F401  (registers the tasks)
+
+pytestmark = pytest.mark.unmeasured
 
 GAMMA, LAMBDA, CLIP = 0.99, 0.95, 0.2
 

@@ -9,6 +9,8 @@ import torch
 import embodichain
 from embodichain.config import list_options
 
+pytestmark = pytest.mark.unmeasured
+
 STEPS = 24
 
 

@@ -9,6 +9,8 @@ from embodichain.recording.log_writer import LogWriter
 from tests.helpers.randomizers import CASES
 from tests.helpers.ur10_task import HOME, builder
 
+pytestmark = pytest.mark.unmeasured
+
 
 def record(path, late: bool = False) -> np.ndarray:
     """A few episodes with every randomizer: at the start, at resets, at intervals."""

@@ -21,6 +21,8 @@ from embodichain.lab.gym.utils.gym_utils import config_to_cfg
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS, build_env
 from tests.helpers.upstream_tasks import CONFIGS, CartPole, PushCube
 
+pytestmark = pytest.mark.unmeasured
+
 SMALL = ("num_envs=2", "seed=1")
 TRAIN = (
     *("total_timesteps=64", "algo.n_steps=16", "algo.batch_size=32", "algo.n_epochs=1"),

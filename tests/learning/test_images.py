@@ -138,8 +138,8 @@ def test_train_and_load(folder):
     [
         ([], "algo.policy: .*front is an image; .*: use MultiInputPolicy"),
         (
-            ["algo.policy=MultiInputPolicy", "algo.normalize=obs"],
-            "algo.normalize: observations with images are not normalized",
+            ["algo.policy=CnnPolicy", "algo.normalize=obs", "~task.observations.qpos"],
+            "algo.normalize: an observation of images is not normalized",
         ),
         (["algo.policy_kwargs={features_extractor_class: smal_cnn}"], "Did you mean 'small_cnn'"),
         (["algo=crossq", "algo.policy=CnnPolicy"], "algo.policy: crossq has no CnnPolicy"),

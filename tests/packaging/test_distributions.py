@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import pytest
 
+pytestmark = pytest.mark.unmeasured
+
 LINKS = {"conf": "embodichain/conf", "tasks": "embodichain/tasks"}
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.unmeasured
+
 HEAVY = {"torch", "tensordict", "stable_baselines3"}
 
 

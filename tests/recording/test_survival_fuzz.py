@@ -10,6 +10,8 @@ import pytest
 from benchmarks.log_fuzz import GOOD, OUTCOMES, outcome_of, record
 from benchmarks.log_mutations import KINDS, mutate
 
+pytestmark = pytest.mark.unmeasured
+
 ROOT = Path(__file__).parents[2]
 
 

@@ -7,6 +7,8 @@ import embodichain
 from embodichain.config import list_options
 from embodichain.lab.gym.policies import random
 
+pytestmark = pytest.mark.unmeasured
+
 TASKS = list_options("task")
 ENVIRONMENTS, STEPS = 50, 10_000
 

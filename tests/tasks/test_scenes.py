@@ -14,6 +14,8 @@ from embodichain.config import list_options
 from embodichain.lab.sim.physics_values import physics_values
 from tests.helpers.kitchen import KITCHEN
 
+pytestmark = pytest.mark.unmeasured
+
 TASKS = list_options("task")
 FALL = {
     "description": "A cube falls.",

@@ -57,7 +57,8 @@ class Scene:
         self.lights: dict[str, Light] = {}
         self.sensors: dict[str, BaseSensor] = {}
         self.world: World | None = self._prepared.take_world(cfg.scene)
-        self.world = self.world or read_world(cfg.scene, "scene")
+        if self.world is None and (cfg.scene.fpath or cfg.scene.keyframe):
+            self.world = read_world(cfg.scene)
         self.compiled: CompiledScene | None = None
 
     @property

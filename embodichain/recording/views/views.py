@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Protocol
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, Write, row_layout
+from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, Write
+from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.views.channels import (
     METRICS,

@@ -16,6 +16,8 @@ import pytest
 from embodichain.lab.gym.envs.cfg import CommandCfg, CurriculumCfg, NoiseCfg, ObservationCfg
 from tests.lab.gym.conftest import flat, jumping, targets, task
 
+pytestmark = pytest.mark.unmeasured
+
 ROBOT = {"entity_cfg": {"uid": "ur10"}}
 
 

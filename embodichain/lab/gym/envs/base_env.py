@@ -40,7 +40,7 @@ from embodichain.lab.gym.envs.managers.value_managers import (
 )
 from embodichain.lab.gym.envs.observation import Observation, observation_space
 from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
-from embodichain.lab.gym.envs.observers import Observers, StepRecord
+from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.sim_manager import SimulationManager
@@ -116,7 +116,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         if cfg.seed is not None:
             seed_globals(self, self.streams.seed)
         self.episodes = Episodes(cfg.num_envs, cfg.max_episode_steps)
-        self.observers = Observers(self)
+        self.observers: list[StepObserver] = []
         # EmbodiChain shares one class-level list between all environments of a process.
         self.active_joint_ids = list(type(self).active_joint_ids)
         self.sensors, self._detached_uids = {}, []
@@ -492,7 +492,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             # The dump has the last reference to the engine: without it, memory is freed at once.
             stack.callback(self.sim.destroy)
             stack.callback(self.__dict__.pop, "_dump", None)
-            for observer in reversed(list(self.observers)):
+            for observer in reversed(self.observers):
                 stack.callback(observer.on_close, self)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from embodichain.lab.gym.envs.observers import ObservedEnv, Observers, StepObserver
+from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver
 
 if TYPE_CHECKING:
     import torch
@@ -184,11 +184,6 @@ class TermContext(ObservedEnv, Protocol):
     @property
     def managers(self) -> Mapping[str, EditableTerms]:
         """All managers by section."""
-        ...
-
-    @property
-    def observers(self) -> Observers:
-        """Attached observers."""
         ...
 
     def add_observer(self, observer: StepObserver) -> None:

@@ -13,7 +13,7 @@ from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg
 from embodichain.lab.gym.envs.episodes import Episodes
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.observation import flat_space
-from embodichain.lab.gym.envs.observers import EventRecord, Observers, StepObserver
+from embodichain.lab.gym.envs.observers import EngineRelay, EventRecord, StepObserver
 from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -22,7 +22,11 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.gym.envs.managers.value_managers import MetricManager, TerminationManager
+    from embodichain.lab.gym.envs.managers.value_managers import (
+        MetricManager,
+        RewardManager,
+        TerminationManager,
+    )
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
@@ -49,12 +53,14 @@ class EnvReads:
     sim: SimulationManager
     streams: RandomStreams
     episodes: Episodes
-    observers: Observers
+    observers: list[StepObserver]
     observation_buffer: ObservationBuffer
     sensors: dict[str, Any]
     sim_steps_per_control: int
+    control_step: int
     observation_space: gym.Space[Any]
     metric_manager: MetricManager
+    reward_manager: RewardManager
     termination_manager: TerminationManager
     overridden: frozenset[str]
     _detached_uids: list[str]
@@ -226,12 +232,16 @@ class EnvReads:
     # -- observers -----------------------------------------------------------------------------
 
     def add_observer(self, observer: StepObserver) -> None:
-        """Attach an observer."""
-        self.observers.add(observer)
+        """Attach an observer; it is called after those attached before."""
+        if not self.observers:
+            self.sim.engine.listeners.append(EngineRelay(self))
+        self.observers.append(observer)
 
     def remove_observer(self, observer: StepObserver) -> None:
         """Detach an observer; ValueError if it is not attached."""
         self.observers.remove(observer)
+        if not self.observers:
+            self.sim.engine.listeners.remove(EngineRelay(self))
 
     def log_event(
         self,
@@ -242,7 +252,9 @@ class EnvReads:
     ) -> None:
         """Report to observers that a term fired and what it drew."""
         if self.observers:
-            self.observers.on_event(EventRecord(term, mode, env_ids, drawn or {}))
+            record = EventRecord(term, mode, env_ids, drawn or {})
+            for observer in self.observers:
+                observer.on_event(self, record)
 
     # -- names of EmbodiChain 0.2.1 ------------------------------------------------------------
 

@@ -7,7 +7,8 @@ an observer: it receives nothing from inside an automatic reset.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -23,9 +24,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EndedBy",
+    "EngineRelay",
     "EventRecord",
     "ObservedEnv",
-    "Observers",
     "RewardWeights",
     "StepObserver",
     "StepRecord",
@@ -100,6 +101,11 @@ class ObservedEnv(Protocol):
     @property
     def termination_manager(self) -> EndedBy:
         """The results of terminations."""
+        ...
+
+    @property
+    def observers(self) -> Sequence[StepObserver]:
+        """The observers, in the order in which they are called."""
         ...
 
     def truncate(self, env_ids: EnvIndex) -> None:
@@ -177,40 +183,22 @@ class StepObserver:
         """Called when the environment closes; the last call."""
 
 
-class Observers(list[StepObserver]):
-    """The observers of an environment, in this order; they also receive the events of its engine.
+@dataclass(frozen=True)
+class EngineRelay:
+    """The engine's listener that passes writes and physics steps on to an environment's observers.
 
     Args:
-        env: The environment.
+        env: The environment; relays of the same one are equal.
     """
 
-    def __init__(self, env: ObservedEnv) -> None:
-        super().__init__()
-        self._env = env
-
-    def add(self, observer: StepObserver) -> None:
-        """Attach an observer."""
-        if not self:
-            self._env.sim.engine.listeners.append(self)
-        self.append(observer)
-
-    def remove(self, observer: StepObserver) -> None:
-        """Detach an observer; ValueError if it is not attached."""
-        super().remove(observer)
-        if not self:
-            self._env.sim.engine.listeners.remove(self)
+    env: ObservedEnv
 
     def on_write(self, write: Write) -> None:
         """Something outside physics was written."""
-        for observer in self:
-            observer.on_write(self._env, write)
+        for observer in self.env.observers:
+            observer.on_write(self.env, write)
 
     def on_physics(self, event: PhysicsEvent) -> None:
         """Physics is about to step, or has stepped."""
-        for observer in self:
-            observer.on_physics(self._env, event)
-
-    def on_event(self, event: EventRecord) -> None:
-        """A term has fired."""
-        for observer in self:
-            observer.on_event(self._env, event)
+        for observer in self.env.observers:
+            observer.on_physics(self.env, event)

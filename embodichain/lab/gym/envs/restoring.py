@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.snapshot import Drawn, Snapshot, SnapshotSource
-from embodichain.lab.sim.engine.api import row_layout
-from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
+from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, row_layout
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -43,6 +43,7 @@ from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose,
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
 from embodichain.lab.sim.compiler.scene import compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
 from embodichain.lab.sim.compiler.views import check_views, places_of_views
 from embodichain.lab.sim.compiler.world import WORLD, read_world
 from embodichain.lab.sim.prepared_scene import PreparedScene
@@ -111,8 +112,8 @@ def _surroundings(cfg: EnvCfg) -> list[_Entity]:
 
 def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
     scene = _scene(cfg)
-    base = None if scene.pedestal is None else _base(cfg)
-    return [problem.below("scene") for problem in check_furniture(scene, base)]
+    found = check_furniture(scene, _base(cfg)) if scene.table or scene.pedestal else []
+    return [problem.below("scene") for problem in found]
 
 
 def _scene(cfg: EnvCfg) -> SceneCfg:
@@ -219,7 +220,7 @@ def describe(
     step, changes = physics_step(physics), drive_changes(cfg.events)
     parsed, problems = _parse(entities, step, changes)
     try:
-        world = read_world(physics.scene, "scene")
+        world = read_world(physics.scene) if physics.scene.fpath or physics.scene.keyframe else None
     except ConfigError as error:
         world, problems = None, [*problems, *error.problems]
     inside = {} if world is None else dict.fromkeys(world.objects, "the scene's file")
@@ -237,12 +238,13 @@ def describe(
     found = check_views(physics.views, *places_of_views(known, world, incomplete))
     problems += [p.below("views") for p in found]
     problems += check_references(cfg, known, open_scene=open_scene)
-    ground = physics.has_ground
-    count = num_envs or cfg.num_envs
-    sensors, found = plan_sensors(
-        cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=count
-    )
-    problems += found
+    sensors: dict[str, SensorPlan] = {}
+    if cfg.sensors:
+        ground, count = physics.has_ground, num_envs or cfg.num_envs
+        sensors, found = plan_sensors(
+            cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=count
+        )
+        problems += found
     if problems:
         return problems
     for path, articulation in parsed.items():
@@ -253,7 +255,7 @@ def describe(
     try:  # MuJoCo finds further mistakes, such as a broken mesh file
         prepared.add_scene(compile_scene(*parts), parts)
     except ConfigError as error:
-        return list(error.problems)
+        return [p.moved({e.uid: e.path for e in entities}) for p in error.problems]
     return []
 
 
@@ -479,9 +481,7 @@ def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> 
         cfg: The task.
         built_by_hooks: Whether hooks build the scene, so that the config is not all of it.
     """
-    problems = list(check_terms(cfg))
-    if not built_by_hooks:
-        problems += describe(cfg)
+    problems = list(check_terms(cfg)) + ([] if built_by_hooks else describe(cfg))
     known = {(p.path, p.message) for p in problems}
     found = [p for p in error.problems if (p.path, p.message) not in known]
     if any(p.path == q.path for p in found for q in problems):

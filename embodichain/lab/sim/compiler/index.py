@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["F64", "EntityIndex", "Ids", "Mask", "ranges"]
+__all__ = ["F64", "EntityIndex", "Ids", "Mask"]
 
 F64 = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -59,9 +59,3 @@ class EntityIndex:
     own_actuator_ids: Ids = field(default_factory=_NONE.copy)
     own_ctrl_ids: Ids = field(default_factory=_NONE.copy)
     own_act_ids: Ids = field(default_factory=_NONE.copy)
-
-
-def ranges(starts: Ids, counts: Ids) -> Ids:
-    """Return the concatenation of ``start + arange(count)``."""
-    parts = [np.arange(a, a + n) for a, n in zip(starts, counts, strict=True)]
-    return np.concatenate([np.zeros(0), *parts]).astype(np.int64)

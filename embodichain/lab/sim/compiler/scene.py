@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from embodichain.data import get_data_path
 from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.appearance import (
     add_ground,
@@ -17,7 +18,7 @@ from embodichain.lab.sim.compiler.appearance import (
     set_look,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
-from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids, ranges
+from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
 from embodichain.lab.sim.compiler.rigid_objects import (
     add_object,
@@ -28,15 +29,17 @@ from embodichain.lab.sim.compiler.rigid_objects import (
 from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, compile_quietly
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
 from embodichain.lab.sim.compiler.scene_sensors import (
+    CameraIndex,
     SensorIndex,
-    add_sensors,
-    index_sensors,
-    silent_sensors,
+    add_sensor,
+    index_sensor,
+    is_silent,
 )
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
 from embodichain.lab.sim.compiler.views import add_views, place_views, scene_bounds
-from embodichain.lab.sim.compiler.world import PREFIX, World, add_world, index_world, start_world
+from embodichain.lab.sim.compiler.world import PREFIX, World, add_world, start_world
 from embodichain.lab.sim.scene_cfg import GroundCfg
+from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
 
@@ -151,6 +154,12 @@ class CompiledScene:
     sensors: dict[str, SensorIndex] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
+    @property
+    def camera_sensors(self) -> list[str]:
+        """Names in the model of the cameras that are sensors."""
+        found = [index for index in self.sensors.values() if isinstance(index, CameraIndex)]
+        return [self.model.camera(i).name for index in found for i in index.ids]
+
 
 SceneParts = tuple[
     SimulationManagerCfg,
@@ -217,12 +226,17 @@ def compile_scene(
     roots = {p.uid: f"{p.uid}/{p.root_link_name}" for p in articulations}
     roots |= {uid: f"{PREFIX}{uid}" for uid in inside}
     add_views(spec, sim_cfg.views, roots)
-    add_sensors(spec, sensors)
+    for plan in sensors.values():
+        add_sensor(spec, plan)
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
-        raise ConfigError(f"MuJoCo cannot compile the scene: {as_line(error)[0]}") from error
-    notes += silent_sensors(model, sensors)
+        message = f"MuJoCo cannot compile the scene: {as_line(error)[0]}"
+        raise ConfigError(_broken_meshes(objects) or message) from error
+    for uid, plan in sensors.items():
+        if is_silent(model, plan):
+            links = ", ".join(plan.bodies)
+            notes.append(f"{uid}: no shape of {links} collides, so it reports no contact")
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
         index = entities[uid] = _index_object(model, uid, cfg)
@@ -230,7 +244,7 @@ def compile_scene(
             dofs = slice(index.free_qvel_adr, index.free_qvel_adr + 6)
             model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
     if world is not None:
-        entities |= index_world(model, world)
+        entities |= _index_world(model, world)
     data = _start(model, articulations, entities, world)
     row = np.zeros(mujoco.mj_stateSize(model, _STATE))
     mujoco.mj_getState(model, data, row, _STATE)
@@ -240,8 +254,8 @@ def compile_scene(
         stat.extent, stat.center = max(2.0 * radius, 1.0), center
     place_lights(spec, model, lights, center, radius)
     place_views(spec, model, data, sim_cfg.views)
-    sensor_index = index_sensors(model, sensors, entities)
-    return CompiledScene(model, spec, entities, row, sensor_index, tuple(notes))
+    columns = {uid: index_sensor(model, plan, entities) for uid, plan in sensors.items()}
+    return CompiledScene(model, spec, entities, row, columns, tuple(notes))
 
 
 def _check(
@@ -262,6 +276,23 @@ def _check(
         problems.append(Problem(masked[MAX_MASKED], f"{message}, this is one more"))
     if problems:
         raise ConfigError(problems)
+
+
+def _broken_meshes(objects: Mapping[str, RigidObjectCfg]) -> list[Problem]:
+    """Return a problem for each mesh that MuJoCo cannot compile, with paths below its object."""
+    problems: list[Problem] = []
+    for uid, cfg in objects.items():
+        if not isinstance(cfg.shape, MeshCfg):
+            continue
+        alone = mujoco.MjSpec()
+        add_object(alone, uid, cfg, 0)
+        try:
+            compile_quietly(alone)
+        except MUJOCO_ERRORS as error:
+            why = as_line(error)[0].removesuffix(f" (element '{uid}/mesh')")
+            message = f"{get_data_path(cfg.shape.fpath)}: MuJoCo cannot compile it: {why}"
+            problems.append(Problem(f"{uid}.shape.fpath", message))
+    return problems
 
 
 def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:
@@ -313,8 +344,8 @@ def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> En
         ctrl_ids=_first_controls(model, targets),
         velocity_ctrl_ids=_first_controls(model, speeds),
         own_actuator_ids=np.array(own, np.int64),
-        own_ctrl_ids=ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
-        own_act_ids=ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
+        own_ctrl_ids=_ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
+        own_act_ids=_ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
     )
 
 
@@ -342,6 +373,53 @@ def _index_object(model: mujoco.MjModel, uid: str, cfg: RigidObjectCfg) -> Entit
         free_qpos_adr=int(model.jnt_qposadr[joint]) if joint >= 0 else -1,
         free_qvel_adr=int(model.jnt_dofadr[joint]) if joint >= 0 else -1,
     )
+
+
+def _index_world(model: mujoco.MjModel, world: World) -> dict[str, EntityIndex]:
+    """Return the indices of a world's objects in the compiled scene.
+
+    Bodies and joints below an object belong to it.
+    """
+    found = {}
+    for uid, cfg in world.objects.items():
+        root = int(model.body(PREFIX + uid).id)
+        bodies: Ids = np.flatnonzero(model.body_rootid == root).astype(np.int64)
+        joints = np.flatnonzero(np.isin(model.jnt_bodyid, bodies))
+        joint = int(model.body_jntadr[root]) if cfg.body_type == "dynamic" else -1
+        found[uid] = EntityIndex(
+            uid=uid,
+            kind="object",
+            body_ids=bodies,
+            root_body_id=root,
+            pos0=np.asarray(cfg.init_pos, np.float64),
+            quat0=np.asarray(cfg.init_quat, np.float64),
+            geom_ids=np.flatnonzero(np.isin(model.geom_bodyid, bodies)).astype(np.int64),
+            mocap_id=int(model.body_mocapid[root]),
+            free_qpos_adr=int(model.jnt_qposadr[joint]) if joint >= 0 else -1,
+            free_qvel_adr=int(model.jnt_dofadr[joint]) if joint >= 0 else -1,
+            **_actuators_on(model, joints),
+        )
+    return found
+
+
+def _actuators_on(model: mujoco.MjModel, joints: Ids) -> dict[str, Ids]:
+    """Controls and activations of the actuators on some joints."""
+    on_joint = np.isin(
+        model.actuator_trntype,
+        [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)],
+    )
+    own = np.flatnonzero(on_joint & np.isin(model.actuator_trnid[:, 0], joints)).astype(np.int64)
+    return {
+        "own_actuator_ids": own,
+        "own_ctrl_ids": _ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
+        "own_act_ids": _ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
+    }
+
+
+def _ranges(starts: Ids, counts: Ids) -> Ids:
+    """Return the concatenation of ``start + arange(count)``."""
+    parts = [np.arange(a, a + n) for a, n in zip(starts, counts, strict=True)]
+    return np.concatenate([np.zeros(0), *parts]).astype(np.int64)
 
 
 def _start(

@@ -32,10 +32,10 @@ from embodichain.utils.errors import Problem
 __all__ = [
     "CameraIndex",
     "SensorIndex",
-    "add_sensors",
-    "index_sensors",
+    "add_sensor",
+    "index_sensor",
+    "is_silent",
     "plan_sensors",
-    "silent_sensors",
 ]
 
 _OBJECT = mujoco.mjtObj
@@ -123,15 +123,14 @@ class CameraIndex(SensorIndex):
     entity_of_geom: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
 
 
-def add_sensors(spec: mujoco.MjSpec, plans: Mapping[str, SensorPlan]) -> None:
-    """Add MuJoCo's sensors, named ``UID/...``, contiguous for one sensor; and the cameras."""
-    for plan in plans.values():
-        if isinstance(plan.cfg, CameraCfg):
-            add_camera(spec, plan.uid, plan.cfg, next(iter(plan.bodies), None))
-        elif isinstance(plan.cfg, ContactSensorCfg):
-            _add_contacts(spec, plan)
-        elif plan.cfg.sensor_type in _KINDS:
-            _add_sites(spec, plan)
+def add_sensor(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
+    """Add the cameras of a sensor, or MuJoCo's sensors for it, ``UID/...``, contiguous."""
+    if isinstance(plan.cfg, CameraCfg):
+        add_camera(spec, plan.uid, plan.cfg, next(iter(plan.bodies), None))
+    elif isinstance(plan.cfg, ContactSensorCfg):
+        _add_contacts(spec, plan)
+    elif plan.cfg.sensor_type in _KINDS:
+        _add_sites(spec, plan)
 
 
 def _add_contacts(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
@@ -162,37 +161,26 @@ def _add_sites(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
                 sensor.reftype, sensor.refname = reference, other
 
 
-def index_sensors(
-    model: mujoco.MjModel,
-    plans: Mapping[str, SensorPlan],
-    entities: Mapping[str, EntityIndex],
-) -> dict[str, SensorIndex]:
-    """Find every sensor's columns, joints, geoms and cameras in the compiled model.
+def is_silent(model: mujoco.MjModel, plan: SensorPlan) -> bool:
+    """Whether a sensor is a contact sensor that can never report a contact."""
+    if not isinstance(plan.cfg, ContactSensorCfg):
+        return False
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    collides[np.concatenate([model.pair_geom1, model.pair_geom2])] = True  # a file's own pairs
+    links = [model.body(name).id for name in plan.bodies]
+    return not np.isin(links, model.geom_bodyid[collides]).any()
+
+
+def index_sensor(
+    model: mujoco.MjModel, plan: SensorPlan, entities: Mapping[str, EntityIndex]
+) -> SensorIndex:
+    """Find a sensor's columns, joints, geoms and cameras in the compiled model.
 
     Args:
         model: The model.
-        plans: The sensors by uid.
+        plan: The sensor.
         entities: Indices of the entities in the model, by uid.
     """
-    return {uid: _index(model, plan, entities) for uid, plan in plans.items()}
-
-
-def silent_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> list[str]:
-    """Return a message for every contact sensor that can never report a contact."""
-    collides = (model.geom_contype | model.geom_conaffinity) != 0
-    collides[np.concatenate([model.pair_geom1, model.pair_geom2])] = True  # a file's own pairs
-    bodies = set(model.geom_bodyid[collides].tolist())
-    return [
-        f"{plan.uid}: no shape of {', '.join(plan.bodies)} collides, so it reports no contact"
-        for plan in plans.values()
-        if isinstance(plan.cfg, ContactSensorCfg)
-        and not bodies.intersection(model.body(name).id for name in plan.bodies)
-    ]
-
-
-def _index(
-    model: mujoco.MjModel, plan: SensorPlan, entities: Mapping[str, EntityIndex]
-) -> SensorIndex:
     cfg, count = plan.cfg, len(plan.names)
     if isinstance(cfg, CameraCfg):
         ids = tuple(int(model.camera(name).id) for name in camera_names(plan.uid, cfg))

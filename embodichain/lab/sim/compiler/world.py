@@ -7,17 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
-import numpy as np
 
 from embodichain.lab.sim.cfg import RigidBodyAttributesCfg, RigidObjectCfg
-from embodichain.lab.sim.compiler.index import EntityIndex, Ids, ranges
 from embodichain.lab.sim.compiler.names import no_such
 from embodichain.lab.sim.compiler.rigid_objects import inertia_about_axes
 from embodichain.lab.sim.compiler.robot_files import locate, read_model
 from embodichain.lab.sim.scene_cfg import SceneCfg
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["PREFIX", "WORLD", "World", "add_world", "index_world", "read_world", "start_world"]
+__all__ = ["PREFIX", "WORLD", "World", "add_world", "read_world", "start_world"]
 
 WORLD = "scene"
 """No entity has this uid if there is a file."""
@@ -48,36 +46,30 @@ class World:
     notes: tuple[str, ...]
 
 
-def read_world(cfg: SceneCfg, path: str) -> World | None:
-    """Read the file of a scene; None if it has none.
-
-    Args:
-        cfg: The scene.
-        path: Its key path, for messages.
+def read_world(cfg: SceneCfg) -> World:
+    """Read the file of a scene.
 
     Raises:
         ConfigError: If the file is missing, malformed or not an MJCF, or lacks the keyframe.
     """
     if not cfg.fpath:
-        if cfg.keyframe is not None:
-            message = "is one of a scene's file: fpath is missing"
-            raise ConfigError([Problem(f"{path}.keyframe", message)])
-        return None
+        message = "is one of a scene's file: fpath is missing"
+        raise ConfigError([Problem("scene.keyframe", message)])
     try:
         file = read_model(locate(cfg.fpath))
     except ConfigError as error:
-        raise ConfigError(Problem(f"{path}.fpath", str(p)) for p in error.problems) from error
+        raise ConfigError(Problem("scene.fpath", str(p)) for p in error.problems) from error
     spec, model = file.spec, file.model
     if file.is_urdf:
         message = f"{file.path}: a scene is an MJCF file; a URDF is a robot or an articulation"
-        raise ConfigError([Problem(f"{path}.fpath", message)])
+        raise ConfigError([Problem("scene.fpath", message)])
     if spec.compiler.settotalmass > 0:
         message = f"{file.path}: settotalmass would scale robots and objects too: give masses"
-        raise ConfigError([Problem(f"{path}.fpath", message)])
+        raise ConfigError([Problem("scene.fpath", message)])
     start, unused = mujoco.MjData(model), [model.key(i).name for i in range(model.nkey)]
     key = cfg.keyframe
     if key is not None and key not in unused:
-        raise ConfigError([no_such("keyframe", key, unused or ["none"], f"{path}.keyframe")])
+        raise ConfigError([no_such("keyframe", key, unused or ["none"], "scene.keyframe")])
     if key is None and unused:
         key = "home" if "home" in unused else unused[0]
     if key is not None:
@@ -127,47 +119,6 @@ def add_world(spec: mujoco.MjSpec, child: mujoco.MjSpec) -> None:
     """Attach a copy of a world's spec to an empty scene, with its visual options."""
     spec.visual = child.visual
     spec.attach(child, frame=spec.worldbody.add_frame(), prefix=PREFIX)
-
-
-def index_world(model: mujoco.MjModel, world: World) -> dict[str, EntityIndex]:
-    """Return the indices of a world's objects in the compiled scene.
-
-    Bodies and joints below an object belong to it.
-    """
-    found = {}
-    for uid, cfg in world.objects.items():
-        root = int(model.body(PREFIX + uid).id)
-        bodies: Ids = np.flatnonzero(model.body_rootid == root).astype(np.int64)
-        joints = np.flatnonzero(np.isin(model.jnt_bodyid, bodies))
-        joint = int(model.body_jntadr[root]) if cfg.body_type == "dynamic" else -1
-        found[uid] = EntityIndex(
-            uid=uid,
-            kind="object",
-            body_ids=bodies,
-            root_body_id=root,
-            pos0=np.asarray(cfg.init_pos, np.float64),
-            quat0=np.asarray(cfg.init_quat, np.float64),
-            geom_ids=np.flatnonzero(np.isin(model.geom_bodyid, bodies)).astype(np.int64),
-            mocap_id=int(model.body_mocapid[root]),
-            free_qpos_adr=int(model.jnt_qposadr[joint]) if joint >= 0 else -1,
-            free_qvel_adr=int(model.jnt_dofadr[joint]) if joint >= 0 else -1,
-            **_actuators(model, joints),
-        )
-    return found
-
-
-def _actuators(model: mujoco.MjModel, joints: Ids) -> dict[str, Ids]:
-    """Controls and activations of the actuators on some joints."""
-    on_joint = np.isin(
-        model.actuator_trntype,
-        [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)],
-    )
-    own = np.flatnonzero(on_joint & np.isin(model.actuator_trnid[:, 0], joints)).astype(np.int64)
-    return {
-        "own_actuator_ids": own,
-        "own_ctrl_ids": ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
-        "own_act_ids": ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
-    }
 
 
 def start_world(data: mujoco.MjData, world: World) -> None:

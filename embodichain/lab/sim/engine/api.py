@@ -1,4 +1,4 @@
-"""`Engine`: interface for stepping N environments; state rows and listeners.
+"""`Engine`: interface for stepping N environments; writes, listeners, types of arrays.
 
 `CpuEngine` implements it on `mujoco.batch`.
 """
@@ -22,7 +22,6 @@ __all__ = [
     "RayHits",
     "Write",
     "WriteOp",
-    "row_layout",
 ]
 
 F64 = NDArray[np.float64]
@@ -231,43 +230,3 @@ class Engine(Protocol):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken."""
-
-
-_COMPONENTS = {
-    "time": "TIME",
-    "qpos": "QPOS",
-    "qvel": "QVEL",
-    "act": "ACT",
-    "history": "HISTORY",
-    "qacc_warmstart": "WARMSTART",
-    "ctrl": "CTRL",
-    "qfrc_applied": "QFRC_APPLIED",
-    "xfrc_applied": "XFRC_APPLIED",
-    "eq_active": "EQ_ACTIVE",
-    "mocap_pos": "MOCAP_POS",
-    "mocap_quat": "MOCAP_QUAT",
-    "userdata": "USERDATA",
-    "plugin_state": "PLUGIN",
-    "plastic": "PLASTIC",
-}
-
-
-def row_layout(model: mujoco.MjModel) -> dict[str, slice]:
-    """Return the columns of every state component within an integration-state row.
-
-    The order of components is MuJoCo's: ascending bits of `mjtState` within `mjSTATE_INTEGRATION`.
-    """
-    bits = {
-        int(getattr(mujoco.mjtState, f"mjSTATE_{suffix}")): name
-        for name, suffix in _COMPONENTS.items()
-        if hasattr(mujoco.mjtState, f"mjSTATE_{suffix}")
-    }
-    layout: dict[str, slice] = {}
-    start = 0
-    for position in range(32):
-        bit = 1 << position
-        if int(mujoco.mjtState.mjSTATE_INTEGRATION) & bit:
-            size = mujoco.mj_stateSize(model, bit)
-            layout[bits.get(bit, f"state_{position}")] = slice(start, start + size)
-            start += size
-    return layout

@@ -23,9 +23,8 @@ from embodichain.lab.sim.engine.api import (
     PhysicsEvent,
     RayHits,
     Write,
-    row_layout,
 )
-from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS, ModelFields
+from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, ModelFields, row_layout
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler, stop_timers
 from embodichain.utils.suggest import did_you_mean
 

@@ -16,6 +16,8 @@ from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from tests.helpers.example_scene import environment
 
+pytestmark = pytest.mark.unmeasured
+
 ENTRIES = [e for e in all_entries() if e.spec.func.__module__.startswith("embodichain.")]
 HINTS = get_type_hints(EnvCfg)
 KEYS = {

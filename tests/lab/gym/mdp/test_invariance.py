@@ -20,6 +20,8 @@ from embodichain.lab.gym.envs.managers.registry import VALUE_KINDS
 from tests.helpers import acting_terms, judge_terms, randomizers, sensor_terms, spatial_events
 from tests.helpers.acting_terms import ACTIONS
 
+pytestmark = pytest.mark.unmeasured
+
 ARM = {"entity_cfg": {"uid": "ur10"}}
 CUBE = {"entity_cfg": {"uid": "cube"}}
 GOAL = {"entity_cfg": {"uid": "goal"}}

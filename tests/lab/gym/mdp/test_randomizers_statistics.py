@@ -12,6 +12,8 @@ from embodichain.lab.gym.envs.managers import TERMS
 from embodichain.lab.gym.envs.mdp.events.randomize import Randomize
 from tests.helpers.randomizers import CASES, IDS, Case
 
+pytestmark = pytest.mark.unmeasured
+
 N = 600
 DISTRIBUTED = [
     pytest.param(case, kind, id=f"{name}-{kind}")

@@ -1,10 +1,13 @@
 """Every event that places, pushes or paints gives environment i the same bytes for any N."""
 
 import numpy as np
+import pytest
 
 from embodichain.lab.gym.envs.managers import TERMS
 from tests.helpers.sensor_terms import SENSORS
 from tests.helpers.spatial_events import EVENTS, LIGHTS
+
+pytestmark = pytest.mark.unmeasured
 
 PACKAGES = ("embodichain.lab.gym.envs.mdp.events.", "embodichain.compat.terms.")
 OTHERS = (".randomize",)

@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.engine.api import PhysicsEvent, Write, row_layout
+from embodichain.lab.sim.engine.api import PhysicsEvent, Write
 from embodichain.lab.sim.engine.cpu import KINEMATIC_STAGES, CpuEngine
+from embodichain.lab.sim.engine.fields import row_layout
 
 XML = """
 <mujoco>

@@ -6,7 +6,7 @@ import pytest
 from mujoco import batch as mjbatch
 
 from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
+from embodichain.lab.sim.engine.fields import DERIVED_FIELDS
 
 XML = """
 <mujoco>

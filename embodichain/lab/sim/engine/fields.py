@@ -1,13 +1,14 @@
-"""`ModelFields`: model fields that differ between a batch's environments.
+"""Fields of a batch: `row_layout` of state rows; `ModelFields`, that differ between environments.
 
-It tracks which fields are expanded, in which environments derived constants are out of date, and
-whether all environments are reset to the same row.
+`ModelFields` tracks which fields are expanded, in which environments derived constants are out of
+date, and whether all environments are reset to the same row.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 from mujoco import batch as mjbatch
 from numpy.typing import NDArray
@@ -15,7 +16,47 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.engine.api import EnvIndex
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["DERIVED_FIELDS", "ModelFields"]
+__all__ = ["DERIVED_FIELDS", "ModelFields", "row_layout"]
+
+_COMPONENTS = {
+    "time": "TIME",
+    "qpos": "QPOS",
+    "qvel": "QVEL",
+    "act": "ACT",
+    "history": "HISTORY",
+    "qacc_warmstart": "WARMSTART",
+    "ctrl": "CTRL",
+    "qfrc_applied": "QFRC_APPLIED",
+    "xfrc_applied": "XFRC_APPLIED",
+    "eq_active": "EQ_ACTIVE",
+    "mocap_pos": "MOCAP_POS",
+    "mocap_quat": "MOCAP_QUAT",
+    "userdata": "USERDATA",
+    "plugin_state": "PLUGIN",
+    "plastic": "PLASTIC",
+}
+
+
+def row_layout(model: mujoco.MjModel) -> dict[str, slice]:
+    """Return the columns of every state component within an integration-state row.
+
+    The order of components is MuJoCo's: ascending bits of `mjtState` within `mjSTATE_INTEGRATION`.
+    """
+    bits = {
+        int(getattr(mujoco.mjtState, f"mjSTATE_{suffix}")): name
+        for name, suffix in _COMPONENTS.items()
+        if hasattr(mujoco.mjtState, f"mjSTATE_{suffix}")
+    }
+    layout: dict[str, slice] = {}
+    start = 0
+    for position in range(32):
+        bit = 1 << position
+        if int(mujoco.mjtState.mjSTATE_INTEGRATION) & bit:
+            size = mujoco.mj_stateSize(model, bit)
+            layout[bits.get(bit, f"state_{position}")] = slice(start, start + size)
+            start += size
+    return layout
+
 
 # fmt: off
 DERIVED_FIELDS = frozenset(
