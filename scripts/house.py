@@ -20,6 +20,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
@@ -120,6 +121,12 @@ def bases_of_env() -> list[str]:
     return [c.__qualname__ for c in BaseEnv.__mro__[1:] if c.__module__.startswith("embodichain.")]
 
 
+@cache
+def _resolved(filename: str) -> str:
+    """The path of a code's file with links resolved; empty for code without a file."""
+    return str(Path(filename).resolve()) if filename[0] == "/" else ""
+
+
 class Walk:
     """Which files and functions of the package run, imports excluded.
 
@@ -154,7 +161,7 @@ class Walk:
             return self._module_returned
         if self._importing or not code.co_flags & _OPTIMIZED:
             return None
-        path = str(Path(code.co_filename).resolve()) if code.co_filename[0] == "/" else ""
+        path = _resolved(code.co_filename)
         if not path.startswith(self._root):
             return None
         self.files[path.removeprefix(self._root)] = None

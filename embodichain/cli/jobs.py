@@ -312,12 +312,17 @@ def check_extras(root: RootCfg) -> None:
         ConfigError: A package is missing; names the extra.
         RenderError: Pictures cannot be drawn here; names what to install.
     """
-    pictures = {"video": root.video, "record.images": root.record.images}
-    drawn = [key for key, wanted in pictures.items() if wanted and root.record.format != "none"]
+    logged = root.record.format != "none"
+    images = root.record.images if logged or root.viewer.name == "foxglove" else None
+    drawn = ["video"] * bool(root.video) + ["record.images"] * (images is not None)
     if root.video:
         from embodichain.utils.video import need_encoder
 
         need_encoder()
+    if images is not None and images.format == "h264":
+        from embodichain.recording.views.encoders import need_h264
+
+        need_h264()
     if drawn or "EMBODICHAIN_RENDERER" in os.environ:
         from embodichain.lab.sim.drawing.offscreen import need_colors
 

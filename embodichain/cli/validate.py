@@ -110,6 +110,11 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
 
                 check_algorithm(resolved, env)
                 return
+            if root.record.images is not None:
+                from embodichain.recording import ImageOptions
+                from embodichain.recording.views.images import image_topics
+
+                image_topics(env, ImageOptions(**vars(root.record.images)))
             policy = policy_of(root, env)
             obs, _ = env.reset()
             env.step(policy(obs, env))

@@ -160,7 +160,8 @@ def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> 
         schema = schema_at(loc, data)
         low, high = schema.get("minItems"), schema.get("maxItems")
         wanted = f"at most {high}" if low is None else low if low == high else f"at least {low}"
-        return Problem(path, f"expected {wanted} values, got {len(value)}: {show_value(value)}")
+        values = "value" if 1 in (low, high) else "values"
+        return Problem(path, f"expected {wanted} {values}, got {len(value)}: {show_value(value)}")
     return Problem(path, *what_is_wrong(errors, PATTERNS))
 
 

@@ -62,17 +62,20 @@ class SimCfg:
     needs it (sleep, IPC, plugins)."""
 
 
+Pixels = Annotated[int, Field(ge=1, le=8192)]
+
+
 @configclass
 class ImagesCfg:
     """Pictures in a log; they can be drawn again from any log without them."""
 
-    cameras: list[str] | None = None
+    cameras: Annotated[list[str], Field(min_length=1)] | None = None
     """Camera sensors, or cameras of the scene; None is all camera sensors."""
-    envs: list[Annotated[int, Field(ge=0)]] = [0]
+    envs: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)] = [0]
     format: Literal["h264", "jpeg", "png"] = "h264"
     rate: Annotated[float, Field(gt=0)] = 10.0
     """Hz of simulated time."""
-    size: tuple[int, int] | None = None
+    size: tuple[Pixels, Pixels] | None = None
     """Width and height in pixels; None is that of each camera."""
 
 

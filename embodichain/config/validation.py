@@ -136,11 +136,17 @@ def _check_meaning(
     if verb == "train":
         problems += check_training_keys(root)
     known = {p.path for p in problems}
+    whole = not any(_below(path, ["record.images"]) for path in missing)
+    images = root.record.images if whole else None
     in_task = check_terms(root.task, allow_import=allow_import)
     if not any(_ENTITY.fullmatch(path) for path in missing):
         from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
 
         in_task += describe(root.task, scene, root.num_envs)
+    if images is not None and scene.scene is not None and root.task.id is None:
+        from embodichain.config.recorded_images import check_images  # imports MuJoCo
+
+        problems += check_images(images, scene.scene.model, scene.scene.camera_sensors)
     found = [replace(p, path=f"task.{p.path}".rstrip(".")) for p in in_task]
     return problems + [p for p in found if p.path not in known]
 
@@ -228,6 +234,11 @@ def _check_root(root: RootCfg, allow_import: bool) -> list[Problem]:
     if beyond and root.record.format != "none":
         message = f"no such environments: {beyond}; num_envs is {count}"
         problems.append(Problem("record.view_envs", message))
+    images = root.record.images
+    beyond = [i for i in images.envs if i >= count] if images is not None else []
+    if beyond:
+        message = f"no such environments: {beyond}; num_envs is {count}"
+        problems.append(Problem("record.images.envs", message))
     if root.viewer.name != "none" and root.viewer.env >= count:
         message = f"no such environment: {root.viewer.env}; num_envs is {count}"
         problems.append(Problem("viewer.env", message))

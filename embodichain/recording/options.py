@@ -98,5 +98,5 @@ def _wrong_images(options: ImageOptions, num_envs: int) -> list[tuple[str, str, 
     outside = [i for i in options.envs if not 0 <= i < num_envs]
     if outside or not options.envs:
         there = f"there are environments 0 to {num_envs - 1}"
-        problems.append(("images.envs", f"{list(options.envs)}: {there}", ""))
+        problems.append(("images.envs", f"{outside or 'none'}: {there}", ""))
     return problems

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 __all__ = [
@@ -45,6 +45,11 @@ class Problem:
     def below(self, path: str) -> Problem:
         """Return a copy with `path` put before the key path."""
         return replace(self, path=f"{path}.{self.path}" if path else self.path)
+
+    def moved(self, places: Mapping[str, str]) -> Problem:
+        """Return a copy with the first part of its key path replaced, if `places` has it."""
+        first, dot, rest = self.path.partition(".")
+        return replace(self, path=f"{places.get(first, first)}{dot}{rest}")
 
     def __str__(self) -> str:
         """Return ``source: path: message hint``."""

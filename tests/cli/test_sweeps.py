@@ -59,6 +59,7 @@ def test_jobs_in_workers_are_those_of_one_process(tmp_path: Path) -> None:
     assert many == one and [s[0] for _, s in sorted(many.items())] == [0, 1]
 
 
+@pytest.mark.unmeasured
 def test_lines_of_parallel_jobs_begin_with_their_job(tmp_path: Path) -> None:
     workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
     arguments = ("run", "-m", *workers, "task=cart_pole", "seed=3,4", "max_steps=20", "num_envs=1")

@@ -19,6 +19,8 @@ from tests.config.conftest import WriteTask, write_task  # noqa: F401  (a fixtur
 from tests.helpers.example_scene import write_task as write_scene
 from tests.lab.gym.mdp.test_examples import ENTRIES, example_of
 
+pytestmark = pytest.mark.unmeasured
+
 Params = dict[str, Any]
 
 
@@ -138,7 +140,6 @@ def test_every_registered_term_has_an_example() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.unmeasured
 @pytest.mark.parametrize("how", SPOILED)
 @pytest.mark.parametrize("kind", sorted({entry.kinds[0] for entry in ENTRIES}))
 def test_every_term_with_spoiled_parameters(

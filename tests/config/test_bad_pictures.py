@@ -262,8 +262,18 @@ SCENES = {
     ),
     "broken texture": (
         "objects: {cup: {shape: {shape_type: Cube, visual_material: {textures: [torn.png]}}}}",
-        "objects.cup.shape.visual_material.textures.0: no texture: cannot identify image file "
-        "'{cwd}/torn.png'",
+        "objects.cup.shape.visual_material.textures.0: {cwd}/torn.png: no texture: cannot identify "
+        "image file",
+    ),
+    "no textures": (
+        "objects: {cup: {shape: {shape_type: Cube, visual_material: {textures: []}}}}",
+        "objects.cup.shape.visual_material.textures: names no image; leave it out for a plain "
+        "surface",
+    ),
+    "a texture of nothing": (
+        "events: {paint: {func: randomize_texture, mode: reset, params: {of: {uid: amr}}}}",
+        "events.paint.params.of.uid: no entity is called 'amr'; there are: arm. Did you mean "
+        "'arm'?",
     ),
 }
 
@@ -293,6 +303,28 @@ def test_scenes_and_views(said, name: str) -> None:
     text, message = SCENES[name]
     message = message.replace("{cwd}", str(Path.cwd()))
     assert said(text) == [f"conf/task/mine.yaml:{LINE}: task.{message}"]
+
+
+def test_files_that_mujoco_refuses_are_at_their_keys(said) -> None:
+    Path("flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
+    Path("hole.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 9\n")
+    text = (
+        "objects:\n"
+        "  cup: {shape: {shape_type: Cube}}\n"
+        "  lid:\n"
+        "    shape:\n"
+        "      shape_type: Mesh\n"
+        "      fpath: hole.obj\n"
+        "  tray:\n"
+        "    shape: {shape_type: Mesh}\n"
+        "views:\n"
+        "  side: {eye: [1, 0, 1]}"
+    )
+    hole = f"{Path.cwd()}/hole.obj: MuJoCo cannot compile it: in face 0, vertex index 8 does not"
+    flat = f"{Path.cwd()}/flat.obj: MuJoCo cannot compile it: mesh 'tray/mesh' has coplanar"
+    lid, tray = said(text, "+task.objects.tray.shape.fpath=flat.obj")
+    assert lid.startswith(f"conf/task/mine.yaml:9: task.objects.lid.shape.fpath: {hole}")
+    assert tray.startswith(f"command line: task.objects.tray.shape.fpath: {flat}")
 
 
 def test_a_sensor_as_a_view_is_called(said) -> None:
@@ -354,3 +386,54 @@ def test_pictures_beyond_the_memory(said) -> None:
 def test_films_and_pictures_in_logs(said, line: str, message: str) -> None:
     (found,) = said("", line)
     assert found.startswith(f"command line: {message}")
+
+
+EYE = camera("width: 33, height: 32")
+
+
+@pytest.mark.parametrize(
+    ("text", "images", "message"),
+    [
+        (
+            EYE,
+            "{cameras: [default, eey], format: png}",
+            "cameras.1: no camera 'eey'. Cameras: default, eye. Did you mean 'eye'?",
+        ),
+        (EYE, "{envs: [0, 2], format: png}", "envs: no such environments: [2]; num_envs is 2"),
+        (
+            EYE,
+            "{format: h264}",
+            "size: h264 needs even widths and heights; eye has 33 x 32 pixels: set a size, or "
+            "format: jpeg",
+        ),
+        ("", "{}", "cameras: the task has no camera sensors: name cameras. Cameras: default"),
+        (EYE, "{cameras: []}", "cameras: expected at least 1 value, got 0: []"),
+        (EYE, "{envs: []}", "envs: expected at least 1 value, got 0: []"),
+        (EYE, "{size: [0, 4], format: png}", "size.0: must be at least 1, got 0"),
+    ],
+)
+def test_pictures_of_cameras_in_logs(said, text: str, images: str, message: str) -> None:
+    """The same from a file, with its line."""
+    found = [f"command line: record.images.{message}"]
+    assert said(text, f"record.images={images}", "num_envs=2") == found
+    Path("conf/record").mkdir()
+    Path("conf/record/seen.yaml").write_text(f"format: mcap\nimages: {images}\n")
+    (found,) = said(text, "record=seen", "num_envs=2")
+    assert found == f"conf/record/seen.yaml:2: record.images.{message}"
+
+
+def test_pictures_of_cameras_are_among_the_mistakes(
+    said, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said("sensors:\n  eye: {sensor_type: camera}\nevents:\n  a: {func: reset_al}")
+    images = "record.images={cameras: [ey], envs: [1]}"
+    for verb in ("validate", "run"):
+        assert main([verb, "task=mine", images]) == 2
+        lines = capsys.readouterr().err.splitlines()
+        assert [line.split(": ")[:2] for line in lines[1:]] == [
+            ["  command line", "record.images.envs"],
+            ["  command line", "record.images.cameras.0"],
+            ["  conf/task/mine.yaml:7", "task.events.a.func"],
+        ]
+    assert main(["show", "task=mine", "~task.events.a", images]) == 2
+    assert not Path("outputs").exists()

@@ -1,6 +1,7 @@
 """AGENTS.md and the skills: what they name exists, and every command in their blocks runs.
 
 Commands run in a copy of the checkout, as its own tools would, and change nothing in this one.
+Those of the Makefile (`mypy`, `lint-imports`) are left to `make check`, which runs them.
 """
 
 import os
@@ -28,9 +29,12 @@ def named(page: Path) -> str:
 
 
 def commands(page: Path) -> list[str]:
+    """The lines of the page's shell blocks that the Makefile does not run by itself."""
     text = page.read_text(encoding="utf-8")
+    makefile = (REPO / "Makefile").read_text(encoding="utf-8").splitlines()
     blocks = (textwrap.dedent(body) for _, body in BLOCK.findall(text))
-    return [line for block in blocks for line in block.splitlines() if line.strip()]
+    lines = (line for block in blocks for line in block.splitlines() if line.strip())
+    return [line for line in lines if f"\t$(BIN)/{line}" not in makefile]
 
 
 @pytest.fixture

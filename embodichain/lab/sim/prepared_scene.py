@@ -108,6 +108,11 @@ class PreparedScene:
 
     # -- the scene ---------------------------------------------------------------------------------
 
+    @property
+    def scene(self) -> CompiledScene | None:
+        """The stored scene, if it was not taken."""
+        return None if self._scene is None else self._scene[2]
+
     def add_scene(self, scene: CompiledScene, parts: SceneParts) -> None:
         """Store the scene that `compile_scene` made from these arguments."""
         self._scene = _specs(parts), _scene_key(parts), scene

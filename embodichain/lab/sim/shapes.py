@@ -36,9 +36,9 @@ class VisualMaterialCfg:
     emissive_intensity: float = 1.0
     ior: float = 1.5
     """Accepted for compatibility; MuJoCo's renderer has no refraction."""
-    textures: list[str] = []
-    """Image files, or folders of them; the first is drawn, multiplied with `base_color`. The event
-    `randomize_texture` draws one for each environment."""
+    textures: list[str] | None = None
+    """Image files, or folders of them; None is none. The first is drawn, multiplied with
+    `base_color`. The event `randomize_texture` draws one for each environment."""
 
 
 @configclass

@@ -14,7 +14,7 @@ from PIL import Image
 
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Encoder", "H264Encoder", "encoder_of", "jpeg", "png"]
+__all__ = ["Encoder", "H264Encoder", "encoder_of", "jpeg", "need_h264", "png"]
 
 _JPEG_QUALITY = 90
 _PNG_LEVEL = 3
@@ -58,6 +58,13 @@ def png(values: NDArray[Any]) -> bytes:
     return stream.getvalue()
 
 
+def need_h264() -> None:
+    """Raise `ConfigError` if PyAV is not installed."""
+    if importlib.util.find_spec("av") is None:
+        hint = "pip install 'embodichain[h264]', or choose jpeg or png"
+        raise ConfigError([Problem("record.images.format", "h264 needs the package av", hint)])
+
+
 class H264Encoder:
     """H.264 as Foxglove wants it: Annex B, no B frames, parameter sets with every IDR picture.
 
@@ -74,9 +81,7 @@ class H264Encoder:
     """
 
     def __init__(self, width: int, height: int, rate: float) -> None:
-        if importlib.util.find_spec("av") is None:
-            hint = "pip install 'embodichain[h264]', or choose jpeg or png"
-            raise ConfigError([Problem("record.images.format", "h264 needs the package av", hint)])
+        need_h264()
         import av
 
         per_second = max(_SLOWEST, Fraction(rate).limit_denominator(1000))

@@ -16,14 +16,14 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from numpy.typing import NDArray
 
+from embodichain.config.recorded_images import check_images
 from embodichain.lab.sim.drawing.views import Pictures, View, camera_size
 from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.recording.options import ImageOptions
 from embodichain.recording.pictures import RowRenderer, Shot, camera_sensors, shots_of
 from embodichain.recording.views.encoders import Encoder, encoder_of, png
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import matrix_to_quat
-from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
@@ -206,27 +206,14 @@ def _shots(env: ObservedEnv, cameras: list[Camera], options: ImageOptions) -> li
     model = env.sim.engine.model
     known = {shot.camera: shot for sensor in cameras for shot in shots_of(sensor)}
     names = list(known) if options.cameras is None else list(dict.fromkeys(options.cameras))
-    known = {model.camera(i).name: _scene_shot(model, i) for i in range(model.ncam)} | known
-    there = f"Cameras: {', '.join(known) or 'none'}"
-    key, problems, found = "record.images.cameras", [], []
-    if not names:
-        problems.append(Problem(key, f"the task has no camera sensors: name cameras. {there}"))
-    for name in names:
-        if name not in known:
-            hint = did_you_mean(name, known).strip()
-            problems.append(Problem(key, f"no camera {name!r}. {there}", hint))
-            continue
-        shot = known[name]
-        if options.size is not None:
-            shot = replace(shot, width=options.size[0], height=options.size[1])
-        if options.format == "h264" and (shot.width % 2 or shot.height % 2):
-            size = f"{name} has {shot.width} x {shot.height} pixels"
-            message = f"h264 needs even widths and heights; {size}"
-            problems.append(Problem("record.images.size", message))
-        found.append(shot)
+    problems = check_images(options, model, list(known))
     if problems:
         raise ConfigError(problems)
-    return found
+    known = {model.camera(i).name: _scene_shot(model, i) for i in range(model.ncam)} | known
+    if options.size is None:
+        return [known[name] for name in names]
+    width, height = options.size
+    return [replace(known[name], width=width, height=height) for name in names]
 
 
 def _scene_shot(model: mujoco.MjModel, camera: int) -> Shot:

@@ -195,7 +195,7 @@ def test_a_video_may_have_a_picture_in_an_hour(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (ImageOptions(["frnt"]), "record.images.cameras: no camera 'frnt'. .*mean 'front'"),
+        (ImageOptions(["frnt"]), "record.images.cameras.0: no camera 'frnt'. .*mean 'front'"),
         (ImageOptions(size=(63, 48)), "record.images.size: h264 needs even widths and heights"),
         (ImageOptions(format="gif"), "record.images.format: 'gif' is not one of h264, jpeg, png"),
         (ImageOptions(envs=[7]), r"record.images.envs: \[7\]: there are environments 0 to 1"),

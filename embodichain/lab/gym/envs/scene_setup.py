@@ -255,7 +255,7 @@ def describe(
     try:  # MuJoCo finds further mistakes, such as a broken mesh file
         prepared.add_scene(compile_scene(*parts), parts)
     except ConfigError as error:
-        return list(error.problems)
+        return [p.moved({e.uid: e.path for e in entities}) for p in error.problems]
     return []
 
 

@@ -129,9 +129,8 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
         problems.append(Problem(name, message))
     problems += check_shape(cfg.shape, scale, parts)
     look = cfg.shape.visual_material
-    if look is not None and look.textures:
-        found = check_textures(look.textures)
-        problems += [p.below("shape.visual_material.textures") for p in found]
+    if look is not None and look.textures is not None:
+        problems += check_textures(look.textures, "shape.visual_material.textures")
     if isinstance(cfg.shape, PlaneCfg) and cfg.body_type != "static":
         message = f"a Plane must be static, got {cfg.body_type!r}"
         problems.append(Problem("body_type", message))

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from embodichain.data import get_data_path
 from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.appearance import (
     add_ground,
@@ -28,6 +29,7 @@ from embodichain.lab.sim.compiler.rigid_objects import (
 from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, compile_quietly
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
 from embodichain.lab.sim.compiler.scene_sensors import (
+    CameraIndex,
     SensorIndex,
     add_sensor,
     index_sensor,
@@ -37,6 +39,7 @@ from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
 from embodichain.lab.sim.compiler.views import add_views, place_views, scene_bounds
 from embodichain.lab.sim.compiler.world import PREFIX, World, add_world, start_world
 from embodichain.lab.sim.scene_cfg import GroundCfg
+from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
 
@@ -86,6 +89,7 @@ def _apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
     option.solver = int(_SOLVERS[physics.solver])
     option.iterations = int(physics.iterations)
     option.cone = int(_CONES[physics.cone])
+    option.impratio = float(physics.impratio)
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
@@ -149,6 +153,12 @@ class CompiledScene:
     initial_row: F64
     sensors: dict[str, SensorIndex] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    @property
+    def camera_sensors(self) -> list[str]:
+        """Names in the model of the cameras that are sensors."""
+        found = [index for index in self.sensors.values() if isinstance(index, CameraIndex)]
+        return [self.model.camera(i).name for index in found for i in index.ids]
 
 
 SceneParts = tuple[
@@ -221,7 +231,8 @@ def compile_scene(
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
-        raise ConfigError(f"MuJoCo cannot compile the scene: {as_line(error)[0]}") from error
+        message = f"MuJoCo cannot compile the scene: {as_line(error)[0]}"
+        raise ConfigError(_broken_meshes(objects) or message) from error
     for uid, plan in sensors.items():
         if is_silent(model, plan):
             links = ", ".join(plan.bodies)
@@ -265,6 +276,23 @@ def _check(
         problems.append(Problem(masked[MAX_MASKED], f"{message}, this is one more"))
     if problems:
         raise ConfigError(problems)
+
+
+def _broken_meshes(objects: Mapping[str, RigidObjectCfg]) -> list[Problem]:
+    """Return a problem for each mesh that MuJoCo cannot compile, with paths below its object."""
+    problems: list[Problem] = []
+    for uid, cfg in objects.items():
+        if not isinstance(cfg.shape, MeshCfg):
+            continue
+        alone = mujoco.MjSpec()
+        add_object(alone, uid, cfg, 0)
+        try:
+            compile_quietly(alone)
+        except MUJOCO_ERRORS as error:
+            why = as_line(error)[0].removesuffix(f" (element '{uid}/mesh')")
+            message = f"{get_data_path(cfg.shape.fpath)}: MuJoCo cannot compile it: {why}"
+            problems.append(Problem(f"{uid}.shape.fpath", message))
+    return problems
 
 
 def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import mujoco
 
-from embodichain.data.lookup import get_data_path
+from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.utils.errors import Problem
 
 __all__ = ["add_textures", "check_textures", "declared_textures"]
@@ -17,26 +17,42 @@ _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 _LARGEST = 8192
 
 
-def check_textures(names: Sequence[str]) -> list[Problem]:
-    """Return a problem for each file or folder that has no readable image; paths are indices."""
-    from PIL import Image, UnidentifiedImageError
+def check_textures(names: Sequence[str], path: str) -> list[Problem]:
+    """Return a problem for each file or folder that has no readable image.
 
+    Args:
+        names: The files and folders.
+        path: The key path of the list.
+    """
+    from PIL import Image
+
+    if not names:
+        return [Problem(path, "names no image; leave it out for a plain surface")]
     problems: list[Problem] = []
     for number, name in enumerate(names):
+        key = f"{path}.{number}"
         try:
             files = _files(name)
-            for file in files:
-                with Image.open(file) as image:
-                    image.load()
-                    if max(image.size) > _LARGEST:
-                        raise ValueError(f"{file}: at most {_LARGEST} pixels a side")
-        except (OSError, ValueError, UnidentifiedImageError) as error:
-            problems.append(Problem(str(number), f"no texture: {error}"))
+        except DataNotFoundError as error:
+            problems.append(Problem(key, str(error)))
             continue
         if not files:
             message = f"no image in {name}; known endings: {', '.join(_SUFFIXES)}"
-            problems.append(Problem(str(number), message))
+            problems.append(Problem(key, message))
+        for file in files:
+            try:
+                with Image.open(file) as image:
+                    if max(image.size) > _LARGEST:
+                        raise ValueError(f"at most {_LARGEST} pixels a side, it has {image.size}")
+                    image.load()
+            except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+                problems.append(Problem(key, f"{file}: no texture: {_without(error, file)}"))
     return problems
+
+
+def _without(error: Exception, file: Path) -> str:
+    """The message without the name of the file, which is said before it."""
+    return str(error).replace(f"{str(file)!r}", "").strip() or type(error).__name__
 
 
 def add_textures(spec: mujoco.MjSpec, uid: str, names: Sequence[str]) -> list[str]:

@@ -251,3 +251,20 @@ def test_the_scene_can_be_saved_and_compiled_again():
     np.testing.assert_allclose(
         again.camera("default").pos, scene.model.camera("default").pos, rtol=1e-4
     )
+
+
+def test_a_mesh_that_mujoco_refuses_is_at_its_key(tmp_path):
+    flat = write(tmp_path / "flat.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
+    with pytest.raises(ConfigError) as raised:
+        only(RigidObjectCfg(shape=MeshCfg(fpath=str(flat))))
+    (problem,) = raised.value.problems
+    assert problem.path == "thing.shape.fpath"
+    assert problem.message.startswith(f"{flat}: MuJoCo cannot compile it: mesh 'thing/mesh' has")
+
+
+def test_no_texture_is_none_and_not_an_empty_list():
+    look = VisualMaterialCfg(textures=[])
+    with pytest.raises(
+        ConfigError, match=r"thing\.shape\.visual_material\.textures: names no image"
+    ):
+        only(RigidObjectCfg(shape=CubeCfg(visual_material=look)))

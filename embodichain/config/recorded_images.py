@@ -1,0 +1,68 @@
+"""`check_images`: whether the cameras of `record.images` exist and can be recorded as wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import mujoco
+
+from embodichain.lab.sim.drawing.views import camera_size
+from embodichain.utils.errors import Problem
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["ImageChoice", "check_images"]
+
+_KEY = "record.images"
+
+
+class ImageChoice(Protocol):
+    """The keys of `record.images` that depend on the scene."""
+
+    @property
+    def cameras(self) -> Sequence[str] | None:
+        """Names of cameras; None is all camera sensors."""
+
+    @property
+    def format(self) -> str:
+        """``h264``, ``jpeg`` or ``png``."""
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height in pixels; None is that of each camera."""
+
+
+def check_images(
+    chosen: ImageChoice, model: mujoco.MjModel, sensors: Sequence[str]
+) -> list[Problem]:
+    """Return a problem for each camera that cannot be recorded.
+
+    Args:
+        chosen: What is to be recorded.
+        model: The compiled scene.
+        sensors: Names of the cameras that are sensors.
+    """
+    known = {model.camera(i).name: i for i in range(model.ncam)}
+    there = f"Cameras: {', '.join(known) or 'none'}"
+    if chosen.cameras is None and not sensors:
+        message = f"the task has no camera sensors: name cameras. {there}"
+        return [Problem(f"{_KEY}.cameras", message)]
+    if chosen.cameras is not None and not chosen.cameras:
+        message = f"names no camera; leave it out for all camera sensors. {there}"
+        return [Problem(f"{_KEY}.cameras", message)]
+    problems: list[Problem] = []
+    for number, name in enumerate(sensors if chosen.cameras is None else chosen.cameras):
+        key = f"{_KEY}.cameras" if chosen.cameras is None else f"{_KEY}.cameras.{number}"
+        if name not in known:
+            hint = did_you_mean(name, known).strip()
+            problems.append(Problem(key, f"no camera {name!r}. {there}", hint))
+            continue
+        if model.cam_projection[known[name]] != int(mujoco.mjtProjection.mjPROJ_PERSPECTIVE):
+            message = f"camera {name!r} is orthographic: only pinhole cameras can be drawn"
+            problems.append(Problem(key, message))
+        width, height = chosen.size or camera_size(model, known[name])
+        if chosen.format == "h264" and (width % 2 or height % 2):
+            size = f"{name} has {width} x {height} pixels"
+            message = f"h264 needs even widths and heights; {size}: set a size, or format: jpeg"
+            problems.append(Problem(f"{_KEY}.size", message))
+    return problems
