@@ -84,6 +84,7 @@ _PARAMS: dict[str, dict[str, Any]] = {
     "relative_pose": PAIR,
     "relative_velocity": {**PAIR, "in_source_frame": True},
     "distance": PAIR,
+    "gripper_opening": PAIR,
     "last_action": {"action_name": "joint_velocity"},
     "current_time_s": {},
     "remaining_time_s": {},
