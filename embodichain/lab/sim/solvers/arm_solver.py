@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Approach", "ArmSolver", "tool_bodies"]
 
+_SAME = 1e-9
+"""M and rad: initial positions with a smaller error are a solution, to the bit."""
 _AT_LIMIT = 1e-6
 """Rad or m: a joint this near to its limit is at it."""
 _FLAT = 0.02
@@ -199,13 +201,16 @@ class ArmSolver:
 
         Returns:
             (n, D) joint positions within the limits, and (n,) whether they reach the poses. Where
-            they do not, they are the nearest that were found.
+            they do not, they are the nearest that were found; where the initial ones do, these.
         """
         target = self.to_root(pos, quat, env_ids)
         if quat is None or not self.has_closed_form:
             return self._searched(qpos, target, env_ids, self._samples if restarts else 0)
         solutions, exist = self._all(qpos, target, env_ids)
-        found, reached = solutions[0].copy(), exist[0].copy()
+        error = pose_error(self.chain.frames(self._in_chain(qpos), env_ids), target)
+        there = (squared(error) < _SAME**2) & self._within_limits(qpos, env_ids)
+        found = np.where(there[:, None], qpos, solutions[0])
+        reached = there | exist[0]
         left = np.flatnonzero(~reached)
         if len(left):
             ids = left if env_ids is None else env_ids[left]
@@ -285,6 +290,12 @@ class ArmSolver:
         whole = np.tile(qpos, (len(found), 1, 1))
         whole[..., self.moving] = np.moveaxis(found, 1, -1)
         return whole, exist
+
+    def _within_limits(self, qpos: F64, env_ids: EnvIndex | None) -> NDArray[np.bool_]:
+        low, high = self.limits(env_ids)
+        now = qpos[:, self.moving].T
+        within: NDArray[np.bool_] = ((now >= low) & (now <= high)).all(axis=0)
+        return within
 
     def _searched(
         self, qpos: F64, target: Target, env_ids: EnvIndex | None, restarts: int
