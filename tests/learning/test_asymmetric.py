@@ -11,6 +11,7 @@ from embodichain.config import resolve
 from embodichain.learning import SB3VecEnv, evaluate, export_policy, load_policy
 from embodichain.learning.asymmetric import AsymmetricActorCriticPolicy
 from embodichain.learning.exported import load_exported
+from embodichain.learning.exporting import FORMATS
 from embodichain.learning.normalization import NormalizeStatistics, load_statistics
 from embodichain.learning.policy import load_model
 from embodichain.learning.train import train
@@ -29,6 +30,7 @@ DICT = ["algo.policy=MultiInputPolicy", "algo.critic_groups=[policy,critic]"]
 PPO_LINES = ["algo.n_steps=8", "algo.batch_size=16", "algo.n_epochs=2"]
 A2C_LINES = ["algo=a2c", "algo.n_steps=8"]
 OFF = ["algo.learning_starts=16", "algo.buffer_size=200", "algo.batch_size=8"]
+STEP_32 = "step_000000000032.zip"
 STEPS = "total_timesteps=64"
 ACTOR, CRITIC = {"qpos", "qvel", "action"}, {"qpos", "qvel", "action", "to_goal"}
 
@@ -46,6 +48,13 @@ def rows(count=3, seed=0):
 
 def float32(obs):
     return {key: np.float32(value) for key, value in obs.items()}
+
+
+@pytest.fixture(scope="module")
+def normalized(tmp_path_factory):
+    """The checkpoint of a short training with PPO, observations and rewards normalized."""
+    folder = tmp_path_factory.mktemp("training") / "run"
+    return trained(folder, *PPO_LINES, "algo.normalize=both")
 
 
 @pytest.fixture
@@ -73,11 +82,11 @@ def test_the_vector_environment_has_both_views(env):
 
 @pytest.mark.parametrize(
     "algo",
-    [PPO_LINES, A2C_LINES, ["algo=sac", *OFF], ["algo=td3", *OFF], ["algo=ddpg", *OFF]],
+    [None, A2C_LINES, ["algo=sac", *OFF], ["algo=td3", *OFF], ["algo=ddpg", *OFF]],
     ids=["ppo", "a2c", "sac", "td3", "ddpg"],
 )
-def test_the_action_depends_on_the_actors_entries_alone(tmp_path, algo):
-    policy = load_policy(trained(tmp_path / "run", *algo))
+def test_the_action_depends_on_the_actors_entries_alone(tmp_path, normalized, algo):
+    policy = load_policy(trained(tmp_path / "run", *algo) if algo else normalized)
     obs = float32(rows())
     actions = policy.predict(obs)
     garbage = {**obs, "to_goal": np.full((3, 3), np.nan, np.float32)}
@@ -97,9 +106,9 @@ def test_trpo_has_two_views(tmp_path):
 
 def test_the_value_depends_on_the_critics_entries_alone(tmp_path):
     """With the group `critic` alone the value reads nothing else, and both networks learn."""
-    before = load_model(trained(tmp_path / "a", "algo.critic_groups=[critic]", *PPO_LINES)).model
-    lines = ["algo.critic_groups=[critic]", *PPO_LINES, "total_timesteps=128"]
-    model = load_model(trained(tmp_path / "b", *lines)).model
+    lines = ["algo.critic_groups=[critic]", *PPO_LINES, "checkpoint.every_steps=32"]
+    path = trained(tmp_path / "run", *lines)
+    before, model = (load_model(p).model for p in (path.with_name(STEP_32), path))
     obs, other = ({k: torch.from_numpy(v) for k, v in float32(rows(3, s)).items()} for s in (0, 1))
     values = model.policy.predict_values({"to_goal": obs["to_goal"]})
     assert torch.equal(model.policy.predict_values({**other, "to_goal": obs["to_goal"]}), values)
@@ -115,12 +124,11 @@ def test_the_value_depends_on_the_critics_entries_alone(tmp_path):
         assert all((a != b).any() for a, b in pairs)
 
 
-def test_a_task_without_the_critics_group_plays_the_policy(tmp_path):
-    path = trained(tmp_path / "run", *PPO_LINES, "algo.normalize=both")
+def test_a_task_without_the_critics_group_plays_the_policy(normalized):
     found = []
     for lines in ([*STATE, "seed=5"], DEPLOYED):
         env = embodichain.make("reach", 3, lines)
-        policy = load_policy(path, env)
+        policy = load_policy(normalized, env)
         obs, _ = env.reset(seed=5)
         found.append(policy(obs, env).numpy())
         assert evaluate(env, policy, episodes=3).length.mean == 7
@@ -128,13 +136,10 @@ def test_a_task_without_the_critics_group_plays_the_policy(tmp_path):
     np.testing.assert_array_equal(*found)
 
 
-def test_resumed_equals_uninterrupted(tmp_path):
-    lines = [*PPO_LINES, "algo.normalize=both"]
-    whole = trained(tmp_path / "whole", *lines, "total_timesteps=128")
-    trained(tmp_path / "first", *lines)
-    second = trained(
-        tmp_path / "second", *lines, "total_timesteps=128", f"resume={tmp_path / 'first'}"
-    )
+def test_resumed_equals_uninterrupted(tmp_path, normalized):
+    lines = [*PPO_LINES, "algo.normalize=both", "total_timesteps=128"]
+    whole = trained(tmp_path / "whole", *lines)
+    second = trained(tmp_path / "second", *lines, f"resume={normalized.parents[1]}")
     states = [load_model(path).model.policy.state_dict() for path in (whole, second)]
     for name, value in states[0].items():
         assert torch.equal(states[1][name], value), name
@@ -183,13 +188,13 @@ def test_statistics_are_those_of_vecnormalize(env, tmp_path):
         np.testing.assert_array_equal(found[name], wanted[name])
 
 
-@pytest.mark.parametrize("normalize", ["false", "both"])
-def test_export_writes_the_actor(tmp_path, normalize):
-    path = trained(tmp_path / "run", *PPO_LINES, f"algo.normalize={normalize}")
+@pytest.mark.parametrize("form", FORMATS)
+def test_export_writes_the_actor(tmp_path, normalized, form):
+    path = normalized if form == "onnx" else trained(tmp_path / "run", *PPO_LINES)
     env = embodichain.make("reach", 3, DEPLOYED)
     policy = load_policy(path, env)
-    out = tmp_path / "policy.pt"
-    assert export_policy(policy, env, out, "torchscript") <= 1e-4
+    out = tmp_path / f"policy{FORMATS[form]}"
+    assert export_policy(policy, env, out, form) <= 1e-4
     exported = load_exported(out)
     assert exported.metadata.columns[0] == "qpos[0]" and len(exported.metadata.columns) == 18
     exported.check(env)
