@@ -23,7 +23,8 @@ def trimmed():
     ctypes.CDLL(None).malloc_trim(0)
     return used()
 
-small = [f"task.sensors.{name}.{side}=16" for name in ("front", "side") for side in ("width", "height")]
+sizes = [f"{camera}.{side}" for camera in ("front", "side") for side in ("width", "height")]
+small = [f"task.sensors.{size}=16" for size in sizes]
 resolved = resolve(["task=reach_vision", "num_envs=4", "seed=1", *small])
 
 def build():
