@@ -217,7 +217,8 @@ def parse_with_problems(
         if attached:
             init_qpos = _of_own_joints(init_qpos, robot.joints.names)
             robot, wrong = attach_files(robot, attached, file.velocity_limits)
-            problems += wrong
+            if wrong:  # which names the robot has is unknown
+                return None, [*problems, *wrong]
     except ConfigError as error:
         return None, [*problems, *error.problems]
     except MUJOCO_ERRORS as error:
