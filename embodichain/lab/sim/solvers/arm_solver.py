@@ -294,7 +294,8 @@ class ArmSolver:
     def _within_limits(self, qpos: F64, env_ids: EnvIndex | None) -> NDArray[np.bool_]:
         low, high = self.limits(env_ids)
         now = qpos[:, self.moving].T
-        within: NDArray[np.bool_] = ((now >= low) & (now <= high)).all(axis=0)
+        beyond = np.maximum(low - now, now - high).max(axis=0)
+        within: NDArray[np.bool_] = np.asarray(beyond <= 0.0)
         return within
 
     def _searched(
