@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
-import mujoco
+import lazy_loader
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import Names
@@ -21,11 +21,14 @@ from embodichain.lab.gym.envs.mdp.actions.joint_action import (
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
+    import mujoco
     import torch
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
+else:
+    mujoco = lazy_loader.load("mujoco")
 
 __all__ = ["ParallelGripper"]
 
