@@ -33,10 +33,12 @@ def recorded(path, options, steps=40, num_envs=2, **record):
     """A log of cart poles that are not pushed."""
     env = embodichain.make("cart_pole", num_envs, SCENE)
     record = RecordOptions(images=options, **record)
-    env.add_observer(McapRecorder(path, env, options=record))
+    env.add_observer(log := McapRecorder(path, env, options=record))
     env.reset(seed=0)
-    for _ in range(steps):
+    for step in range(steps):
         env.step(torch.zeros(num_envs, 1))
+        if step % 10 == 9:
+            log.flush()  # so that the size of files does not depend on the time that steps take
     env.close()
     return path
 
