@@ -20,8 +20,6 @@ __all__ = ["UrArm"]
 
 _CLOSE = 1e-6
 """Metres, and sines of angles: differences from the geometry that still count as equal."""
-_SAME = 1e-9
-"""Rad: differences that are rounding."""
 _SINGULAR = 1e-8
 """Sine of joint 5 below which joint 6 is not determined by the pose."""
 
@@ -172,8 +170,6 @@ class UrArm:
         inside = (turned >= low - _CLOSE) & (turned <= high + _CLOSE)
         exist = exist & inside.all(axis=1)
         turned = np.clip(turned, low, high)
-        # A seed that is a solution stays as it is, to the last bit.
-        turned = np.where(np.abs(turned - seed) < _SAME, seed, turned)
         distance = np.zeros(exist.shape)
         for joint in range(6):
             gap = turned[:, joint] - seed[joint]
