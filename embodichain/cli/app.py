@@ -21,7 +21,6 @@ from click.shell_completion import BashComplete, add_completion_class, shell_com
 
 from embodichain.cli import process
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.mujoco_gl import check_mujoco_gl
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
@@ -109,7 +108,7 @@ class Verb(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Call the verb, if MuJoCo can be imported; `doctor` says why it cannot."""
         if self.name != "doctor":
-            check_mujoco_gl()
+            process.check_mujoco_gl()
         return super().invoke(ctx)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

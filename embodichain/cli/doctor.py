@@ -20,7 +20,6 @@ from embodichain.cli import process
 from embodichain.cli.app import verb
 from embodichain.cli.output import print_json, print_table
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.mujoco_gl import check_mujoco_gl
 
 __all__ = ["EXTRAS", "Check", "command"]
 
@@ -199,7 +198,7 @@ def _optional() -> Iterator[Check]:
 def _randomness() -> Iterator[Check]:
     """Classes and terms that draw from a global generator, so that results depend on num_envs."""
     try:
-        check_mujoco_gl()
+        process.check_mujoco_gl()
     except ConfigError as error:  # then tasks cannot be imported
         yield Check("MUJOCO_GL", "fail", error.problems[0].message, "unset MUJOCO_GL")
         return

@@ -1,4 +1,4 @@
-"""The process of a command: garbage collection, signals, exit codes, the report of an error.
+"""The process of a command: environment, garbage collection, signals, exit codes, errors.
 
 Imports and builds make a million objects and almost no garbage; repeated collections take a fifth
 of the time to the first step. Python's `gc` manual describes this use of `gc.freeze`.
@@ -11,6 +11,7 @@ anything else at once; all files are closed before the process ends.
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 import threading
@@ -21,7 +22,7 @@ from functools import cache
 from types import FrameType
 from typing import Any
 
-from embodichain.utils.errors import ConfigError, RenderError
+from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 __all__ = [
     "FAILED",
@@ -30,6 +31,7 @@ __all__ = [
     "WRONG_INPUT",
     "Interrupted",
     "StopFlag",
+    "check_mujoco_gl",
     "report",
     "signals_raise",
     "started",
@@ -46,6 +48,7 @@ INTERRUPTED = 130
 _SIGNALS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
 ]
+_GL = "MUJOCO_GL"
 _TWICE = "interrupted twice: left without closing everything"
 
 
@@ -54,6 +57,25 @@ class Interrupted(KeyboardInterrupt):
 
     It is a KeyboardInterrupt, so that a sweep ends with the job.
     """
+
+
+def check_mujoco_gl() -> None:
+    """Import MuJoCo if MUJOCO_GL is set: it loads the library of OpenGL that this names.
+
+    Raises:
+        ConfigError: If there is no such library.
+    """
+    named = os.environ.get(_GL)
+    if not named:
+        return
+    try:
+        import mujoco  # noqa: F401
+    except (AttributeError, ImportError, OSError, RuntimeError) as error:
+        message = (
+            f"MuJoCo cannot be imported with {named!r} ({error}); unset it, or use egl, "
+            "osmesa (`apt-get install libosmesa6`), glfw (needs a display) or disable"
+        )
+        raise ConfigError([Problem(_GL, message, source="environment variable")]) from error
 
 
 @contextmanager

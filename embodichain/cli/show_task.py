@@ -36,6 +36,7 @@ def task_tables(resolved: Resolved) -> dict[str, Any]:
             "joints": _joints(model),
             "actuators": _actuators(model),
             "drives": list(_drives(env)),
+            "attached files": _attached(env),
             "surroundings": _surroundings(env),
             "lights": _lights(model),
             "cameras": _cameras(model, env.sim.sim_config.views),
@@ -228,6 +229,21 @@ def _cameras(model: Any, views: Mapping[str, Any]) -> Rows:
             "view": _flow(views[camera.name]) if camera.name in views else "",
         }
         for camera in map(model.camera, range(model.ncam))
+    ]
+
+
+def _attached(env: BaseEnv) -> Rows:
+    """Files fixed on links of robots, and the names of their joints."""
+    return [
+        {
+            "attached": f"{uid}/{name}",
+            "on": f"{uid}/{cfg.to}",
+            "file": cfg.fpath,
+            "joints": ", ".join(n for n in parsed.joint_names if n.startswith(f"{name}/")),
+            "controls": ", ".join(n for n in parsed.control_names if n.startswith(f"{name}/")),
+        }
+        for uid, parsed in _articulations(env).items()
+        for name, cfg in getattr(parsed.cfg, "attach", {}).items()
     ]
 
 

@@ -19,6 +19,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.judging import none_set
+from embodichain.learning.episode_statistics import as_array
 from embodichain.learning.spaces import (
     ActionScale,
     LearnerView,
@@ -151,9 +152,9 @@ class SB3VecEnv(VecEnv):
         action, self._action = self._action, None
         obs, reward, terminated, truncated, info = self.env.step(action)
         # A copy: learners add bootstrapped values to the rewards in place.
-        rewards: F32 = _numpy(reward).copy()
-        ended = _numpy(terminated)
-        dones = ended | _numpy(truncated)
+        rewards: F32 = as_array(reward).copy()
+        ended = as_array(terminated)
+        dones = ended | as_array(truncated)
         self._returns += rewards
         # New dicts: if they shared one, a callback's write to it would appear in all environments
         # and steps. 20 ns each, well below 1 % of a step.
@@ -170,7 +171,7 @@ class SB3VecEnv(VecEnv):
         """Fill the infos of environments whose episode ended, and begin the next one's counts."""
         final = _rows(self._observed(info["final_obs"]), ids)
         success = _success(info["final_info"]) if self._has_success else None
-        lengths = _numpy(info["final_info"]["elapsed_steps"])
+        lengths = as_array(info["final_info"]["elapsed_steps"])
         seconds = round(time.time() - self._start, 6)
         kinds = _ended_by(info["final_info"], ids)
         sums = _by_name(info["final_info"]["episode_sums"], ids)
@@ -323,25 +324,20 @@ def _rows(observed: Observed, ids: NDArray[np.int64]) -> Iterable[Any]:
     return [{name: part[k] for name, part in parts.items()} for k in range(len(ids))]
 
 
-def _numpy(tensor: Any) -> NDArray[Any]:
-    array: NDArray[Any] = tensor.numpy(force=True)
-    return array
-
-
 def _success(info: dict[str, Any]) -> Bool:
     """(N,) whether each episode was a success: the metric of that name, else the termination."""
     value = info["metrics"].get("success", info["success"])
-    return _numpy(value).astype(np.bool_)
+    return as_array(value).astype(np.bool_)
 
 
 def _by_name(values: Mapping[str, torch.Tensor], ids: NDArray[np.int64]) -> list[dict[str, Any]]:
     """Convert name -> (N,) values to one dict of plain values for each environment of `ids`."""
-    found = {name: _numpy(value)[ids].tolist() for name, value in values.items()}
+    found = {name: as_array(value)[ids].tolist() for name, value in values.items()}
     return [{name: column[k] for name, column in found.items()} for k in range(len(ids))]
 
 
 def _ended_by(info: dict[str, Any], ids: NDArray[np.int64]) -> list[str]:
     """The cause of the end for each environment of `ids`; ``time_out`` if no flag is set."""
-    flags = {name: _numpy(info[name])[ids] for name in ENDS[:-1]}
+    flags = {name: as_array(info[name])[ids] for name in ENDS[:-1]}
     kinds: list[str] = np.select(list(flags.values()), list(flags), ENDS[-1]).tolist()
     return kinds

@@ -22,7 +22,7 @@ from embodichain.recording.playback import Playback, Span
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["FilmCamera", "Frame", "cameras_of", "frames"]
+__all__ = ["FilmCamera", "Frame", "Placed", "cameras_of", "frames"]
 
 _PIXELS = 200_000
 """Pixels of a call: more control steps at once are not cheaper per picture."""
@@ -46,16 +46,32 @@ class FilmCamera(NamedTuple):
     far: float | None = None
 
 
+class Placed(NamedTuple):
+    """Where a camera is in a control step.
+
+    Attributes:
+        position: (3,) in metres.
+        axes: (3, 3) rotation matrix: columns are right, up and backwards.
+        lens: (4,) fx, fy, cx, cy in pixels.
+    """
+
+    position: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    lens: NDArray[np.float64]
+
+
 class Frame(NamedTuple):
     """The pictures of a control step.
 
     Attributes:
         step: The control step.
         pictures: (height, width, 3) RGB of each camera.
+        cameras: Where each camera is.
     """
 
     step: int
     pictures: list[NDArray[np.uint8]]
+    cameras: list[Placed]
 
 
 def frames(
@@ -86,7 +102,7 @@ def frames(
         views = [_view(states, camera) for camera in cameras]
         colors = [found["color"][..., :3] for found in renderer.draw(states, views)]
         for row, step in enumerate(steps):
-            yield Frame(step, [color[row] for color in colors])
+            yield Frame(step, [color[row] for color in colors], [_placed(v, row) for v in views])
         states.clear()
         steps.clear()
 
@@ -97,6 +113,11 @@ def frames(
             yield from drawn()
     if steps:
         yield from drawn()
+
+
+def _placed(view: View, row: int) -> Placed:
+    values = view.position, view.axes, view.lens  # those that do not change have one row
+    return Placed(*(np.asarray(of_rows[min(row, len(of_rows) - 1)]) for of_rows in values))
 
 
 def _view(states: StoredStates, camera: FilmCamera) -> View:

@@ -18,29 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import F64
+from embodichain.utils.random import GAMMA, splitmix64
 
 __all__ = ["row_hashes"]
 
 U64 = NDArray[np.uint64]
 _HALF = np.uint64(32)
-_GAMMA = np.uint64(0x9E3779B97F4A7C15)
-_SHIFTS = np.uint64(30), np.uint64(27), np.uint64(31)
-_FACTORS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-
-
-def _mix(z: U64) -> U64:
-    """SplitMix64's output function (Steele, Lea and Flood, OOPSLA 2014), in place."""
-    z ^= z >> _SHIFTS[0]
-    z *= _FACTORS[0]
-    z ^= z >> _SHIFTS[1]
-    z *= _FACTORS[1]
-    z ^= z >> _SHIFTS[2]
-    return z
 
 
 @cache
 def _coefficients(width: int) -> U64:
-    return _mix(np.arange(1, width + 1, dtype=np.uint64) * _GAMMA) | np.uint64(1)
+    return splitmix64(np.arange(1, width + 1, dtype=np.uint64) * GAMMA) | np.uint64(1)
 
 
 def row_hashes(rows: F64) -> U64:
@@ -48,4 +36,4 @@ def row_hashes(rows: F64) -> U64:
     words = rows.view(np.uint64)
     mixed = words >> _HALF
     mixed ^= words
-    return _mix(np.vecdot(mixed, _coefficients(rows.shape[1])))
+    return splitmix64(np.vecdot(mixed, _coefficients(rows.shape[1])))

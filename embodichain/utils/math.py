@@ -24,6 +24,7 @@ __all__ = [
     "quat_to_matrix",
     "rotate",
     "rotate_back",
+    "rotvec_to_quat",
 ]
 
 F64 = NDArray[np.float64]
@@ -175,6 +176,16 @@ def euler_xyz_to_quat(angles: F64) -> F64:
         ],
         axis=-1,
     )
+
+
+def rotvec_to_quat(vectors: F64) -> F64:
+    """Wxyz quaternions of rotation vectors (axis times angle in rad), (..., 3)."""
+    x, y, z = np.ascontiguousarray(np.moveaxis(np.asarray(vectors, np.float64), -1, 0))
+    angle = np.sqrt(x * x + y * y + z * z)
+    half = 0.5 * angle
+    # sin(half) / angle tends to 1/2 for small angles.
+    factor = np.divide(np.sin(half), angle, out=np.full_like(angle, 0.5), where=angle > 1e-9)
+    return np.stack([np.cos(half), factor * x, factor * y, factor * z], axis=-1)
 
 
 def look_at(eye: F64, target: F64, up: F64) -> F64:

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RandomStreams", "constant", "first_seed"]
+__all__ = ["GAMMA", "RandomStreams", "constant", "first_seed", "splitmix64"]
 
 U64 = NDArray[np.uint64]
-_GAMMA = np.uint64(0x9E3779B97F4A7C15)
+GAMMA = np.uint64(0x9E3779B97F4A7C15)
+"""SplitMix64's increment."""
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
@@ -27,7 +28,7 @@ _BLOCK = 8192
 """Maximum of numbers computed ahead; a small draw costs as much as a thousand numbers."""
 
 
-def _mix(z: U64) -> U64:
+def splitmix64(z: U64) -> U64:
     """SplitMix64's output function, in place."""
     z ^= z >> _S30
     z *= _MIX1
@@ -125,8 +126,8 @@ class RandomStreams:
         if keys is None:
             digest = hashlib.blake2b(f"{self.seed}\0{name}".encode(), digest_size=8).digest()
             base = np.uint64(int.from_bytes(digest, "little"))
-            index = np.arange(1, self.num_envs + 1, dtype=np.uint64) * _GAMMA
-            keys = self._keys[name] = _mix(_mix(index) + base)
+            index = np.arange(1, self.num_envs + 1, dtype=np.uint64) * GAMMA
+            keys = self._keys[name] = splitmix64(splitmix64(index) + base)
             self._counters[name] = np.zeros(self.num_envs, np.uint64)
         return keys, self._counters[name]
 
@@ -136,14 +137,14 @@ class RandomStreams:
         self._settle(name)
         steps = self._steps.get(width)
         if steps is None:
-            steps = self._steps[width] = np.arange(1, width + 1, dtype=np.uint64) * _GAMMA
+            steps = self._steps[width] = np.arange(1, width + 1, dtype=np.uint64) * GAMMA
         if env_ids is None:
-            start = keys + counters * _GAMMA
+            start = keys + counters * GAMMA
             counters += np.uint64(width)
         else:
-            start = keys[env_ids] + counters[env_ids] * _GAMMA
+            start = keys[env_ids] + counters[env_ids] * GAMMA
             counters[env_ids] += np.uint64(width)
-        return _mix(start[:, None] + steps)
+        return splitmix64(start[:, None] + steps)
 
     def uniform(
         self,
@@ -192,9 +193,9 @@ class RandomStreams:
             count = max(1, _BLOCK // max(1, self.num_envs * width))
             keys, counters = self._stream(name)
             draws = np.arange(count, dtype=np.uint64) * np.uint64(width)
-            start = keys + (counters + draws[:, None]) * _GAMMA
-            steps = np.arange(1, width + 1, dtype=np.uint64) * _GAMMA
-            block = self._blocks[name] = _Block(_unit(_mix(start[:, :, None] + steps)), width)
+            start = keys + (counters + draws[:, None]) * GAMMA
+            steps = np.arange(1, width + 1, dtype=np.uint64) * GAMMA
+            block = self._blocks[name] = _Block(_unit(splitmix64(start[:, :, None] + steps)), width)
         return block
 
     def _settle(self, name: str) -> None:

@@ -52,6 +52,15 @@ def test_small_batches(tmp_path):
     assert "speed over DummyVecEnv" in table and "reach at N=4 over the floor" in table
 
 
+def test_inverse_kinematics(tmp_path):
+    table, facts = run("ik", "--poses=20", "--peer=5", out=tmp_path / "raw.json")
+    assert [one["closed_form"] for one in facts] == [True, True, False, False, False]
+    assert all(one["restarts_success"] >= 0.9 for one in facts)
+    # Poses that mink reaches too: the same tool at the same place.
+    assert all(one["mink_success"] > 0 and one["position_error"] < 1e-4 for one in facts)
+    assert "| panda |" in table and "| ur10, closed form |" in table
+
+
 def test_log_cost(tmp_path):
     table, facts = run(
         "log_cost", "--pairs=3", "--case", "2", "4", "--case", "3", "1", "--seconds=0",

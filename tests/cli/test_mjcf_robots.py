@@ -129,3 +129,27 @@ def test_one_writes_over_a_files_gains_in_yaml(task, capsys):
     assert main([*words, "task.robot.drive_pros.stiffness=file"]) == 0
     rows = {r["actuator"]: r for r in json.loads(capsys.readouterr().out)["actuators"]}
     assert rows["r/elbow"]["stiffness"] == 2000.0
+
+
+def test_an_attached_gripper_is_shown_runs_and_verifies_to_the_bit(task, capfd):
+    gripper = {"fpath": "ParallelGripper/parallel_gripper.xml", "to": "wrist_3_link"}
+    folder = task(UR5E, robot={"attach": {"gripper": gripper}})
+    assert main(["show", "task=mine", "--config-dir", folder, "--json"]) == 0
+    (row,) = json.loads(capfd.readouterr().out)["attached files"]
+    assert row == {
+        "attached": "r/gripper",
+        "on": "r/wrist_3_link",
+        "file": gripper["fpath"],
+        "joints": "gripper/left, gripper/right",
+        "controls": "gripper/grip",
+    }
+    words = ["task=mine", "num_envs=2", "max_steps=30", "episodes=99", "seed=3", "--quiet"]
+    assert main(["run", *words, "--config-dir", folder]) == 0
+    capfd.readouterr()
+    assert main(["replay", "last", "--verify", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["steps"] == 30
+    wrong = "task.robot.attach.gripper.to=wrist_3_lnk"
+    assert main(["validate", "task=mine", "--config-dir", folder, wrong]) == 2
+    error = capfd.readouterr().err
+    assert "command line: task.robot.attach.gripper.to: no link is called 'wrist_3_lnk'" in error
+    assert "Did you mean 'wrist_3_link'?" in error

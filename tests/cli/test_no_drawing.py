@@ -102,7 +102,7 @@ def test_the_reason_is_named(embodichain, tmp_path, variables, why):
 def test_a_library_that_mujoco_cannot_load(embodichain, tmp_path, name):
     if name == "osmesa" and find_library("OSMesa") is not None:
         pytest.skip("OSMesa is installed here")
-    env = {"MUJOCO_GL": name, "WAYLAND_DISPLAY": ""}
+    env = {"MUJOCO_GL": name, "PYOPENGL_PLATFORM": "", "WAYLAND_DISPLAY": ""}
     done = embodichain("run", "task=cart_pole", "max_steps=1", cwd=tmp_path, env=env)
     assert done.returncode == 2
     told = f"error: environment variable: MUJOCO_GL: MuJoCo cannot be imported with '{name}' ("

@@ -213,7 +213,7 @@ BAD = {
     ),
     "unknown argument of an algorithm": bad(
         "command line: algo.learning_rte: unknown key; allowed: name, policy, "
-        "learning_rate, gamma, policy_kwargs, normalize, normalize_kwargs, n_steps, "
+        "learning_rate, gamma, critic_groups, policy_kwargs, normalize, normalize_kwargs, n_steps, "
         "gae_lambda, normalize_advantage, use_sde, sde_sample_freq, stats_window_size, "
         "batch_size, n_epochs, clip_range, clip_range_vf, ent_coef, vf_coef, "
         "max_grad_norm, target_kl. Did you mean 'learning_rate'?",

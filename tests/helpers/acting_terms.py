@@ -20,6 +20,20 @@ def _act(func: str, joint: str, params: dict[str, Any], **fields: Any) -> Action
 
 
 ACTIONS = {
+    "absolute_eef_pose": ActionTermCfg(
+        func="absolute_eef_pose", params={"entity_cfg": TOOL, "pose_dim": 7}
+    ),
+    "relative_eef_pose": ActionTermCfg(
+        func="relative_eef_pose", params={"entity_cfg": TOOL, "rotation_scale": 0.02}
+    ),
+    "eef_pose": ActionTermCfg(
+        func="eef_pose",
+        params={"entity_cfg": TOOL, "rotation": "rpy", "posture_gain": 0.1},
+        delay=1,
+    ),
+    "eef_delta_pose": ActionTermCfg(
+        func="eef_delta_pose", params={"entity_cfg": TOOL, "frame": "tool", "reference": "qpos"}
+    ),
     "joint_position": _act("joint_position", "Joint1", {}, delay=[0, 2]),
     "default_offset_joint_position": _act(
         "default_offset_joint_position",
@@ -70,6 +84,7 @@ _PARAMS: dict[str, dict[str, Any]] = {
     "relative_pose": PAIR,
     "relative_velocity": {**PAIR, "in_source_frame": True},
     "distance": PAIR,
+    "gripper_opening": PAIR,
     "last_action": {"action_name": "joint_velocity"},
     "current_time_s": {},
     "remaining_time_s": {},

@@ -21,6 +21,9 @@ from embodichain.lab.sim.sensors.cfg import (
 
 SENSORS = {
     "contacts": ContactSensorCfg(entity_cfg=LinksCfg(uid="cube")),
+    "pinch": ContactSensorCfg(
+        entity_cfg=LinksCfg(uid="ur10", link_names=["forearm_link", "wrist_3_link"])
+    ),
     "imu": ImuSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="ee_link")),
     "wrench": ForceTorqueSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="wrist_3_link")),
     "front": CameraCfg(
@@ -46,6 +49,7 @@ SENSORS = {
 READ = {
     "contact_found": "contacts",
     "contact_force": "contacts",
+    "grasped": "pinch",
     "imu_acceleration": "imu",
     "imu_angular_velocity": "imu",
     "imu_orientation": "imu",

@@ -23,8 +23,6 @@ __all__ = [
 _RAYS = "it changes what only a ray tracer draws"
 _LOOK_AT = "position_range and rotation_range move the camera in its own axes"
 _GROUPS = "object groups are not available"
-_IK = "inverse kinematics is not available yet"
-_EEF = "EefPoseTerm EefPoseAction eef_pose.absolute@1 RelativeEefPoseAction eef_pose.relative@1"
 
 LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
     "event": {
@@ -53,7 +51,6 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
     "reward": {},
     "action": {
         "QposNormalizedTerm": "it only changes what a data set records",
-        **each(_IK, _EEF),
     },
 }
 """Kind -> functor -> why it is left out. A registered term of the name has precedence."""
@@ -113,6 +110,8 @@ ACTIONS: Final[Mapping[str, str]] = {
     ),
     **each("joint_velocity", "QvelTerm JointVelocityAction joint_velocity@1"),
     **each("joint_effort", "QfTerm JointEffortAction joint_effort@1"),
+    **each("absolute_eef_pose", "EefPoseTerm EefPoseAction eef_pose.absolute@1"),
+    **each("relative_eef_pose", "RelativeEefPoseAction eef_pose.relative@1"),
     **each("parallel_gripper", "ParallelGripperAction gripper.parallel@1"),
 }
 """Action functor or contract -> term here."""

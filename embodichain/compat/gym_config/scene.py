@@ -19,7 +19,6 @@ __all__ = [
     "convert_sensors",
 ]
 
-_LIGHT_TYPES = ("point", "sun", "direction", "spot")
 _OTHER_LIGHT_TYPES = ("rect", "mesh")
 _PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6, {"arm": ["Joint[1-6]"]})}
 """EmbodiChain's robot classes with one file -> the file, its joints, their control parts."""

@@ -7,7 +7,7 @@ Each has its original parameters; `from`, `to` and `of` are called `source_entit
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from embodichain.compat.terms._targets import Articulation, RigidObject, joints_of
 from embodichain.lab.gym.envs.managers.aliases import Alias, P, alias, register_aliases
@@ -24,6 +24,9 @@ from embodichain.lab.gym.envs.managers.param_types import (
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._model_fields import Operation
 from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.context import TermContext
 
 __all__ = ["ACTIONS", "EVENTS", "OBSERVATIONS", "VALUES"]
 
@@ -119,10 +122,33 @@ OBSERVATIONS: Final[Mapping[str, Alias]] = {
     "get_rigid_object_pose": alias("get_object_pose"),
 }
 
-# -- actions: `joint_action` ----------------------------------------------------------------------
+# -- actions: `joint_action`, `eef_pose`, `eef_delta_pose` ----------------------------------------
 
 _AFFINE = ("entity_cfg", "scale", "offset", "clip")
 _UNIT = P("clip", (-1.0, 1.0))
+
+
+def _rotation_of(env: TermContext, pose_dim: Literal[6, 7] = 7) -> str:
+    """Columns of the orientation.
+
+    Args:
+        pose_dim: 7 is a position and a quaternion (qw, qx, qy, qz), 6 a position and roll, pitch,
+            yaw.
+    """
+    return "quat" if pose_dim == 7 else "rpy"
+
+
+def _scale_of(
+    env: TermContext, translation_scale: Positive = 0.02, rotation_scale: Positive = 0.1
+) -> list[float]:
+    """Units per unit of action.
+
+    Args:
+        translation_scale: Metres.
+        rotation_scale: Rad.
+    """
+    return [translation_scale] * 3 + [rotation_scale] * 3
+
 
 ACTIONS: Final[Mapping[str, Alias]] = {
     "joint_position": alias("joint_action", only=_AFFINE),
@@ -137,6 +163,20 @@ ACTIONS: Final[Mapping[str, Alias]] = {
     "joint_position_to_limits": alias("joint_action", only=(*_AFFINE, "range"), centre="limits"),
     "joint_velocity": alias("joint_action", only=_AFFINE, control="velocity", clip=_UNIT),
     "joint_effort": alias("joint_action", only=_AFFINE, control="effort", clip=_UNIT),
+    "absolute_eef_pose": alias(
+        "eef_pose",
+        only=("entity_cfg", "position_range", "max_velocity"),
+        frame="world",
+        rotation=_rotation_of,
+        example="{entity_cfg: {uid: ur10}, pose_dim: 6}",
+    ),
+    "relative_eef_pose": alias(
+        "eef_delta_pose",
+        only=("entity_cfg", "frame", "clip", "max_velocity"),
+        reference="qpos",
+        scale=_scale_of,
+        example="{entity_cfg: {uid: ur10}, translation_scale: 0.01}",
+    ),
 }
 
 # -- events: `randomize`, `reset_joints`, `randomize_pose` ----------------------------------------

@@ -50,6 +50,11 @@ class BodyMotion:
             qpos = engine.state("qpos")
             self._pose = qpos[:, start : start + 3], qpos[:, start + 3 : start + 7]
 
+    def release(self) -> None:
+        """Drop the engine and its arrays, which terms would keep; nothing can be read then."""
+        del self._engine, self._pose
+        self._known.clear()
+
     def position(self) -> F64:
         """(N, 3) m: a live view, do not store."""
         return self._engine.derived("xpos")[:, self._body] if self._pose is None else self._pose[0]

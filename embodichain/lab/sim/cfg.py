@@ -95,6 +95,10 @@ class PhysicsCfg:
         default="implicitfast", kw_only=True
     )
     cone: Literal["pyramidal", "elliptic"] = dataclasses.field(default="pyramidal", kw_only=True)
+    impratio: Annotated[float, Field(gt=0, allow_inf_nan=False)] = dataclasses.field(
+        default=1.0, kw_only=True
+    )
+    """Stiffness of friction over that of contact; an elliptic cone and 10 stop creep in grasps."""
 
 
 @configclass
@@ -254,7 +258,7 @@ class ArticulationCfg(ObjectBaseCfg):
     disable_self_collision: bool = True
     init_qpos: Any = None
     """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else zeros
-    clamped to the limits."""
+    clamped to the limits. With `attach`, a list may give those of the robot's own file alone."""
     sleep_threshold: float = 0.005
     """No effect."""
     min_position_iters: int = 4

@@ -10,12 +10,10 @@ import torch
 
 from embodichain.utils.tensor_mapping import TensorMapping
 
-__all__ = ["Array", "Device", "EnvAction", "EnvIds", "EnvObs"]
+__all__ = ["Array", "Device", "EnvAction", "EnvObs"]
 
 Array = torch.Tensor | np.ndarray[Any, Any] | Sequence[Any]
 Device = str | torch.device
-EnvIds = torch.Tensor | np.ndarray[Any, Any] | Sequence[int] | None
-"""Sorted, unique environment indices, or a boolean mask of length N; None is all of them."""
 EnvObs = TensorMapping
 """Nested tensors (N, ...)."""
 EnvAction = torch.Tensor | Mapping[str, torch.Tensor]

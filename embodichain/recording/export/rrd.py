@@ -23,7 +23,7 @@ from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.export.formats import Part, about, poses, required
-from embodichain.recording.frames import FilmCamera, cameras_of, frames
+from embodichain.recording.frames import FilmCamera, Placed, cameras_of, frames
 from embodichain.recording.playback import Playback, span_of
 from embodichain.recording.views.channels import event_text, scalar_joints
 from embodichain.recording.views.encoders import jpeg
@@ -178,7 +178,7 @@ def _layout(model: mujoco.MjModel, envs: Sequence[int], places: F64, cameras: Se
     left = rrb.Spatial3DView(origin="/world", name="scene", eye_controls=controls)
     if cameras:
         images = [
-            rrb.Spatial2DView(origin=f"/env_{envs[0]}/camera/{name}", name=name) for name in cameras
+            rrb.Spatial2DView(origin=_camera_path(envs[0], name), name=name) for name in cameras
         ]
         left = rrb.Vertical(left, rrb.Horizontal(*images), row_shares=[2, 1])
     return rrb.Blueprint(
@@ -262,9 +262,30 @@ def _send_pictures(
     with closing(OffscreenRenderer(log.model)) as renderer:
         drawn = frames(renderer, Playback(log, env), list(cameras.values()), span, every)
         for frame in drawn:
-            for name, picture in zip(cameras, frame.pictures, strict=True):
+            for name, picture, placed in zip(cameras, frame.pictures, frame.cameras, strict=True):
+                path = _camera_path(env, name)
+                for archetype in _pinhole(recording.rr, picture.shape, placed):
+                    recording.log(path, archetype, frame.step)
                 image = recording.rr.EncodedImage(contents=jpeg(picture), media_type="image/jpeg")
-                recording.log(f"/env_{env}/camera/{name}", image, frame.step)
+                recording.log(path, image, frame.step)
+
+
+def _camera_path(env: int, name: str) -> str:
+    """Below the scene, so that Rerun shows the camera's frustum and picture there."""
+    return f"/world/env_{env}/camera/{name}"
+
+
+def _pinhole(rr: Any, shape: tuple[int, ...], placed: Placed) -> tuple[Any, Any]:
+    """Pose and lens of a camera; its x axis points right and its y axis up, as in OpenGL."""
+    height, width = shape[:2]
+    fx, fy, cx, cy = placed.lens.tolist()
+    pose = rr.Transform3D(translation=placed.position, mat3x3=placed.axes)
+    lens = rr.Pinhole(
+        image_from_camera=[[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
+        resolution=[width, height],
+        camera_xyz=rr.ViewCoordinates.RUB,
+    )
+    return pose, lens
 
 
 # -- the scene -------------------------------------------------------------------------------------

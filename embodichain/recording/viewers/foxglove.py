@@ -260,9 +260,9 @@ class FoxgloveView(StepObserver):
             return
         if new:
             images.restart()  # a subscriber can decode only what begins with an IDR picture
-        self._drawn = now
         try:
             images.send(env.sim.engine.rows)
+            self._drawn = time.monotonic()  # after drawing: slow pictures leave time for steps
         except RenderError as error:
             self._images = None
             _log.warning("viewer: no pictures of cameras: %s", error)

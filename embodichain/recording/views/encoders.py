@@ -20,7 +20,9 @@ _JPEG_QUALITY = 90
 _PNG_LEVEL = 3
 _SLOWEST = Fraction(1, 1000)
 """Pictures a second: the encoder needs a rate above zero."""
-_X264 = "scenecut=0:repeat-headers=1:annexb=1:bframes=0"
+_COLORS = "colorprim=bt709:transfer=iec61966-2-1:colormatrix=smpte170m:range=tv"
+"""sRGB, and FFmpeg's conversion to YUV. Unnamed, players assume another one from 720 lines on."""
+_X264 = f"scenecut=0:repeat-headers=1:annexb=1:bframes=0:{_COLORS}"
 
 
 Encoder = Callable[[NDArray[np.uint8]], bytes]
@@ -51,10 +53,10 @@ def jpeg(rgb: NDArray[np.uint8]) -> bytes:
     return stream.getvalue()
 
 
-def png(values: NDArray[Any]) -> bytes:
-    """A picture (H, W, 3) of bytes, or (H, W) numbers of 16 bits, as PNG."""
+def png(rgb: NDArray[np.uint8]) -> bytes:
+    """A picture (H, W, 3) as PNG."""
     stream = io.BytesIO()
-    Image.fromarray(values).save(stream, "PNG", compress_level=_PNG_LEVEL)
+    Image.fromarray(rgb).save(stream, "PNG", compress_level=_PNG_LEVEL)
     return stream.getvalue()
 
 

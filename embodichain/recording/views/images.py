@@ -21,7 +21,7 @@ from embodichain.lab.sim.drawing.views import Pictures, View, camera_size
 from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.recording.options import ImageOptions
 from embodichain.recording.pictures import RowRenderer, Shot, camera_sensors, shots_of
-from embodichain.recording.views.encoders import Encoder, encoder_of, png
+from embodichain.recording.views.encoders import Encoder, encoder_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import matrix_to_quat
 
@@ -98,12 +98,13 @@ class Images:
         self.restart()
         video = options.format == "h264"
         image = "foxglove.CompressedVideo" if video else "foxglove.CompressedImage"
-        other = "foxglove.CompressedImage" if options.format == "png" else "foxglove.RawImage"
         sink.channel("/tf", "foxglove.FrameTransforms")
         for feed in self._feeds:
             sink.channel(feed.topic("calibration"), "foxglove.CameraCalibration")
             for output in feed.shot.outputs:
-                sink.channel(feed.topic(output), image if output == "color" else other)
+                sink.channel(
+                    feed.topic(output), image if output == "color" else "foxglove.RawImage"
+                )
 
     def restart(self) -> None:
         """Begin new videos, so that the next pictures need none before them."""
@@ -170,11 +171,11 @@ class Images:
             kind = CompressedVideo if how == "h264" else CompressedImage
             made.append(("color", kind(data=data, format=how)))
         if "depth" in pictures:
-            made.append(("depth", _numbers(_depth(pictures["depth"][0]), how)))
+            made.append(("depth", _numbers(_depth(pictures["depth"][0]))))
         if "mask" in pictures:
             entities = self._entities[feed.shot.camera][pictures["mask"][0]]
             values = np.where(entities < 0, _BACKGROUND, entities).astype(np.uint16)
-            made.append(("mask", _numbers(values, how)))
+            made.append(("mask", _numbers(values)))
         for name, message in made:
             message.frame_id = feed.frame
             message.timestamp.FromNanoseconds(time_ns)
@@ -229,10 +230,8 @@ def _depth(metres: NDArray[np.float32]) -> NDArray[np.uint16]:
     return np.where(millimetres < 2**16, millimetres, 0).astype(np.uint16)
 
 
-def _numbers(values: NDArray[np.uint16], how: str) -> Any:
-    """(H, W) numbers as an image."""
-    if how == "png":
-        return CompressedImage(data=png(values), format="png")
+def _numbers(values: NDArray[np.uint16]) -> Any:
+    """(H, W) numbers as an image; viewers reduce a PNG of 16 bits to 8."""
     height, width = values.shape
     data = values.astype("<u2").tobytes()
     size = {"width": width, "height": height, "step": 2 * width}

@@ -48,7 +48,8 @@ def foxglove_layout(
     Args:
         env: The environment.
         view_envs: Viewed environments.
-        images: Topics of pictures; the first `_MOST_IMAGES` are shown.
+        images: Topics of pictures; they are shown in the scene, the first `_MOST_IMAGES` also in
+            panels.
     """
     text = resources.files(__package__).joinpath("layout.json").read_text("utf-8")
     layout: dict[str, Any] = json.loads(text)
@@ -56,16 +57,25 @@ def foxglove_layout(
     drawn = ("scene", "markers") if Commands(env).drawn else ("scene",)
     topics = [f"/env_{i}/{name}" for i in view_envs for name in drawn]
     panels["3D!scene"]["topics"] = {topic: {"visible": True} for topic in topics}
+    extent = float(model.stat.extent)
     where = places(env, view_envs) if view_envs else np.zeros((1, 3))
     spread = float(np.ptp(where, axis=0).max())
     panels["3D!scene"]["cameraState"] |= {
-        "distance": 1.8 * float(model.stat.extent) + 1.2 * spread,
+        "distance": 1.8 * extent + 1.2 * spread,
         "targetOffset": (model.stat.center + where.mean(axis=0)).tolist(),
     }
-    for number, topic in enumerate(images[:_MOST_IMAGES]):
+    for number, topic in enumerate(images):
         calibration = f"{topic.rpartition('/')[0]}/calibration"
+        # The frustum of the camera, with its picture at this distance.
+        shown = {"visible": True, "distance": 0.2 * extent}
+        panels["3D!scene"]["topics"] |= {calibration: shown, topic: shown}
+        if number >= _MOST_IMAGES:
+            continue
         name = f"Image!{number}"
-        panels[name] = {"imageMode": {"imageTopic": topic, "calibrationTopic": calibration}}
+        # Viewers use these colours for images of one channel, such as depth in millimetres.
+        colors = {"colorMode": "colormap", "colorMap": "turbo", "minValue": 0}
+        of = {"imageTopic": topic, "calibrationTopic": calibration}
+        panels[name] = {"imageMode": {**of, **colors, "maxValue": round(2000.0 * extent)}}
         split = {"direction": "column", "first": layout["layout"]["first"], "second": name}
         layout["layout"]["first"] = {**split, "splitPercentage": 65}
     first = f"/env_{view_envs[0]}" if view_envs else "/env_0"

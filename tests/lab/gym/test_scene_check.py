@@ -265,9 +265,9 @@ def test_objects_and_lights_are_checked_too():
     ]
 
 
-def test_what_mujoco_refuses_in_the_end_is_a_problem_too(tmp_path):
-    flat = write(tmp_path / "flat.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    (problem,) = describe(reach(objects={"goal": RigidObjectCfg(shape=MeshCfg(fpath=flat))}))
+def test_what_mujoco_refuses_in_the_end_is_a_problem_too():
+    tiny = RigidObjectCfg(shape=SphereCfg(radius=1e-6))  # lighter than mjMINVAL
+    (problem,) = describe(reach(objects={"goal": tiny}))
     assert problem.message.startswith("MuJoCo cannot compile the scene: ")
 
 

@@ -72,19 +72,30 @@ def test_lerobot_has_them_as_videos(recorded, tmp_path):
         assert np.abs(found.astype(int) - seen[:, env]).mean() < 6
 
 
-def test_rerun_has_them_as_jpeg(recorded, tmp_path):
+def test_rerun_has_them_as_jpeg_in_the_scene(recorded, tmp_path):
     reader = pytest.importorskip("rerun.chunk").RrdReader
     log, seen = recorded
     path, found = export(log, "rrd", tmp_path / "log.rrd", Part(env=1)), {}
     for chunk in reader(path).stream():
-        if chunk.entity_path == "/env_1/camera/front":
+        if chunk.entity_path == "/world/env_1/camera/front":
             batch = chunk.to_record_batch()
-            blobs = batch.column("EncodedImage:blob").to_pylist()
-            found |= dict(zip(batch.column("step").to_pylist(), blobs, strict=True))
-    assert sorted(found) == [0, 2, 4, 6]  # 25 a second
-    for step, (blob,) in found.items():
+            for name in (name for name in batch.schema.names if ":" in name):
+                values = batch.column(name).to_pylist()
+                rows = zip(batch.column("step").to_pylist(), values, strict=True)
+                found.setdefault(name, {}).update(rows)
+    assert sorted(found["EncodedImage:blob"]) == [0, 2, 4, 6]  # 25 a second
+    for step, (blob,) in found["EncodedImage:blob"].items():
         with Image.open(io.BytesIO(bytes(blob))) as image:
             assert np.abs(np.asarray(image).astype(int) - seen[step, 1]).mean() < 6
+        # The target of the camera is in the middle of the picture, which looks along -z.
+        columns = np.array(found["Transform3D:mat3x3"][step][0]).reshape(3, 3)
+        eye = np.array(found["Transform3D:translation"][step][0])
+        assert np.allclose(eye, [0, -3, 1.5])
+        assert np.allclose(columns[2], (eye - [0, 0, 1.2]) / np.hypot(3, 0.3), atol=1e-6)
+        lens = np.array(found["Pinhole:image_from_camera"][step][0]).reshape(3, 3).T
+        focal = 24 / np.tan(np.radians(22.5))
+        assert np.allclose(lens, [[focal, 0, 32], [0, focal, 24], [0, 0, 1]])
+        assert found["Pinhole:resolution"][step] == [[64, 48]]
 
 
 def test_the_command_draws_any_camera_at_any_size(recorded, tmp_path, capsys):

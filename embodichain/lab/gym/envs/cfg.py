@@ -218,6 +218,7 @@ class PhysicsTaskCfg:
     iterations: Annotated[int, Field(ge=1)] | None = None
     integrator: Literal["implicitfast", "implicit", "Euler", "RK4"] | None = None
     cone: Literal["pyramidal", "elliptic"] | None = None
+    impratio: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
 
 
 @configclass

@@ -23,6 +23,7 @@ from embodichain.utils.atomic import atomic_file
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.episodes import Episodes
+    from embodichain.lab.gym.envs.managers.action_manager import ActionManager
     from embodichain.lab.gym.envs.managers.drawing import CommandManager
     from embodichain.lab.gym.envs.managers.manager import CurriculumManager
     from embodichain.lab.gym.envs.observation import Observation
@@ -173,6 +174,9 @@ class _JudgedByHooks(JudgedEnv, Protocol):
     episodes: Episodes
 
     @property
+    def action_manager(self) -> ActionManager: ...
+
+    @property
     def command_manager(self) -> CommandManager: ...
 
     @property
@@ -225,6 +229,8 @@ class StepJudge:
             fail = fail | masks["fail"]
         info["success"], info["fail"] = torch.from_numpy(success), torch.from_numpy(fail)
         reached = env.metric_manager.compute(obs, action, info)
+        if env.action_manager.has_metrics:
+            env.action_manager.report(info["metrics"])
         if env.command_manager.has_metrics:
             env.command_manager.report(info["metrics"])
         if len(env.curriculum_manager):

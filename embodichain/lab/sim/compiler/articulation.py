@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -210,12 +211,14 @@ def parse_with_problems(
             for p in error.problems
         ]
     problems = [*_unsupported(cfg, file), *check_pose(cfg)]
-    attached = getattr(cfg, "attach", {})
+    attached, init_qpos = getattr(cfg, "attach", {}), cfg.init_qpos
     try:
         robot = prepare_file(file, cfg.attrs)
         if attached:
+            init_qpos = _of_own_joints(init_qpos, robot.joints.names)
             robot, wrong = attach_files(robot, attached, file.velocity_limits)
-            problems += wrong
+            if wrong:  # which names the robot has is unknown
+                return None, [*problems, *wrong]
     except ConfigError as error:
         return None, [*problems, *error.problems]
     except MUJOCO_ERRORS as error:
@@ -225,7 +228,7 @@ def parse_with_problems(
     problems += wrong
     gains, wrong = resolve_drives(cfg.drive_pros, joints, parts, mimics.ids)
     problems += [p.below("drive_pros") for p in wrong]
-    qpos, wrong = resolve_qpos(cfg.init_qpos, joints, mimics, keyframe)
+    qpos, wrong = resolve_qpos(init_qpos, joints, mimics, keyframe)
     problems += wrong
     links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
     problems += check_attachments(links, cfg.attachments)
@@ -395,6 +398,12 @@ def _control_parts(
             problems.append(Problem(f"control_parts.{part}", message))
         found[part] = tuple(dict.fromkeys(ids))
     return found, problems
+
+
+def _of_own_joints(init_qpos: Any, names: Sequence[str]) -> Any:
+    """Return a list with a value for each joint of a robot's own file as a map."""
+    own = isinstance(init_qpos, Sequence | np.ndarray) and len(init_qpos) == len(names)
+    return dict(zip(map(exact_pattern, names), init_qpos, strict=True)) if own else init_qpos
 
 
 def _root_pose(model: mujoco.MjModel, root: str, keyframe: Keyframe | None) -> F64:

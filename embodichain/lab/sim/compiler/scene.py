@@ -89,6 +89,7 @@ def _apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
     option.solver = int(_SOLVERS[physics.solver])
     option.iterations = int(physics.iterations)
     option.cone = int(_CONES[physics.cone])
+    option.impratio = float(physics.impratio)
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 

@@ -132,6 +132,8 @@ class BatchEntity(Handle["EntityIndex"]):
     def destroy(self) -> None:
         """Drop the references to the engine."""
         super().destroy()
+        for motion in self._motions.values():
+            motion.release()
         self._motions.clear()
 
     @property

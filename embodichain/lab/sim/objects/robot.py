@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,9 +16,7 @@ from embodichain.utils.tensor_mapping import TensorMapping
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RobotCfg, SolverCfg
-    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.host import Host
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
 __all__ = ["Robot"]
@@ -35,9 +34,9 @@ class Robot(Articulation):
 
     cfg: RobotCfg
 
-    def __init__(self, cfg: RobotCfg, parsed: ParsedArticulation, host: Host) -> None:
-        super().__init__(cfg, parsed, host)
-        self._arms: dict[str | None, ArmSolver] = {}
+    @cached_property
+    def _arms(self) -> dict[str | None, ArmSolver]:
+        return {}
 
     def destroy(self) -> None:
         """Release the engine and the file's model; names and limits remain."""

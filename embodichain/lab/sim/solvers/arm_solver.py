@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.solvers.chain import Chain, matmul
-from embodichain.lab.sim.solvers.least_squares import LeastSquares, Target
+from embodichain.lab.sim.solvers.least_squares import (
+    LeastSquares,
+    Target,
+    joint_step,
+    pose_error,
+    squared,
+    times,
+    transposed,
+)
 from embodichain.lab.sim.solvers.ur_arm import UrArm
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
@@ -27,7 +35,14 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.objects.articulation import Articulation
 
-__all__ = ["ArmSolver", "tool_bodies"]
+__all__ = ["Approach", "ArmSolver", "tool_bodies"]
+
+_SAME = 1e-9
+"""M and rad: initial positions with a smaller error are a solution, to the bit."""
+_AT_LIMIT = 1e-6
+"""Rad or m: a joint this near to its limit is at it."""
+_FLAT = 0.02
+"""M or rad: the gradient of half the squared error over the error, below which it is stationary."""
 
 
 def tool_bodies(asset: Articulation, joints: Sequence[int]) -> list[int]:
@@ -50,6 +65,23 @@ def tool_bodies(asset: Articulation, joints: Sequence[int]) -> list[int]:
             found.append((len(above), body))
     deepest = max((depth for depth, _ in found), default=0)
     return [body for depth, body in found if depth == deepest]
+
+
+class Approach(NamedTuple):
+    """One step towards a pose.
+
+    Attributes:
+        change: (n, k) of the moving joints, rad or m.
+        distance: (n,) metres that remain after it, to first order.
+        angle: (n,) rad that remain; 0 where the orientation is free.
+        stationary: (n,) whether no motion of the joints within their limits reduces the error by a
+            notable part, as at the border of the workspace.
+    """
+
+    change: F64
+    distance: F64
+    angle: F64
+    stationary: NDArray[np.bool_]
 
 
 class ArmSolver:
@@ -120,16 +152,20 @@ class ArmSolver:
 
     def forward(self, qpos: F64, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
         """Position (n, 3) and orientation (n, 4) of the tool at joint positions (n, D)."""
+        pos, quat = self.forward_in_root(qpos, env_ids)
+        root_pos, root_quat = self.root_pose(env_ids)
+        return root_pos + quat_rotate(root_quat, pos), quat_multiply(root_quat, quat)
+
+    def forward_in_root(self, qpos: F64, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
+        """`forward` in the frame of the root."""
         frames = self.chain.frames(self._in_chain(qpos), env_ids)
-        root_pos, root_quat = self._root(env_ids)
         quat = matrix_to_quat(np.moveaxis(frames.rotation, -1, 0))
-        pos = root_pos + quat_rotate(root_quat, np.ascontiguousarray(frames.position.T))
-        return pos, quat_multiply(root_quat, quat)
+        return np.ascontiguousarray(frames.position.T), quat
 
     def jacobian(self, qpos: F64, env_ids: EnvIndex | None = None) -> F64:
         """(n, 6, k) of the joints `moving`: linear velocity of the tool, then angular velocity."""
         found = self.chain.jacobian(self.chain.frames(self._in_chain(qpos), env_ids))
-        turn = np.moveaxis(quat_to_matrix(self._root(env_ids)[1]), 0, -1)
+        turn = np.moveaxis(quat_to_matrix(self.root_pose(env_ids)[1]), 0, -1)
         columns = [
             np.concatenate([matmul(turn, found[:3, column]), matmul(turn, found[3:, column])])
             for column in self._columns
@@ -138,7 +174,7 @@ class ArmSolver:
 
     def to_root(self, pos: F64, quat: F64 | None, env_ids: EnvIndex | None = None) -> Target:
         """Poses (n, 3), (n, 4) of the environment's frame in that of the root."""
-        root_pos, root_quat = self._root(env_ids)
+        root_pos, root_quat = self.root_pose(env_ids)
         back = quat_conjugate(root_quat)
         moved = np.ascontiguousarray(quat_rotate(back, pos - root_pos).T)
         if quat is None:
@@ -165,13 +201,16 @@ class ArmSolver:
 
         Returns:
             (n, D) joint positions within the limits, and (n,) whether they reach the poses. Where
-            they do not, they are the nearest that were found.
+            they do not, they are the nearest that were found; where the initial ones do, these.
         """
         target = self.to_root(pos, quat, env_ids)
         if quat is None or not self.has_closed_form:
             return self._searched(qpos, target, env_ids, self._samples if restarts else 0)
         solutions, exist = self._all(qpos, target, env_ids)
-        found, reached = solutions[0].copy(), exist[0].copy()
+        error = pose_error(self.chain.frames(self._in_chain(qpos), env_ids), target)
+        there = (squared(error) < _SAME**2) & self._within_limits(qpos, env_ids)
+        found = np.where(there[:, None], qpos, solutions[0])
+        reached = there | exist[0]
         left = np.flatnonzero(~reached)
         if len(left):
             ids = left if env_ids is None else env_ids[left]
@@ -192,6 +231,48 @@ class ArmSolver:
             return found[None], reached[None]
         return self._all(qpos, self.to_root(pos, quat, env_ids), env_ids)
 
+    def approach(
+        self,
+        qpos: F64,
+        pos: F64,
+        quat: F64 | None,
+        largest: F64,
+        posture: F64 | None = None,
+        gain: float = 0.0,
+        env_ids: EnvIndex | None = None,
+    ) -> Approach:
+        """One step of damped least squares towards poses: differential inverse kinematics.
+
+        Args:
+            qpos: (n, D) positions of all joints.
+            pos: (n, 3) target positions.
+            quat: (n, 4) target orientations; None leaves them free.
+            largest: (k,) largest changes of the moving joints. A step that exceeds them is scaled
+                as a whole, so that the tool keeps its direction.
+            posture: (k,) positions that the joints approach in the null space, or None.
+            gain: The part of the way to them.
+            env_ids: (n,) environments.
+        """
+        frames = self.chain.frames(self._in_chain(qpos), env_ids)
+        error = pose_error(frames, self.to_root(pos, quat, env_ids))
+        jacobian = self.chain.jacobian(frames)[: len(error), self._columns]
+        now = np.ascontiguousarray(qpos[:, self.moving].T)
+        low, high = self.limits(env_ids)
+        # Joints beyond a limit come back to it.
+        lowest, highest = np.minimum(low - now, 0.0), np.maximum(high - now, 0.0)
+        lean = None if posture is None else gain * (posture[:, None] - now)
+        step = joint_step(error, jacobian, lowest, highest, lean)
+        share = np.abs(step) / largest[:, None]
+        step = step / np.maximum(share.max(axis=0), 1.0)
+        slope = transposed(jacobian, error)
+        blocked = ((slope > 0) & (highest < _AT_LIMIT)) | ((slope < 0) & (lowest > -_AT_LIMIT))
+        steepest = np.abs(np.where(blocked, 0.0, slope)).max(axis=0)
+        stationary = steepest * steepest < _FLAT**2 * squared(error)
+        left = error - times(jacobian, step)
+        distance = np.sqrt(squared(left[:3]))
+        angle = np.sqrt(squared(left[3:])) if len(left) > 3 else np.zeros_like(distance)
+        return Approach(np.ascontiguousarray(step.T), distance, angle, stationary)
+
     def limits(self, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
         """Lowest and highest positions (k, n) of the moving joints."""
         low, high = self._asset.drives.limits.of(self.moving, env_ids)
@@ -210,6 +291,13 @@ class ArmSolver:
         whole[..., self.moving] = np.moveaxis(found, 1, -1)
         return whole, exist
 
+    def _within_limits(self, qpos: F64, env_ids: EnvIndex | None) -> NDArray[np.bool_]:
+        low, high = self.limits(env_ids)
+        now = qpos[:, self.moving].T
+        beyond = np.maximum(low - now, now - high).max(axis=0)
+        within: NDArray[np.bool_] = np.asarray(beyond <= 0.0)
+        return within
+
     def _searched(
         self, qpos: F64, target: Target, env_ids: EnvIndex | None, restarts: int
     ) -> tuple[F64, NDArray[np.bool_]]:
@@ -224,7 +312,8 @@ class ArmSolver:
         """(K, n) positions of the chain's joints."""
         return np.ascontiguousarray(qpos[:, self.chain.joints].T)
 
-    def _root(self, env_ids: EnvIndex | None) -> tuple[F64, F64]:
+    def root_pose(self, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
+        """Position (n, 3) and orientation (n, 4) of the root."""
         pos, quat = self._asset.read_pose()
         return (pos, quat) if env_ids is None else (pos[env_ids], quat[env_ids])
 

@@ -98,6 +98,13 @@ class Chain:
         """Whether all environments have the same transforms."""
         return all(len(self._engine.model_values(name)) == 1 for name in _FIELDS)
 
+    @property
+    def reach(self) -> float:
+        """Metres: the length of all links, an upper bound of the tool's distance without slides."""
+        return float(
+            sum(np.linalg.norm(shift, axis=0).max() for shift in self._transforms(None)[1])
+        )
+
     def frames(self, qpos: F64, env_ids: EnvIndex | None = None) -> Frames:
         """Compute the frames at joint positions.
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.solvers.chain import Frames
 
-__all__ = ["LeastSquares", "Target", "joint_step", "pose_error"]
+__all__ = ["LeastSquares", "Target", "joint_step", "pose_error", "squared", "times", "transposed"]
 
 _DAMPING = 1e-8
 _LONGEST_STEP = 0.5
@@ -111,17 +111,25 @@ def joint_step(
         bounded = np.clip(step[:, rows], lowest[:, rows], highest[:, rows])
         motion = np.where(held, bounded, wanted[:, rows])
         free = columns * ~held
-        left = error[:, rows] - _times(columns, np.where(held, bounded, 0.0))
+        left = error[:, rows] - times(columns, np.where(held, bounded, 0.0))
         step[:, rows] = _solved(left, free, damping[rows], motion)
     within: F64 = np.clip(step, lowest, highest)
     return within
 
 
-def _times(jacobian: F64, motion: F64) -> F64:
+def times(jacobian: F64, motion: F64) -> F64:
     """(r, n) J v."""
     found: F64 = jacobian[:, 0] * motion[0]
     for joint in range(1, len(motion)):
         found = found + jacobian[:, joint] * motion[joint]
+    return found
+
+
+def transposed(jacobian: F64, error: F64) -> F64:
+    """(k, n) J^T e."""
+    found: F64 = jacobian[0] * error[0]
+    for row in range(1, len(error)):
+        found = found + jacobian[row] * error[row]
     return found
 
 
@@ -132,12 +140,10 @@ def _solved(error: F64, jacobian: F64, damping: F64, motion: F64) -> F64:
     for joint in range(1, count):
         gram = gram + jacobian[:, None, joint] * jacobian[None, :, joint]
     gram[np.arange(size), np.arange(size)] += damping
-    left = error - _times(jacobian, motion)
+    left = error - times(jacobian, motion)
     # LAPACK solves each environment's system alone.
-    y = np.linalg.solve(np.moveaxis(gram, -1, 0), left.T[..., None])[..., 0].T
-    step: F64 = motion + jacobian[0] * y[0]
-    for row in range(1, size):
-        step = step + jacobian[row] * y[row]
+    y = np.linalg.solve(np.moveaxis(gram, -1, 0), left.T[..., None])[..., 0].T.astype(np.float64)
+    step: F64 = motion + transposed(jacobian, y)
     return step
 
 

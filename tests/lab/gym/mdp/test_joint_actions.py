@@ -311,9 +311,3 @@ def test_effort_beside_stiff_drives_warns(make, caplog) -> None:
     assert "joints Joint1 have a drive with stiffness" in caplog.text
     env.reset()
     step(env, [1.0])
-
-
-@pytest.mark.parametrize("name", ["EefPoseTerm", "eef_pose", "RelativeEefPoseAction"])
-def test_end_effector_actions_say_when_they_come(make, name) -> None:
-    with pytest.raises(ConfigError, match="come with the IK solvers, in a later version"):
-        make(actions={"arm": ActionTermCfg(func=name)})

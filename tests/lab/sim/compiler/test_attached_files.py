@@ -102,6 +102,24 @@ def test_joints_and_actuators_belong_to_the_robot(hand):
     assert (qpos[1], qpos[6]) == (-1, 0.2)
 
 
+def test_a_list_of_initial_positions_may_leave_out_attached_joints(hand):
+    attach = {"hand": AttachedFileCfg(fpath=hand, to="ee_link")}
+    own = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
+    qpos = parsed(UR10, attach, init_qpos=own).init_qpos
+    np.testing.assert_allclose(qpos[:6], own)
+    assert qpos[6] == pytest.approx(0.4)  # the hand's keyframe
+    np.testing.assert_allclose(parsed(UR10, attach, init_qpos=[*own, *[0.0] * 8]).init_qpos[6:], 0)
+    with pytest.raises(ConfigError, match="14 values"):
+        parsed(UR10, attach, init_qpos=own[:3])
+
+
+def test_names_of_a_wrong_attachment_are_not_reported_too(hand):
+    attach = {"hand": AttachedFileCfg(fpath=hand, to="eelink")}
+    with pytest.raises(ConfigError) as caught:
+        parsed(UR10, attach, control_parts={"hand": ["hand/.*"]})
+    assert [p.path for p in caught.value.problems] == ["arm.attach.hand.to"]
+
+
 def test_drives_of_a_urdf_gripper_on_an_mjcf_arm(tmp_path):
     arm_file, gripper = write(tmp_path / "a.xml", UR5E), write(tmp_path / "g.urdf", GRIPPER_URDF)
     attach = {"gripper": AttachedFileCfg(fpath=gripper, to="wrist_3_link")}

@@ -86,6 +86,16 @@ def test_singular_poses_have_solutions(tmp_path) -> None:
     sim.destroy()
 
 
+def test_a_seed_that_solves_stays_to_the_bit(tmp_path) -> None:
+    sim, robot = arm_in(arm_cfg("ur5e", tmp_path))
+    solver = robot.get_solver("arm")
+    for qpos in ([0.3, -1.0, 1.2, 0.5, 0.9, 0.7], [0.3, -1.0, 1.2, 0.5, 0.0, 0.7]):
+        seed = np.array([qpos])  # the second with axes 4 and 6 parallel
+        found, reached = solver.inverse(seed, *solver.forward(seed))
+        assert reached.all() and np.array_equal(found, seed)
+    sim.destroy()
+
+
 def test_other_arms_have_no_closed_form(tmp_path) -> None:
     sim, robot = arm_in(arm_cfg("panda", tmp_path))
     assert not robot.get_solver("arm").has_closed_form

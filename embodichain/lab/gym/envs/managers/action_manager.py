@@ -186,6 +186,8 @@ def drive_robot(
 class ActionManager(Manager[ActionTermCfg]):
     """Terms that own consecutive slices of the action, in declared order.
 
+    Metrics of terms are those of the present step: ``info["metrics"]["TERM/METRIC"]``.
+
     Args:
         env: The environment; its scene is complete.
         cfgs: Name -> action term.
@@ -206,6 +208,7 @@ class ActionManager(Manager[ActionTermCfg]):
         super().__init__(env, "actions", "action", cfgs)
 
     def _bind(self) -> None:
+        default = ActionTerm.metrics
         known, self.slices = self.slices, {}
         start = 0
         lows: list[NDArray[np.float32]] = [np.zeros(0, np.float32)]
@@ -223,6 +226,11 @@ class ActionManager(Manager[ActionTermCfg]):
         self.low: NDArray[np.float32] = low
         self.high: NDArray[np.float32] = high
         self._calls = [(self._receiver(n, t), self.slices[n]) for n, t in self.terms.items()]
+        self._measured = [
+            (name, term.instance.metrics)
+            for name, term in self.terms.items()
+            if getattr(type(term.instance), "metrics", default) is not default
+        ]
 
     def _receiver(self, name: str, term: BuiltTerm[ActionTermCfg]) -> Callable[..., Any]:
         """The function that receives a term's slice: the term, or its delay and noise."""
@@ -274,6 +282,21 @@ class ActionManager(Manager[ActionTermCfg]):
             return
         for call, columns in self._calls:
             call(action[:, columns])
+
+    @property
+    def has_metrics(self) -> bool:
+        """Whether a term measures how its action was applied."""
+        return bool(self._measured)
+
+    def report(self, metrics: dict[str, torch.Tensor]) -> None:
+        """Add the metrics of the last action.
+
+        Args:
+            metrics: Gains ``TERM/METRIC`` -> (N,) float32.
+        """
+        for name, measure in self._measured:
+            for key, values in measure().items():
+                metrics[f"{name}/{key}"] = torch.from_numpy(values.astype(np.float32))
 
     def home(self) -> NDArray[np.float64]:
         """(A,) the action that goes to the initial state."""

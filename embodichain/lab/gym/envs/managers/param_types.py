@@ -59,7 +59,6 @@ __all__ = [
     "PositionCommand",
     "Positive",
     "Range",
-    "RangeOrBox",
     "Ranges",
     "Reference",
     "ScaleRange",
@@ -151,11 +150,6 @@ Ranges = Annotated[
     Discriminator(_named_form),
 ]
 """[low, high] for all, or {name regex: [low, high]}."""
-RangeOrBox = Annotated[
-    Annotated[Range, Tag("for all")] | Annotated[Box3, Tag("by axis")],
-    Discriminator(_axis_form),
-]
-"""[low, high], or [[x, y, z] low, [x, y, z] high]."""
 JointRange = Annotated[
     Annotated[Range, Tag("for all")] | Annotated[Box, Tag("by axis")],
     Discriminator(_axis_form),

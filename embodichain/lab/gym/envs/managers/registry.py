@@ -86,10 +86,6 @@ policy, which is described here but is not a term, only parameters)."""
 _LEAD_OF_QUANTITIES = ("obs", "action", "info")
 """Arguments that a quantity may take after `env`, in this order; not in observations."""
 
-_EEF_LATER = (
-    "end-effector actions come with the IK solvers, in a later version; until then act on joints: "
-    "joint_action"
-)
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
@@ -395,8 +391,6 @@ def resolve_term(
     elsewhere = [other for other in KINDS if func in TERMS[other]]
     if elsewhere:
         raise ConfigError(f"{func!r} is a term of kind {', '.join(elsewhere)}, not {kind}")
-    if kind == "action" and "eef" in func.lower():
-        raise ConfigError(f"{func!r} is not available yet: {_EEF_LATER}")
     names = listing(sorted(TERMS[kind]), func, "embodichain list terms")
     missing = "".join(f" Besides, {reason}." for reason in TERMS.broken)
     raise ConfigError(

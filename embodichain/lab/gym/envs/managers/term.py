@@ -106,6 +106,10 @@ class ActionTerm(Term):
         """(N, A) or (A,) the action that keeps the present targets."""
         return self.home()
 
+    def metrics(self) -> Mapping[str, F64]:
+        """How the last action was applied: name -> (N,). The default is empty."""
+        return {}
+
 
 @dataclass(frozen=True, slots=True)
 class CommandMarker:

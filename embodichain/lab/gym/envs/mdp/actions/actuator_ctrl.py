@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
-__all__ = ["ActuatorCtrl"]
+__all__ = ["ActuatorCtrl", "picked_controls"]
 
 
 @register_term("action", name="actuator_ctrl")
@@ -73,7 +73,7 @@ class ActuatorCtrl(ActionTerm):
         if list(entity_cfg.joint_ids) != self._asset.active_joint_ids:
             message = "picks joints; this term picks actuators: actuator_names"
             raise ConfigError([Problem("entity_cfg", message)])
-        self._which: NDArray[np.int64] = _picked(actuator_names, parsed.control_names)
+        self._which: NDArray[np.int64] = picked_controls(actuator_names, parsed.control_names)
         self.names = tuple(parsed.control_names[i] for i in self._which)
         limits = None if clip is not None else self._ranges(parsed)
         count = env.num_envs
@@ -116,8 +116,12 @@ class ActuatorCtrl(ActionTerm):
         return self._action_for(self._asset.read_ctrl()[:, self._which])
 
 
-def _picked(patterns: Names | None, names: tuple[str, ...]) -> NDArray[np.int64]:
-    """Indices of the controls that regexes match in full, in the model's order."""
+def picked_controls(patterns: Names | None, names: tuple[str, ...]) -> NDArray[np.int64]:
+    """Return the indices of the controls that regexes match in full, in the model's order.
+
+    Raises:
+        ConfigError: If a regex matches none; lists the names.
+    """
     if patterns is None:
         return np.arange(len(names))
     found: set[int] = set()

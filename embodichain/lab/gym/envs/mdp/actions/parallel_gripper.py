@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
+import lazy_loader
 import numpy as np
 
+from embodichain.lab.gym.envs.cfg import Names
+from embodichain.lab.gym.envs.managers.param_types import Positive, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import finite_limits
+from embodichain.lab.gym.envs.mdp.actions.actuator_ctrl import picked_controls
 from embodichain.lab.gym.envs.mdp.actions.joint_action import (
     JointTerm,
     PerJoint,
@@ -17,40 +21,54 @@ from embodichain.lab.gym.envs.mdp.actions.joint_action import (
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
+    import mujoco
     import torch
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
+else:
+    mujoco = lazy_loader.load("mujoco")
 
 __all__ = ["ParallelGripper"]
 
 
 @register_term("action", name="parallel_gripper")
 class ParallelGripper(JointTerm):
-    """One action in [-1, 1] for all joints of a gripper, as position targets.
+    """One number for all fingers of a gripper, as position targets or controls.
 
-    ``continuous``: target = lower + (upper - lower) x (action + 1) / 2, lower and upper the joints'
-    limits or `lower_command` and `upper_command`. ``binary``: below 0 the targets are
-    `close_command`, else `open_command`, as in Isaac Lab's BinaryJointPositionAction. EmbodiChain
-    0.3's ParallelGripperAction.
+    ``continuous``: target = lower + (upper - lower) x share; lower and upper are the limits of the
+    joints or controls, or `lower_command` and `upper_command`; share = (action + 1) / 2, or that of
+    `width`. ``binary``: below 0 the targets are `close_command`, else `open_command`, as in Isaac
+    Lab's BinaryJointPositionAction. EmbodiChain 0.3's ParallelGripperAction.
+
+    Joints that mimic another follow it; a gripper of an MJCF file, whose fingers move by a tendon,
+    is moved by the control of its actuator.
 
     Example:
-        ``{func: parallel_gripper, params: {of: {uid: panda, joint_names: ".*finger.*1"}}}``
+        ``{func: parallel_gripper, params: {of: {uid: ur10}, actuator_names: gripper/grip}}``
 
     Args:
         entity_cfg: The robot and the joints of its gripper.
         command_mode: ``continuous`` or ``binary``.
-        use_joint_limits: Whether lower and upper are the joints' limits; false (or null where
-            commands are given) takes the commands.
-        lower_command: rad or m at action -1: a number, a list per joint, or {joint regex: number}.
+        use_joint_limits: Whether lower and upper are the limits; false (or null where commands are
+            given) takes the commands.
+        lower_command: rad or m at action -1: a number, a list per joint, or {joint regex: number};
+            with `actuator_names`, units of ctrl.
         upper_command: At action +1, likewise.
         open_command: rad or m, likewise; binary mode needs it.
         close_command: Likewise.
+        actuator_names: Regexes over the names of controls, in place of joints.
+        width: Openings in metres at the lower and the upper command: actions are openings then, not
+            numbers from -1 to 1; the opening is linear in the command.
+        force: N (N m of hinges): most that a finger presses with. At the start of a control step
+            the target is never further ahead than force / stiffness of the servo.
+        speed: Units of the command a second: the target moves no faster.
 
     Raises:
-        ConfigError: If commands of the mode are missing, commands of the other mode are given, or
-            both ends are the same.
+        ConfigError: If commands of the mode are missing, commands of the other mode are given, both
+            ends are the same, a regex matches no control, or `force` is given for an actuator that
+            is not a position servo of joints or of a fixed tendon.
     """
 
     def __init__(
@@ -63,8 +81,16 @@ class ParallelGripper(JointTerm):
         upper_command: PerJoint | None = None,
         open_command: PerJoint | None = None,
         close_command: PerJoint | None = None,
+        actuator_names: Names | None = None,
+        width: Range | None = None,
+        force: Positive | None = None,
+        speed: Positive | None = None,
     ) -> None:
-        super().__init__(env, entity_cfg)
+        super().__init__(env, entity_cfg, driven=actuator_names is None)
+        self._controls: _Controls | None = None
+        if actuator_names is not None:
+            self._controls = _Controls(self._asset, actuator_names, force is not None)
+            self.names, self._default = self._controls.names, self._controls.initial
         self._binary = command_mode == "binary"
         ends = {"lower_command": lower_command, "upper_command": upper_command}
         states = {"close_command": close_command, "open_command": open_command}
@@ -72,6 +98,8 @@ class ParallelGripper(JointTerm):
         strange = [name for name, value in other.items() if value is not None]
         if self._binary and use_joint_limits:
             strange.append("use_joint_limits")
+        if self._binary and width is not None:
+            strange.append("width")
         if strange:
             raise ConfigError(
                 [Problem(n, f"has no meaning in mode {command_mode}") for n in strange]
@@ -79,25 +107,33 @@ class ParallelGripper(JointTerm):
         if use_joint_limits is None:
             use_joint_limits = not self._binary and lower_command is upper_command is None
         if use_joint_limits:
-            self._low, self._high = self._joint_limits(wanted)
+            self._low, self._high = self._limits(wanted)
         else:
             self._low, self._high = self._commands(wanted)
         self._span: F64 = self._high - self._low
         if not self._span.any():
             raise ConfigError([Problem(next(iter(wanted)), "both ends are the same")])
-        self.low: NDArray[np.float32] = np.full(1, -1, np.float32)
-        self.high: NDArray[np.float32] = np.full(1, 1, np.float32)
+        self._ends = (-1.0, 1.0) if width is None else (float(width[0]), float(width[1]))
+        if self._ends[0] == self._ends[1]:
+            raise ConfigError([Problem("width", "both ends are the same")])
+        self._force = force
+        self._step: float | None = None if speed is None else speed * env.step_dt
+        self.low: NDArray[np.float32] = np.full(1, self._ends[0], np.float32)
+        self.high: NDArray[np.float32] = np.full(1, self._ends[1], np.float32)
         self._names, self.names = self.names, ("gripper",)
 
-    def _joint_limits(self, commands: dict[str, Any]) -> tuple[F64, F64]:
+    def _limits(self, commands: dict[str, Any]) -> tuple[F64, F64]:
         given = [name for name, value in commands.items() if value is not None]
         if given:
             raise ConfigError([Problem(n, "contradicts use_joint_limits: true") for n in given])
-        limits = np.asarray(self._asset.parsed.qpos_limits, np.float64)
-        if not np.isfinite(limits[self._ids]).all():
-            message = f"joints {list(self.names)} need limits, or give lower_ and upper_command"
+        limits = np.asarray(self._asset.parsed.qpos_limits, np.float64)[self._ids]
+        what = "joints"
+        if self._controls is not None:
+            limits, what = self._controls.limits, "controls"
+        if not np.isfinite(limits).all():
+            message = f"{what} {list(self.names)} need limits, or give lower_ and upper_command"
             raise ConfigError([Problem("use_joint_limits", message)])
-        return finite_limits(limits, self._ids)
+        return finite_limits(limits, np.arange(len(limits)))
 
     def _commands(self, commands: dict[str, Any]) -> tuple[F64, F64]:
         missing = [name for name, value in commands.items() if value is None]
@@ -108,11 +144,36 @@ class ParallelGripper(JointTerm):
 
     def apply(self, action: torch.Tensor) -> None:
         """Write the targets of (N, 1) actions."""
-        given = np.minimum(np.maximum(action.numpy().astype(np.float64), -1.0), 1.0)
+        given = np.minimum(np.maximum(action.numpy().astype(np.float64), self.low), self.high)
         if self._binary:
-            self._write_targets(np.where(given < 0.0, self._low, self._high))
+            target = np.where(given < 0.0, self._low, self._high)
         else:
-            self._write_targets(self._low + self._span * (0.5 * (given + 1.0)))
+            start, end = self._ends
+            target = self._low + self._span * ((given - start) / (end - start))
+        if self._step is not None:
+            now = self._current()
+            target = np.minimum(np.maximum(target, now - self._step), now + self._step)
+        if self._force is not None:
+            place, ahead = self._reach(self._force)
+            target = np.minimum(np.maximum(target, place - ahead), place + ahead)
+        if self._controls is None:
+            self._write_targets(target)
+        else:
+            self._asset.write_ctrl(target, self._controls.which)
+
+    def _current(self) -> F64:
+        """(N, A) present targets or controls."""
+        if self._controls is None:
+            return self._targets()
+        ctrl: F64 = self._asset.read_ctrl()[:, self._controls.which]
+        return ctrl
+
+    def _reach(self, force: float) -> tuple[F64, F64]:
+        """(N, A) targets at which servos have no force, and how far ahead they have `force`."""
+        if self._controls is not None:
+            return self._controls.reach(self._asset.read_qpos(), force)
+        stiffness = self._asset.drives.stiffness[:, self._ids]
+        return self._qpos(), force / np.where(stiffness > 0.0, stiffness, np.inf)
 
     def _action_at(self, position: F64) -> F64:
         """(..., 1) the action nearest to positions (..., A): the mean over the joints that move."""
@@ -121,7 +182,9 @@ class ParallelGripper(JointTerm):
         found = shares[0]
         for share in shares[1:]:
             found = found + share
-        value: F64 = np.clip(2.0 * np.asarray(found) / len(moving) - 1.0, -1.0, 1.0)
+        start, end = self._ends
+        value: F64 = start + (end - start) * (np.asarray(found) / len(moving))
+        value = np.clip(value, start, end)
         return np.where(value < 0.0, -1.0, 1.0)[..., None] if self._binary else value[..., None]
 
     def home(self) -> F64:
@@ -130,4 +193,69 @@ class ParallelGripper(JointTerm):
 
     def hold(self) -> F64:
         """(N, 1) the action nearest to the present targets."""
-        return self._action_at(self._targets())
+        return self._action_at(self._current())
+
+
+class _Controls:
+    """Controls of a gripper's actuators.
+
+    Args:
+        asset: The robot.
+        patterns: Regexes over the names of controls.
+        forced: Whether `reach` is used, which needs position servos on joints or fixed tendons.
+
+    Attributes:
+        which: (A,) columns of the controls.
+        names: Their names.
+        limits: (A, 2), infinite where there are none.
+        initial: (A,) initial controls.
+    """
+
+    def __init__(self, asset: Any, patterns: Names, forced: bool) -> None:
+        parsed = asset.parsed
+        self.which: NDArray[np.int64] = picked_controls(patterns, parsed.control_names)
+        self.names = tuple(parsed.control_names[i] for i in self.which)
+        self.limits: F64 = np.asarray(parsed.ctrl_limits, np.float64)[self.which]
+        self.initial: F64 = np.asarray(parsed.init_ctrl, np.float64)[self.which]
+        if forced:
+            rows = [_servo(parsed, name) for name in self.names]
+            self._gain: F64 = np.array([gain for gain, *_ in rows])
+            self._bias: F64 = np.array([bias for _, bias, _ in rows])
+            self._lever: F64 = np.array([lever for *_, lever in rows])
+
+    def reach(self, qpos: F64, force: float) -> tuple[F64, F64]:
+        """Controls (N, A) without force at positions (N, D), and the distance (A,) to `force`."""
+        length = np.zeros((len(qpos), len(self.names)))
+        for joint in np.flatnonzero(self._lever.any(axis=0)).tolist():  # in a fixed order
+            length += qpos[:, joint, None] * self._lever[:, joint]
+        free: F64 = -(self._bias[:, 0] + self._bias[:, 1] * length) / self._gain
+        return free, force / np.abs(self._gain)
+
+
+def _servo(parsed: Any, name: str) -> tuple[float, F64, F64]:
+    """Gain, bias (2,) and length per joint position (D,) of an actuator's servo."""
+    model: mujoco.MjModel = parsed.model
+    lever: F64 = np.zeros(len(parsed.joint_names))
+    numbers = {model.joint(joint).id: i for i, joint in enumerate(parsed.joint_names)}
+    actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+    kind, target = -1, -1
+    if actuator >= 0 and model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE:
+        kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
+    if kind == mujoco.mjtTrn.mjTRN_JOINT and target in numbers:
+        lever[numbers[target]] = 1.0
+    elif kind == mujoco.mjtTrn.mjTRN_TENDON:
+        first = int(model.tendon_adr[target])
+        for i in range(first, first + int(model.tendon_num[target])):
+            if model.wrap_type[i] == mujoco.mjtWrap.mjWRAP_JOINT:
+                lever[numbers[int(model.wrap_objid[i])]] = model.wrap_prm[i]
+    gain, bias = 0.0, np.zeros(2)
+    if lever.any() and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED:
+        lever *= model.actuator_gear[model.actuator_outadr[actuator], 0]
+        gain, bias = (
+            float(model.actuator_gainprm[actuator, 0]),
+            model.actuator_biasprm[actuator, :2],
+        )
+    if gain == 0.0 or not bias[1] < 0.0:
+        message = f"{name!r} is no position servo of joints or of a fixed tendon"
+        raise ConfigError([Problem("force", message)])
+    return gain, bias, lever

@@ -57,7 +57,7 @@ def rpy_to_quat(angles: F64) -> F64:
     return quat_conjugate(euler_xyz_to_quat(-angles))
 
 
-def need_free_root(entity: ResolvedEntity, path: str = "entity_cfg.uid") -> None:
+def need_free_root(entity: ResolvedEntity) -> None:
     """Check that the root of an entity has a velocity.
 
     Raises:
@@ -68,7 +68,7 @@ def need_free_root(entity: ResolvedEntity, path: str = "entity_cfg.uid") -> None
             f"{entity.uid!r} cannot get a velocity: it needs body_type: dynamic (an object) or "
             "fix_base: false (a robot)"
         )
-        raise ConfigError([Problem(path, message)])
+        raise ConfigError([Problem("entity_cfg.uid", message)])
 
 
 def read_root_velocity(asset: Any) -> F64:

@@ -1,0 +1,314 @@
+"""Actions that move a robot's tool: to a pose, or from where it is.
+
+`EefTerm` takes one step of differential inverse kinematics a control step; `EefPose` and
+`EefDeltaPose` compute its target.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from embodichain.lab.gym.envs.managers.param_types import Box3, UnitInterval
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.scene_entity import UNLIMITED, ResolvedEntity
+from embodichain.lab.gym.envs.mdp._tools import arm_solver
+from embodichain.lab.gym.envs.mdp.actions.joint_action import (
+    Affine,
+    JointClip,
+    JointTerm,
+    PerJoint,
+    per_joint,
+)
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import (
+    euler_xyz_to_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_rotate,
+    rotvec_to_quat,
+)
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.api import F64
+
+__all__ = ["EefDeltaPose", "EefPose", "EefTerm"]
+
+_POSITION_TOLERANCE, _ROTATION_TOLERANCE = 1e-3, 1e-2
+"""M and rad: a larger error is flagged where the joints cannot reduce it."""
+_TURNS_A_SECOND, _METRES_A_SECOND = np.pi, 1.0
+"""Rad/s and m/s of joints for which neither file nor drive has a limit."""
+
+
+class EefTerm(JointTerm):
+    """An action term that moves a tool by one step of damped least squares a control step.
+
+    The step starts at the drives' position targets, not at the measured positions: a robot that
+    sags under gravity does not sink. It is scaled so that no joint exceeds its speed.
+
+    Args:
+        env: The environment.
+        entity: The robot; picked joints move, the picked link is the tool.
+        max_velocity: rad/s or m/s of joints; None is the file's limit, else pi rad/s or 1 m/s.
+        posture_gain: The part of the way to the initial joint positions that a step takes in the
+            null space of a redundant arm.
+
+    Raises:
+        ConfigError: If there is no tool, no joint that moves it, or a joint has no position drive.
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity: ResolvedEntity,
+        max_velocity: PerJoint | None,
+        posture_gain: float,
+    ) -> None:
+        self._solver = arm_solver(entity)
+        moving, names = self._solver.moving, self._solver.names
+        joints = tuple(map(int, moving))
+        picked = dataclasses.replace(entity, joint_ids=joints, joint_names=names, all_joints=False)
+        super().__init__(env, picked)
+        self._count = env.num_envs
+        self._largest: F64 = self._speeds(max_velocity) * env.step_dt
+        self._gain = posture_gain
+        self._measures: dict[str, F64] = {}
+
+    def _speeds(self, given: PerJoint | None) -> F64:
+        """(k,) largest speeds of the joints."""
+        if given is not None:
+            speeds = per_joint(given, self.names, "max_velocity")
+            if not (speeds > 0).all():
+                raise ConfigError([Problem("max_velocity", "must be positive")])
+            return speeds
+        parsed = self._asset.parsed
+        limits = np.minimum(parsed.qvel_limits, parsed.max_velocity)[self._ids]
+        hinges = self._solver.chain.hinges[np.isin(self._solver.chain.joints, self._ids)]
+        usual = np.where(hinges, _TURNS_A_SECOND, _METRES_A_SECOND)
+        found: F64 = np.where(limits < UNLIMITED, limits, usual)
+        return found
+
+    def _commanded(self) -> F64:
+        """(N, D) joint positions with the moving joints at their targets."""
+        whole: F64 = self._asset.read_qpos().copy()
+        whole[:, self._ids] = self._targets()
+        return whole
+
+    def _follow(self, commanded: F64, pos: F64, quat: F64 | None) -> None:
+        """Move targets towards poses (N, 3), (N, 4) in the environment's frame."""
+        posture = self._default if self._gain else None
+        step = self._solver.approach(commanded, pos, quat, self._largest, posture, self._gain)
+        self._write_targets(commanded[:, self._ids] + step.change)
+        off = (step.distance > _POSITION_TOLERANCE) | (step.angle > _ROTATION_TOLERANCE)
+        self._measures = {
+            "position_error": step.distance,
+            "rotation_error": step.angle,
+            "unreachable": (off & step.stationary).astype(np.float64),
+        }
+        if quat is None:
+            del self._measures["rotation_error"]
+
+    def metrics(self) -> Mapping[str, F64]:
+        """Errors in m and rad that the last step leaves, and whether the pose is out of reach."""
+        return self._measures
+
+
+def _quat_to_rpy(quat: F64) -> F64:
+    """Roll, pitch, yaw about fixed axes (R = Rz Ry Rx), (..., 3), of wxyz quaternions."""
+    w, x, y, z = np.ascontiguousarray(np.moveaxis(quat, -1, 0))
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    angles: F64 = np.stack([roll, pitch, yaw], axis=-1)
+    return angles
+
+
+_QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
+
+
+@register_term("action", name="eef_pose")
+class EefPose(EefTerm):
+    """Moves a robot's tool towards a pose, by inverse kinematics, as fast as its joints may.
+
+    Each control step the position targets of the joints move by one step of damped least squares.
+    ``info["metrics"]`` has ``TERM/position_error`` (m), ``TERM/rotation_error`` (rad) and
+    ``TERM/unreachable``: 1 where the pose is out of reach; the tool then goes as near as it can.
+
+    Args:
+        entity_cfg: The robot; control parts or joint names pick the joints that move, a link name
+            picks the tool (else the part's tool point in `solver_cfg`, else the farthest link).
+        frame: Of the pose: ``base``, the robot's root, or ``world``, the environment.
+        rotation: ``quat`` (qw, qx, qy, qz, normalized; 0 keeps the orientation), ``rpy`` (roll,
+            pitch, yaw in rad about fixed axes, R = Rz Ry Rx), ``keep`` (the initial orientation in
+            `frame`) or ``free``; the last two have no columns.
+        position_range: [[x, y, z] low, [x, y, z] high] in metres, the bounds of the position; None
+            is a box around all that the links could reach.
+        max_velocity: rad/s or m/s of the joints: a number, a list per joint, or {joint regex:
+            number}. None is the limit of the file or the drive, else pi rad/s or 1 m/s.
+        posture_gain: In [0, 1]: the part of the way to the initial joint positions that a step
+            takes in the null space, for arms with more joints than the pose needs.
+
+    Raises:
+        ConfigError: If the tool is not unique, or a joint has no drive with position targets.
+
+    Example:
+        ``{func: eef_pose, params: {of: {uid: ur10}, rotation: keep, position_range: [[0.3, -0.4, 0.1], [0.8, 0.4, 0.6]]}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        frame: Literal["base", "world"] = "base",
+        rotation: Literal["quat", "rpy", "keep", "free"] = "quat",
+        position_range: Box3 | None = None,
+        max_velocity: PerJoint | None = None,
+        posture_gain: UnitInterval = 0.0,
+    ) -> None:
+        super().__init__(env, entity_cfg, max_velocity, posture_gain)
+        self._world, self._rotation = frame == "world", rotation
+        index = self._asset.entity
+        root = np.zeros(3) if not self._world else np.asarray(index.pos0, np.float64)
+        reach = self._solver.chain.reach
+        box = [root - reach, root + reach] if position_range is None else position_range
+        extra = {"quat": 1.0, "rpy": np.pi}.get(rotation, 0.0)
+        self.names = ("x", "y", "z", *{"quat": _QUATS, "rpy": _ANGLES}.get(rotation, ()))
+        ends = np.full(len(self.names) - 3, extra)
+        self.low: NDArray[np.float32] = np.concatenate([box[0], -ends]).astype(np.float32)
+        self.high: NDArray[np.float32] = np.concatenate([box[1], ends]).astype(np.float32)
+        initial = np.asarray(self._asset.parsed.init_qpos, np.float64)[None]
+        pos, quat = self._solver.forward_in_root(initial, np.zeros(1, np.int64))
+        if self._world:
+            turn = np.asarray(index.quat0, np.float64)[None]
+            pos, quat = root + quat_rotate(turn, pos), quat_multiply(turn, quat)
+        self._home: F64 = self._action_at(pos, quat)[0]
+        self._kept: F64 = np.tile(quat, (self._count, 1))
+
+    def _action_at(self, pos: F64, quat: F64) -> F64:
+        """(n, A) the action for a pose in `frame`."""
+        turned = {"quat": quat, "rpy": _quat_to_rpy(quat)}.get(self._rotation, quat[:, :0])
+        action = np.concatenate([pos, turned], axis=1)
+        within: F64 = np.minimum(np.maximum(action, self.low), self.high)
+        return within
+
+    def apply(self, action: torch.Tensor) -> None:
+        """Move the targets towards the poses of (N, A) actions."""
+        given = np.minimum(np.maximum(action.numpy(), self.low), self.high).astype(np.float64)
+        commanded = self._commanded()
+        pos, turned = np.ascontiguousarray(given[:, :3]), np.ascontiguousarray(given[:, 3:])
+        quat: F64 | None = None
+        if self._rotation == "keep":
+            quat = self._kept
+        elif self._rotation == "rpy":
+            quat = quat_conjugate(euler_xyz_to_quat(-turned))
+        elif self._rotation == "quat":
+            quat = self._normalized(turned, commanded)
+        if not self._world:
+            root_pos, root_quat = self._solver.root_pose()
+            pos = root_pos + quat_rotate(root_quat, pos)
+            quat = None if quat is None else quat_multiply(root_quat, quat)
+        self._follow(commanded, pos, quat)
+
+    def _normalized(self, quat: F64, commanded: F64) -> F64:
+        """(N, 4) unit quaternions; the commanded orientation where one is 0."""
+        squares = quat * quat
+        norm = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
+        void = norm < 1e-6
+        unit: F64 = quat / np.where(void, 1.0, norm)[:, None]
+        if void.any():
+            unit[void] = self._pose(commanded)[1][void]
+        return unit
+
+    def _pose(self, qpos: F64) -> tuple[F64, F64]:
+        """The tool's pose in `frame`."""
+        return self._solver.forward(qpos) if self._world else self._solver.forward_in_root(qpos)
+
+    def home(self) -> F64:
+        """(A,) the action that goes to the tool's initial pose."""
+        return self._home
+
+    def hold(self) -> F64:
+        """(N, A) the action that keeps the present targets."""
+        return self._action_at(*self._pose(self._commanded()))
+
+
+@register_term("action", name="eef_delta_pose")
+class EefDeltaPose(EefTerm):
+    """Moves a robot's tool from where it is, by scale x clamp(action, clip) each control step.
+
+    The first three columns move it, the others rotate it by a rotation vector. Inverse kinematics
+    and metrics are those of `eef_pose`; a step that is out of reach is done as far as it can be.
+
+    Args:
+        entity_cfg: The robot, as of `eef_pose`.
+        frame: Of the motion: ``base``, the axes of the robot's root, ``world``, those of the
+            environment, or ``tool``, the tool's own.
+        rotation: ``command``, or ``keep`` (the orientation does not change) or ``free``; the last
+            two have no columns.
+        reference: The pose to which the motion is added: ``target``, that of the drives' targets,
+            so that the tool does not sink under gravity; ``qpos``, the measured one.
+        scale: m and rad per unit of action: a number, a list per column, or {column regex: number};
+            columns are x, y, z, rx, ry, rz. None is 0.02 m and 0.1 rad.
+        clip: Bounds of the action: [low, high], a list of pairs, or {column regex: [low, high]};
+            None is [-1, 1].
+        max_velocity: As of `eef_pose`.
+        posture_gain: As of `eef_pose`.
+
+    Raises:
+        ConfigError: If the tool is not unique, or a joint has no drive with position targets.
+
+    Example:
+        ``{func: eef_delta_pose, params: {of: {uid: ur10}, frame: tool, scale: {"[xyz]": 0.01, "r[xyz]": 0.05}}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        frame: Literal["base", "world", "tool"] = "base",
+        rotation: Literal["command", "keep", "free"] = "command",
+        reference: Literal["target", "qpos"] = "target",
+        scale: PerJoint | None = None,
+        clip: JointClip | None = None,
+        max_velocity: PerJoint | None = None,
+        posture_gain: UnitInterval = 0.0,
+    ) -> None:
+        super().__init__(env, entity_cfg, max_velocity, posture_gain)
+        self._frame, self._rotation = frame, rotation
+        self._measured = reference == "qpos"
+        turns = rotation == "command"
+        self.names = ("x", "y", "z", *(("rx", "ry", "rz") if turns else ()))
+        if scale is None:
+            scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
+        affine = Affine(self.names, self._count, scale, 0.0, clip or [-1.0, 1.0], what="column")
+        self.low, self.high = affine.low, affine.high
+        self._value = affine.value
+
+    def apply(self, action: torch.Tensor) -> None:
+        """Move the targets by (N, A) actions."""
+        value = self._value(action).astype(np.float64)
+        shift, commanded = np.ascontiguousarray(value[:, :3]), self._commanded()
+        start = self._asset.read_qpos() if self._measured else commanded
+        pos, quat = self._solver.forward(start)
+        turn = None
+        if self._rotation == "command":
+            turn = rotvec_to_quat(value[:, 3:])
+        if self._frame == "tool":
+            moved = pos + quat_rotate(quat, shift)
+            turned = quat if turn is None else quat_multiply(quat, turn)
+        else:
+            if self._frame == "base":
+                root = self._solver.root_pose()[1]
+                shift = quat_rotate(root, shift)
+                if turn is not None:
+                    turn = quat_multiply(quat_multiply(root, turn), quat_conjugate(root))
+            moved = pos + shift
+            turned = quat if turn is None else quat_multiply(turn, quat)
+        self._follow(commanded, moved, None if self._rotation == "free" else turned)

@@ -1,0 +1,64 @@
+"""Quantities of grippers: the opening between two fingers, and whether they hold an object."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from embodichain.lab.gym.envs.managers.param_types import Body, ContactOf, NonNegative
+from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.mdp._rows import norm
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.api import F64
+
+__all__ = ["grasped", "gripper_opening"]
+
+_OPPOSED = -0.5
+"""Largest cosine between opposing forces: at least 120 degrees apart."""
+
+
+@quantity()
+def gripper_opening(env: TermContext, from_: Body, to: Body, closed: float = 0.0) -> F64:
+    """(N,) opening between two fingers, m: the distance of their links less that when closed.
+
+    Args:
+        closed: The distance of the links' origins when the gripper is closed, m.
+
+    Example:
+        ``{func: gripper_opening, params: {from: {uid: ur10, link_names: [gripper/left_finger]},
+        to: {uid: ur10, link_names: [gripper/right_finger]}}}``
+    """
+    return norm(to.position() - from_.position()) - closed
+
+
+@quantity()
+def grasped(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0) -> NDArray[np.bool_]:
+    """(N,) True where both fingers press on an object from opposite sides.
+
+    Each finger feels more than the threshold, and the forces are at least 120 degrees apart.
+
+    Args:
+        sensor: A contact sensor on the two fingers, `against` the object.
+        threshold: N.
+
+    Raises:
+        ConfigError: If the sensor is not on two links.
+
+    Example:
+        ``{func: grasped, params: {sensor: fingers, threshold: 2.0}}``
+    """
+    if len(sensor.names) != 2:
+        message = f"must be a contact sensor on two fingers; it is on {', '.join(sensor.names)}"
+        raise ConfigError([Problem("sensor", message)])
+    one, other = sensor.read_force().transpose(1, 0, 2)
+    force, back = norm(one), norm(other)
+    dot = one[:, 0] * other[:, 0] + one[:, 1] * other[:, 1] + one[:, 2] * other[:, 2]
+    pressed = (force > threshold) & (back > threshold)
+    found: NDArray[np.bool_] = pressed & (dot < _OPPOSED * force * back)
+    return found
