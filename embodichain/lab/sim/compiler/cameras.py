@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.compiler.names import Known, exact_pattern, no_such
 from embodichain.lab.sim.compiler.views import DEFAULT_VIEW
 from embodichain.lab.sim.sensors.cfg import (
+    CAMERA_IMAGES,
     CameraCfg,
     ExtrinsicsCfg,
     LinksCfg,
@@ -27,6 +28,7 @@ from embodichain.utils.math import (
     quat_multiply,
     quat_rotate,
 )
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import F64, EntityIndex
@@ -74,9 +76,13 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
     elif not cfg.near < cfg.far:
         problems.append(Problem("far", f"must be greater than near, {cfg.near} m, got {cfg.far}"))
     stereo = isinstance(cfg, StereoCameraCfg)
+    unknown = [name for name in cfg.data_types or () if name not in CAMERA_IMAGES]
+    for name in unknown:  # a config made in Python is not checked by its types
+        message = f"no image {name!r}; allowed: {', '.join(CAMERA_IMAGES)}."
+        problems.append(Problem("data_types", message + did_you_mean(name, CAMERA_IMAGES)))
     if not stereo and "disparity" in (cfg.data_types or ()):
         problems.append(Problem("data_types", "disparity is an image of a stereo_camera"))
-    elif not cfg.get_data_types():
+    elif not unknown and not cfg.get_data_types():
         problems.append(Problem("data_types", "names no image; leave it out for [color]"))
     if isinstance(cfg, StereoCameraCfg):
         offset = np.asarray(cfg.left_to_right_pos, np.float64)

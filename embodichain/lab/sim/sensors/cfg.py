@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field
 
@@ -13,6 +13,7 @@ from embodichain.utils.configclass import configclass
 from embodichain.utils.type_errors import from_dict, member_from_dict
 
 __all__ = [
+    "CAMERA_IMAGES",
     "AnySensorCfg",
     "CameraCfg",
     "ContactSensorCfg",
@@ -220,6 +221,8 @@ class HeightScanSensorCfg(RayCastCfg):
 
 
 CameraData = Literal["color", "depth", "distance", "mask", "normal", "position", "disparity"]
+CAMERA_IMAGES: tuple[str, ...] = get_args(CameraData)
+"""All names of images."""
 _IMAGES: tuple[CameraData, ...] = ("color", "depth", "distance", "mask", "normal", "position")
 
 
