@@ -23,12 +23,15 @@ from embodichain.lab.gym.envs.mdp.actions.joint_action import (
     PerJoint,
     per_joint,
 )
+from embodichain.lab.sim.solvers.chain import matmul
+from embodichain.lab.sim.solvers.least_squares import Target, pose_error
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
     euler_xyz_to_quat,
     quat_conjugate,
     quat_multiply,
     quat_rotate,
+    quat_to_matrix,
     rotvec_to_quat,
 )
 
@@ -38,6 +41,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.solvers.chain import Frames
 
 __all__ = ["EefDeltaPose", "EefPose", "EefTerm"]
 
@@ -101,10 +105,10 @@ class EefTerm(JointTerm):
         whole[:, self._ids] = self._targets()
         return whole
 
-    def _follow(self, commanded: F64, pos: F64, quat: F64 | None) -> None:
-        """Move targets towards poses (N, 3), (N, 4) in the environment's frame."""
+    def _follow(self, commanded: F64, frames: Frames, error: F64) -> None:
+        """Move targets by an error of the pose, (6, N) or (3, N), in the axes of the root."""
         posture = self._default if self._gain else None
-        step = self._solver.approach(commanded, pos, quat, self._largest, posture, self._gain)
+        step = self._solver.approach(commanded, frames, error, self._largest, posture, self._gain)
         self._write_targets(commanded[:, self._ids] + step.change)
         off = (step.distance > _POSITION_TOLERANCE) | (step.angle > _ROTATION_TOLERANCE)
         self._measures = {
@@ -112,7 +116,7 @@ class EefTerm(JointTerm):
             "rotation_error": step.angle,
             "unreachable": (off & step.stationary).astype(np.float64),
         }
-        if quat is None:
+        if len(error) == 3:
             del self._measures["rotation_error"]
 
     def metrics(self) -> Mapping[str, F64]:
@@ -210,11 +214,9 @@ class EefPose(EefTerm):
             quat = quat_conjugate(euler_xyz_to_quat(-turned))
         elif self._rotation == "quat":
             quat = self._normalized(turned, commanded)
-        if not self._world:
-            root_pos, root_quat = self._solver.root_pose()
-            pos = root_pos + quat_rotate(root_quat, pos)
-            quat = None if quat is None else quat_multiply(root_quat, quat)
-        self._follow(commanded, pos, quat)
+        target = self._solver.to_root(pos, quat) if self._world else Target.of(pos, quat)
+        frames = self._solver.frames(commanded)
+        self._follow(commanded, frames, pose_error(frames, target))
 
     def _normalized(self, quat: F64, commanded: F64) -> F64:
         """(N, 4) unit quaternions; the commanded orientation where one is 0."""
@@ -293,22 +295,33 @@ class EefDeltaPose(EefTerm):
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets by (N, A) actions."""
-        value = self._value(action).astype(np.float64)
-        shift, commanded = np.ascontiguousarray(value[:, :3]), self._commanded()
-        start = self._asset.read_qpos() if self._measured else commanded
-        pos, quat = self._solver.forward(start)
-        turn = None
-        if self._rotation == "command":
-            turn = rotvec_to_quat(value[:, 3:])
-        if self._frame == "tool":
-            moved = pos + quat_rotate(quat, shift)
-            turned = quat if turn is None else quat_multiply(quat, turn)
+        value = np.ascontiguousarray(self._value(action).T, np.float64)
+        commanded = self._commanded()
+        frames = self._solver.frames(commanded)
+        start = self._solver.frames(self._asset.read_qpos()) if self._measured else frames
+        motion = self._in_root(value.reshape(-1, 3, self._count), start)
+        if self._rotation == "keep":
+            motion = np.concatenate([motion, np.zeros_like(motion)])
+        if self._measured:
+            error = pose_error(frames, _moved(start, motion))
         else:
-            if self._frame == "base":
-                root = self._solver.root_pose()[1]
-                shift = quat_rotate(root, shift)
-                if turn is not None:
-                    turn = quat_multiply(quat_multiply(root, turn), quat_conjugate(root))
-            moved = pos + shift
-            turned = quat if turn is None else quat_multiply(turn, quat)
-        self._follow(commanded, moved, None if self._rotation == "free" else turned)
+            error = motion.reshape(-1, self._count)
+        self._follow(commanded, frames, error)
+
+    def _in_root(self, vectors: F64, start: Frames) -> F64:
+        """Vectors (v, 3, N) of `frame` in the axes of the root."""
+        if self._frame == "base":
+            return vectors
+        axes = start.rotation
+        if self._frame == "world":
+            back = quat_conjugate(self._solver.root_pose()[1])
+            axes = np.moveaxis(quat_to_matrix(back), 0, -1)
+        return np.stack([matmul(axes, vector) for vector in vectors])
+
+
+def _moved(start: Frames, motion: F64) -> Target:
+    """The pose of the tool, translated and, if there is one, rotated by a rotation vector."""
+    if len(motion) == 1:
+        return Target(start.position + motion[0], None)
+    turn = np.moveaxis(quat_to_matrix(rotvec_to_quat(motion[1].T)), 0, -1)
+    return Target(start.position + motion[0], matmul(turn, start.rotation))
