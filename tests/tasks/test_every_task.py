@@ -55,6 +55,7 @@ def test_the_tasks_are_those_of_the_folder():
         "lift_vision",
         "pick_place",
         "stack_cubes",
+        "peg_in_hole",
         "press_button",
         "open_drawer",
     }

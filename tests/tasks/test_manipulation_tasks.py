@@ -143,6 +143,29 @@ def test_a_cube_is_put_on_something(operator, task, uid, height):
     assert np.abs(above[done, :2]).max() < 0.02 and np.abs(above[done, 2] - height).max() < 0.002
 
 
+def test_the_peg_is_put_into_the_hole(operator):
+    run = operator("peg_in_hole", seed=3)
+    block = run.env.sim.get_articulation("block")
+    hole = block.get_link_pose("hole", to_matrix=True).numpy()
+    peg = run.pose("peg")
+    start = peg[:, :3, 3] + 0.03 * Z
+    run.go(start + 0.12 * Z)
+    run.align(peg)
+    run.go(start, speed=0.5)
+    run.hold(-1.0)
+    run.go(start + 0.12 * Z, speed=0.5)
+    run.align(hole)
+    for height in (0.08, 0.055, 0.03, 0.002):
+        way = hole[:, :3, 3] + height * Z - run.pose("peg")[:, :3, 3]
+        run.go(run.at + way, speed=0.5)
+    assert not run.successes[-1].any()  # in the hole, but not released
+    run.hold(1.0)
+    run.go(run.at + 0.1 * Z)
+    assert run.successes[-1].sum() >= 7
+    inside = run.pose("peg")[:, :3, 3] - hole[:, :3, 3]
+    assert np.abs(inside[run.successes[-1]]).max() < 0.002  # 1 mm of play on each side
+
+
 def test_the_button_is_pressed_and_comes_back(operator):
     run = operator("press_button", seed=3)
     button = run.env.sim.get_articulation("button")
