@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import (
+    action_cost,
     log_cost,
     memory,
     randomization,
@@ -32,6 +33,7 @@ REPORTS = {
     "small_batches": small_batches.report,
     "log_cost": log_cost.report,
     "step_profile": step_profile.report,
+    "action_cost": action_cost.report,
     "randomization": randomization.report,
     "render": render.report,
     "train": train.report,

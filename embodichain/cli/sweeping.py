@@ -78,7 +78,7 @@ def call_hydra(
     @hydra.main(version_base=VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
     def job(composed: DictConfig) -> float | None:
         resolved, folder = resolve(from_hydra(), verb), None
-        if HydraConfig.get().mode == RunMode.MULTIRUN:
+        if HydraConfig.get().mode == RunMode.MULTIRUN or HydraConfig.get().run.dir != ".":
             folder = adopt(HydraConfig.get().runtime.output_dir)
         with _labelled_lines(_label(keys), json=resolved.root.json):
             return do(resolved, folder)

@@ -52,6 +52,17 @@ def test_small_batches(tmp_path):
     assert "speed over DummyVecEnv" in table and "reach at N=4 over the floor" in table
 
 
+def test_action_cost(tmp_path):
+    table, facts = run(
+        "action_cost", "--rounds=1", "--calls=4", "--sizes", "1", "3", out=tmp_path / "raw.json"
+    )
+    assert list(facts["microseconds"]) == ["1", "3"]
+    for found in facts["microseconds"].values():
+        assert {"eef_delta_pose", "parallel_gripper", "grasped"} <= found.keys()
+        assert all(len(rounds) == 1 and rounds[0] > 0 for rounds in found.values())
+    assert "| eef_pose, world, rpy |" in table
+
+
 def test_inverse_kinematics(tmp_path):
     table, facts = run("ik", "--poses=20", "--peer=5", out=tmp_path / "raw.json")
     assert [one["closed_form"] for one in facts] == [True, True, False, False, False]

@@ -120,6 +120,16 @@ def test_same_seed_same_run(finished, embodichain, tmp_path: Path) -> None:
     assert "random_reach: outputs/" in again.stderr
 
 
+def test_hydras_run_dir_is_the_run_folder(tmp_path: Path, capsys) -> None:
+    line = ["run", "task=cart_pole", "num_envs=1", "max_steps=2", "scene_png=false", "--json"]
+    line.append(f"hydra.run.dir={tmp_path / 'mine'}")
+    assert main(line) == 0
+    assert json.loads(capsys.readouterr().out)["folder"] == str(tmp_path / "mine")
+    assert (tmp_path / "mine" / "rollout.mcap").exists()
+    assert main(line) == 2
+    assert "has a run already" in capsys.readouterr().err
+
+
 def test_sweep_runs_each_value_in_its_own_folder(embodichain, tmp_path: Path) -> None:
     swept = ("run", "-m", *TINY[:3], "seed=0,1", "record=none", "--json")
     done = embodichain(*swept, "episodes=1", cwd=tmp_path)

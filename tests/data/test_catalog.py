@@ -34,10 +34,12 @@ def test_every_robot_is_found_by_its_name():
 
 
 def test_bundled_robots_come_before_those_of_packages():
-    first = [(robot.name, robot.source, robot.format) for robot in list_robots()[:3]]
+    first = [(robot.name, robot.source, robot.format) for robot in list_robots()[:5]]
     assert first == [
+        ("Cabinet/cabinet.xml", "bundled", "mjcf"),
         ("CartPole/cart_pole.urdf", "bundled", "urdf"),
         ("ParallelGripper/parallel_gripper.xml", "bundled", "mjcf"),
+        ("PushButton/push_button.xml", "bundled", "mjcf"),
         ("UniversalRobots/UR10/UR10.urdf", "bundled", "urdf"),
     ]
 

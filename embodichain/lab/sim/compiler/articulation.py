@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.cfg import ArticulationCfg, URDFCfg
+from embodichain.lab.sim.cfg import ArticulationCfg, RobotCfg, URDFCfg
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
     DriveGains,
@@ -236,6 +236,9 @@ def parse_with_problems(
     problems += wrong
     try:
         drives, replaced = apply_drives(file.spec, gains, joints)
+        driven = gains.driven.any() or joints.servos.count or joints.from_urdf.any()
+        if joints.names and not driven and isinstance(cfg, RobotCfg):  # a door needs no drive
+            replaced.append("no joint is driven: it has no actuators, drive_pros names no joint")
         notes = [*robot.notes, *(f"{file.path}: {line}" for line in replaced)]
         if not problems:
             add_attachments(file.spec, cfg.attachments)

@@ -246,8 +246,6 @@ def apply_drives(
         servo = own[servos.drive[i]]
         _limit(servo, float(gains.max_effort[i] / abs(servos.gear[i])))
         limited.append(repr(servo.name))
-    if names and not driven and not servos.count and not joints.from_urdf.any():
-        notes.append("no joint is driven: it has no actuators, and drive_pros names no joint")
     if limited:
         notes.append(f"max_effort (drive_pros) replaces the force limits of {', '.join(limited)}")
     notes += _remove_actuators(spec, driven)

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from embodichain.lab.sim.compiler.names import match
-from embodichain.lab.sim.solvers.chain import Chain, matmul
+from embodichain.lab.sim.solvers.chain import Chain, Frames, matmul
 from embodichain.lab.sim.solvers.least_squares import (
     LeastSquares,
     Target,
+    clamped,
     joint_step,
     pose_error,
     squared,
@@ -39,8 +40,6 @@ __all__ = ["Approach", "ArmSolver", "tool_bodies"]
 
 _SAME = 1e-9
 """M and rad: initial positions with a smaller error are a solution, to the bit."""
-_AT_LIMIT = 1e-6
-"""Rad or m: a joint this near to its limit is at it."""
 _FLAT = 0.02
 """M or rad: the gradient of half the squared error over the error, below which it is stationary."""
 
@@ -150,6 +149,10 @@ class ArmSolver:
         """Whether solutions are computed in closed form."""
         return self._closed is not None and self.chain.is_shared
 
+    def frames(self, qpos: F64, env_ids: EnvIndex | None = None) -> Frames:
+        """Axes of the chain's joints and pose of the tool at joint positions (n, D)."""
+        return self.chain.frames(self._in_chain(qpos), env_ids)
+
     def forward(self, qpos: F64, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
         """Position (n, 3) and orientation (n, 4) of the tool at joint positions (n, D)."""
         pos, quat = self.forward_in_root(qpos, env_ids)
@@ -158,13 +161,13 @@ class ArmSolver:
 
     def forward_in_root(self, qpos: F64, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
         """`forward` in the frame of the root."""
-        frames = self.chain.frames(self._in_chain(qpos), env_ids)
+        frames = self.frames(qpos, env_ids)
         quat = matrix_to_quat(np.moveaxis(frames.rotation, -1, 0))
         return np.ascontiguousarray(frames.position.T), quat
 
     def jacobian(self, qpos: F64, env_ids: EnvIndex | None = None) -> F64:
         """(n, 6, k) of the joints `moving`: linear velocity of the tool, then angular velocity."""
-        found = self.chain.jacobian(self.chain.frames(self._in_chain(qpos), env_ids))
+        found = self.chain.jacobian(self.frames(qpos, env_ids))
         turn = np.moveaxis(quat_to_matrix(self.root_pose(env_ids)[1]), 0, -1)
         columns = [
             np.concatenate([matmul(turn, found[:3, column]), matmul(turn, found[3:, column])])
@@ -176,10 +179,8 @@ class ArmSolver:
         """Poses (n, 3), (n, 4) of the environment's frame in that of the root."""
         root_pos, root_quat = self.root_pose(env_ids)
         back = quat_conjugate(root_quat)
-        moved = np.ascontiguousarray(quat_rotate(back, pos - root_pos).T)
-        if quat is None:
-            return Target(moved, None)
-        return Target(moved, np.moveaxis(quat_to_matrix(quat_multiply(back, quat)), 0, -1))
+        turned = None if quat is None else quat_multiply(back, quat)
+        return Target.of(quat_rotate(back, pos - root_pos), turned)
 
     def inverse(
         self,
@@ -207,7 +208,7 @@ class ArmSolver:
         if quat is None or not self.has_closed_form:
             return self._searched(qpos, target, env_ids, self._samples if restarts else 0)
         solutions, exist = self._all(qpos, target, env_ids)
-        error = pose_error(self.chain.frames(self._in_chain(qpos), env_ids), target)
+        error = pose_error(self.frames(qpos, env_ids), target)
         there = (squared(error) < _SAME**2) & self._within_limits(qpos, env_ids)
         found = np.where(there[:, None], qpos, solutions[0])
         reached = there | exist[0]
@@ -234,27 +235,26 @@ class ArmSolver:
     def approach(
         self,
         qpos: F64,
-        pos: F64,
-        quat: F64 | None,
+        frames: Frames,
+        error: F64,
         largest: F64,
         posture: F64 | None = None,
         gain: float = 0.0,
         env_ids: EnvIndex | None = None,
     ) -> Approach:
-        """One step of damped least squares towards poses: differential inverse kinematics.
+        """One step of damped least squares: differential inverse kinematics.
 
         Args:
             qpos: (n, D) positions of all joints.
-            pos: (n, 3) target positions.
-            quat: (n, 4) target orientations; None leaves them free.
+            frames: `frames` of these.
+            error: (6, n) wanted motion of the tool in the root's axes, metres and a rotation vector
+                in rad, as of `pose_error`; (3, n) leaves the orientation free.
             largest: (k,) largest changes of the moving joints. A step that exceeds them is scaled
                 as a whole, so that the tool keeps its direction.
             posture: (k,) positions that the joints approach in the null space, or None.
             gain: The part of the way to them.
             env_ids: (n,) environments.
         """
-        frames = self.chain.frames(self._in_chain(qpos), env_ids)
-        error = pose_error(frames, self.to_root(pos, quat, env_ids))
         jacobian = self.chain.jacobian(frames)[: len(error), self._columns]
         now = np.ascontiguousarray(qpos[:, self.moving].T)
         low, high = self.limits(env_ids)
@@ -264,10 +264,8 @@ class ArmSolver:
         step = joint_step(error, jacobian, lowest, highest, lean)
         share = np.abs(step) / largest[:, None]
         step = step / np.maximum(share.max(axis=0), 1.0)
-        slope = transposed(jacobian, error)
-        blocked = ((slope > 0) & (highest < _AT_LIMIT)) | ((slope < 0) & (lowest > -_AT_LIMIT))
-        steepest = np.abs(np.where(blocked, 0.0, slope)).max(axis=0)
-        stationary = steepest * steepest < _FLAT**2 * squared(error)
+        slope = clamped(transposed(jacobian, error), lowest, highest)
+        stationary = np.abs(slope).max(axis=0) < _FLAT * np.sqrt(squared(error))
         left = error - times(jacobian, step)
         distance = np.sqrt(squared(left[:3]))
         angle = np.sqrt(squared(left[3:])) if len(left) > 3 else np.zeros_like(distance)

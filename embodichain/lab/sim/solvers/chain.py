@@ -10,21 +10,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-import mujoco
+import lazy_loader
 import numpy as np
 
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_to_matrix
 
 if TYPE_CHECKING:
+    import mujoco
     from numpy.typing import NDArray
 
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+else:
+    mujoco = lazy_loader.load("mujoco")
 
 __all__ = ["Chain", "Frames", "matmul"]
 
 _FIELDS = ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0")
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+"""Components of the factors of a cross product."""
 
 
 class Frames(NamedTuple):
@@ -44,9 +49,9 @@ class Frames(NamedTuple):
 
 
 def matmul(a: F64, b: F64) -> F64:
-    """Products of matrices (3, 3, n), or of matrices and vectors (3, n), row by row."""
-    columns = a if b.ndim == 2 else a[:, :, None]
-    found: F64 = columns[:, 0] * b[0] + columns[:, 1] * b[1] + columns[:, 2] * b[2]
+    """Products of matrices (3, 3, n) and matrices (3, m, n) or vectors (3, n), row by row."""
+    parts = a * b if b.ndim == 2 else a[:, :, None] * b
+    found: F64 = parts[:, 0] + parts[:, 1] + parts[:, 2]
     return found
 
 
@@ -90,8 +95,9 @@ class Chain:
         dofs = model.jnt_dofadr[self._joints]
         self.joints: NDArray[np.int64] = np.array([column[int(d)] for d in dofs], np.int64)
         self.hinges: NDArray[np.bool_] = kinds == mujoco.mjtJoint.mjJNT_HINGE
+        self._slides = np.flatnonzero(~self.hinges)
         self._qpos_adr = model.jnt_qposadr[self._joints]
-        self._shared: tuple[list[F64], list[F64], F64] | None = None
+        self._shared: tuple[F64, F64] | None = None
 
     @property
     def is_shared(self) -> bool:
@@ -101,9 +107,8 @@ class Chain:
     @property
     def reach(self) -> float:
         """Metres: the length of all links, an upper bound of the tool's distance without slides."""
-        return float(
-            sum(np.linalg.norm(shift, axis=0).max() for shift in self._transforms(None)[1])
-        )
+        shifts = self._transforms(None)[0][:, :, 3]
+        return float(np.linalg.norm(shifts, axis=1).max(axis=1).sum())
 
     def frames(self, qpos: F64, env_ids: EnvIndex | None = None) -> Frames:
         """Compute the frames at joint positions.
@@ -112,42 +117,40 @@ class Chain:
             qpos: (K, n) contiguous positions of the chain's joints, rad or m.
             env_ids: (n,) environments, or None for all; needed where model fields differ.
         """
-        turns, shifts, zero = self._transforms(env_ids)
-        count = qpos.shape[1]
+        transforms, zero = self._transforms(env_ids)
         moved = qpos - zero
-        cosines, sines = np.cos(moved), np.sin(moved)
-        rotation = np.broadcast_to(turns[0], (3, 3, count))
-        position = np.broadcast_to(shifts[0], (3, count))
-        axes, anchors = np.empty((2, len(moved), 3, count))
-        for joint, hinge in enumerate(self.hinges):
-            axes[joint], anchors[joint] = rotation[:, 2], position
-            if hinge:
-                c, s = cosines[joint], sines[joint]
-                x, y = rotation[:, 0], rotation[:, 1]
-                rotation = np.stack([x * c + y * s, y * c - x * s, rotation[:, 2]], axis=1)
-            else:
-                position = position + rotation[:, 2] * moved[joint]
-            position = position + matmul(rotation, shifts[joint + 1])
-            rotation = matmul(rotation, turns[joint + 1])
-        return Frames(rotation, position, axes, anchors)
+        turned = np.where(self.hinges[:, None], moved, 0.0) if len(self._slides) else moved
+        cosines, sines = np.cos(turned)[:, None], np.sin(turned)[:, None]
+        count, size = moved.shape
+        # Z(q[j]) F[j + 1] of every joint, then their products.
+        moves = np.empty((count, 3, 4, size))
+        x, y = transforms[1:, 0], transforms[1:, 1]
+        moves[:, 0] = x * cosines - y * sines
+        moves[:, 1] = x * sines + y * cosines
+        moves[:, 2] = transforms[1:, 2]
+        for slide in self._slides:
+            moves[slide, 2, 3] += moved[slide]
+        poses = np.empty((count + 1, 3, 4, size))
+        poses[0] = transforms[0]
+        for pose, move, product in zip(poses, moves, poses[1:], strict=False):
+            product[:] = matmul(pose[:, :3], move)
+            product[:, 3] += pose[:, 3]
+        return Frames(poses[-1, :, :3], poses[-1, :, 3], poses[:-1, :, 2], poses[:-1, :, 3])
 
     def jacobian(self, frames: Frames) -> F64:
         """(6, K, n) velocity of the tool's origin, then angular velocity, per joint velocity."""
         axes, anchors = np.swapaxes(frames.axes, 0, 1), np.swapaxes(frames.anchors, 0, 1)
         arm = frames.position[:, None] - anchors
-        turning = np.stack(
-            [
-                axes[1] * arm[2] - axes[2] * arm[1],
-                axes[2] * arm[0] - axes[0] * arm[2],
-                axes[0] * arm[1] - axes[1] * arm[0],
-            ]
-        )
-        hinge = self.hinges[:, None]
-        linear, angular = np.where(hinge, turning, axes), np.where(hinge, axes, 0.0)
-        return np.concatenate([linear, angular])
+        found = np.empty((6, *axes.shape[1:]))
+        found[:3] = axes.take(_NEXT, 0) * arm.take(_LAST, 0)
+        found[:3] -= axes.take(_LAST, 0) * arm.take(_NEXT, 0)
+        found[3:] = axes
+        for slide in self._slides:
+            found[:3, slide], found[3:, slide] = axes[:, slide], 0.0
+        return found
 
-    def _transforms(self, env_ids: EnvIndex | None) -> tuple[list[F64], list[F64], F64]:
-        """Rotations (3, 3, n or 1), translations (3, n or 1) and zero positions (K, n or 1)."""
+    def _transforms(self, env_ids: EnvIndex | None) -> tuple[F64, F64]:
+        """Constant transforms (K + 1, 3, 4, n or 1) and zero positions (K, n or 1)."""
         fields = [self._engine.model_values(name) for name in _FIELDS]
         if all(len(values) == 1 for values in fields):
             if self._shared is None:
@@ -156,12 +159,12 @@ class Chain:
         chosen = [v if len(v) == 1 or env_ids is None else v[env_ids] for v in fields]
         return self._compute(chosen)
 
-    def _compute(self, fields: Sequence[F64]) -> tuple[list[F64], list[F64], F64]:
+    def _compute(self, fields: Sequence[F64]) -> tuple[F64, F64]:
         body_pos, body_quat, jnt_pos, jnt_axis, qpos0 = fields
         model = self._engine.model
         rows = max(len(values) for values in fields)
         turn, shift = np.tile(np.eye(3)[..., None], rows), np.zeros((3, rows))
-        turns, shifts = [], []
+        found: list[F64] = []
         for body in self._bodies:
             shift = shift + matmul(turn, body_pos[:, body].T)
             turn = matmul(turn, np.moveaxis(quat_to_matrix(body_quat[:, body]), 0, -1))
@@ -170,10 +173,17 @@ class Chain:
                 back = np.swapaxes(to_axis, 0, 1)
                 hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
                 anchor = jnt_pos[:, joint].T if hinge else np.zeros((3, 1))
-                shifts.append(shift + matmul(turn, anchor))
-                turns.append(matmul(turn, to_axis))
+                found.append(_pose(matmul(turn, to_axis), shift + matmul(turn, anchor), rows))
                 turn, shift = back, matmul(back, -anchor)
-        return [*turns, turn], [*shifts, shift], qpos0[:, self._qpos_adr].T
+        found.append(_pose(turn, shift, rows))
+        return np.stack(found), qpos0[:, self._qpos_adr].T
+
+
+def _pose(rotation: F64, position: F64, rows: int) -> F64:
+    """(3, 4, rows) of a rotation (3, 3, rows or 1) and a position (3, rows or 1)."""
+    found = np.empty((3, 4, rows))
+    found[:, :3], found[:, 3] = rotation, position
+    return found
 
 
 def _joints_of(model: mujoco.MjModel, body: int) -> range:

@@ -5,13 +5,15 @@ Environments are in the last axis, as in `chain`.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from embodichain.lab.sim.solvers.chain import Chain, matmul
-from embodichain.utils.math import matrix_to_quat, quat_to_rotvec
+from embodichain.utils.math import matrix_to_quat, quat_to_matrix, quat_to_rotvec
 from embodichain.utils.random import RandomStreams
 
 if TYPE_CHECKING:
@@ -20,7 +22,16 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.solvers.chain import Frames
 
-__all__ = ["LeastSquares", "Target", "joint_step", "pose_error", "squared", "times", "transposed"]
+__all__ = [
+    "LeastSquares",
+    "Target",
+    "clamped",
+    "joint_step",
+    "pose_error",
+    "squared",
+    "times",
+    "transposed",
+]
 
 _DAMPING = 1e-8
 _LONGEST_STEP = 0.5
@@ -45,6 +56,12 @@ class Target:
     position: F64
     rotation: F64 | None
 
+    @classmethod
+    def of(cls, pos: F64, quat: F64 | None) -> Target:
+        """The targets of positions (n, 3) and orientations (n, 4) wxyz."""
+        turned = None if quat is None else np.moveaxis(quat_to_matrix(quat), 0, -1)
+        return cls(np.ascontiguousarray(pos.T), turned)
+
     def rows(self, which: NDArray[np.int64]) -> Target:
         """The targets of some of the environments."""
         turned = None if self.rotation is None else self.rotation[..., which]
@@ -66,10 +83,7 @@ def pose_error(frames: Frames, target: Target) -> F64:
 
 def squared(vectors: F64) -> F64:
     """(n,) squared lengths of vectors (r, n)."""
-    found: F64 = vectors[0] * vectors[0]
-    for row in vectors[1:]:
-        found = found + row * row
-    return found
+    return _added(vectors * vectors)
 
 
 def joint_step(
@@ -93,55 +107,64 @@ def joint_step(
         (k, n) changes of joint positions within the bounds.
     """
     damping = 0.5 * squared(error) + _DAMPING
-    wanted = np.zeros_like(lowest) if posture is None else np.clip(posture, lowest, highest)
-    step = _solved(error, jacobian, damping, wanted)
-    fixed = np.zeros(step.shape, np.bool_)
-    rows = np.arange(step.shape[1])
+    wanted = np.zeros(lowest.shape)
+    if posture is None:
+        step = _solved(error, jacobian, damping)
+    else:
+        wanted = clamped(posture, lowest, highest)
+        step = wanted + _solved(error - times(jacobian, wanted), jacobian, damping)
+    fixed = beyond = (step < lowest) | (step > highest)
     for _ in range(_ROUNDS - 1):
-        beyond = ((step < lowest) | (step > highest))[:, rows] & ~fixed[:, rows]
-        hit = beyond.any(axis=0)
-        rows = rows[hit]
+        rows = np.flatnonzero(beyond.any(axis=0))
         if not len(rows):
             break
-        fixed[:, rows] |= beyond[:, hit]
-        held, columns = fixed[:, rows], jacobian[..., rows]
-        bounded = np.clip(step[:, rows], lowest[:, rows], highest[:, rows])
-        motion = np.where(held, bounded, wanted[:, rows])
-        free = columns * ~held
-        left = error[:, rows] - times(columns, np.where(held, bounded, 0.0))
-        step[:, rows] = _solved(left, free, damping[rows], motion)
-    within: F64 = np.clip(step, lowest, highest)
-    return within
+        bounded, columns = clamped(step, lowest, highest)[:, rows], jacobian[..., rows]
+        motion = np.where(fixed[:, rows], bounded, wanted[:, rows])
+        left = error[:, rows] - times(columns, motion)
+        step[:, rows] = motion + _solved(left, columns * ~fixed[:, rows], damping[rows])
+        beyond = ((step < lowest) | (step > highest)) & ~fixed
+        fixed = fixed | beyond
+    return clamped(step, lowest, highest)
+
+
+def clamped(values: F64, low: F64, high: F64) -> F64:
+    """Values within bounds; cheaper than ``np.clip`` on small arrays."""
+    found: F64 = np.minimum(np.maximum(values, low), high)
+    return found
 
 
 def times(jacobian: F64, motion: F64) -> F64:
     """(r, n) J v."""
-    found: F64 = jacobian[:, 0] * motion[0]
-    for joint in range(1, len(motion)):
-        found = found + jacobian[:, joint] * motion[joint]
-    return found
+    return _added(np.swapaxes(jacobian * motion, 0, 1))
 
 
 def transposed(jacobian: F64, error: F64) -> F64:
     """(k, n) J^T e."""
-    found: F64 = jacobian[0] * error[0]
-    for row in range(1, len(error)):
-        found = found + jacobian[row] * error[row]
-    return found
+    return _added(jacobian * error[:, None])
 
 
-def _solved(error: F64, jacobian: F64, damping: F64, motion: F64) -> F64:
-    """(k, n) v + J^T (J J^T + c I)^-1 (e - J v)."""
-    size, count = len(error), len(motion)
-    gram = jacobian[:, None, 0] * jacobian[None, :, 0]
-    for joint in range(1, count):
-        gram = gram + jacobian[:, None, joint] * jacobian[None, :, joint]
-    gram[np.arange(size), np.arange(size)] += damping
-    left = error - times(jacobian, motion)
-    # LAPACK solves each environment's system alone.
-    y = np.linalg.solve(np.moveaxis(gram, -1, 0), left.T[..., None])[..., 0].T.astype(np.float64)
-    step: F64 = motion + transposed(jacobian, y)
-    return step
+def _added(parts: Iterable[F64]) -> F64:
+    """The sum of arrays in their order; that of ``np.sum`` depends on their size."""
+    return reduce(np.add, parts)
+
+
+def _solved(error: F64, jacobian: F64, damping: F64) -> F64:
+    """(k, n) J^T (J J^T + c I)^-1 e, by Gauss-Jordan elimination.
+
+    The matrix is positive definite: elimination needs no pivots. All rows are solved together, and
+    each by the same operations.
+    """
+    size = len(error)
+    system = np.empty((size, size + 1, error.shape[1]))
+    joints = np.swapaxes(jacobian, 0, 1)
+    system[:, :size] = _added(joint[:, None] * joint for joint in joints)
+    system[range(size), range(size)] += damping
+    system[:, size] = error
+    for i in range(size):
+        pivot = system[i, i + 1 :] / system[i, i]
+        system[:, i + 1 :] -= system[:, i, None] * pivot
+        system[i, i + 1 :] = pivot
+    return transposed(jacobian, system[:, size])
 
 
 class LeastSquares:

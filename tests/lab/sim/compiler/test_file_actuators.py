@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg
+from embodichain.lab.sim.cfg import ArticulationCfg, JointDrivePropertiesCfg, RobotCfg
 from embodichain.lab.sim.compiler.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
 from tests.helpers.mjcf_robots import HAND, ROBOTS, UR5E, UR5E_HOME, ZOO
@@ -214,6 +214,10 @@ def test_files_without_actuators_have_no_drives_but_those_that_are_asked_for(tmp
     bare = bare.replace(' ctrl="0 0.1"', "").replace(' ctrl="0 0.5"', "")
     assert scene_of({"h": robot(tmp_path, bare)}).model.nu == 0
     assert "no joint is driven" in caplog.text
+    caplog.clear()
+    mechanism = ArticulationCfg(fpath=write(tmp_path / "robot.xml", bare))
+    assert scene_of({"h": mechanism}).model.nu == 0
+    assert "no joint is driven" not in caplog.text  # a door needs no drive
     driven = robot(tmp_path, bare, drive_pros=drives(stiffness=50.0, damping=2.0))
     assert names(scene_of({"h": driven}).model) == ["h/hip"]
 

@@ -1,4 +1,4 @@
-"""Poses that an action asks of a tool: `AbsolutePose` and `RelativePose`.
+"""Poses that an action asks of a tool: `AbsolutePose`, `RelativePose` and its `MotionColumns`.
 
 Poses are in the environment's frame, unless a name says otherwise; quaternions are wxyz.
 """
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
-__all__ = ["AbsolutePose", "RelativePose"]
+__all__ = ["AbsolutePose", "MotionColumns", "RelativePose"]
 
 _QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
 
@@ -94,10 +94,8 @@ class AbsolutePose:
         within: F64 = np.minimum(np.maximum(action, self.low), self.high)
         return within
 
-    def target(
-        self, action: torch.Tensor, orientation: Callable[[], F64]
-    ) -> tuple[F64, F64 | None]:
-        """The poses that actions (N, A) ask for.
+    def asked(self, action: torch.Tensor, orientation: Callable[[], F64]) -> tuple[F64, F64 | None]:
+        """The poses in `frame` that actions (N, A) ask for.
 
         Args:
             action: The action.
@@ -115,14 +113,18 @@ class AbsolutePose:
             quat = quat_conjugate(euler_xyz_to_quat(-turned))
         elif self._rotation == "quat":
             quat = _normalized(turned, orientation)
-        if not self._world:
-            root_pos, root_quat = self._solver.root_pose()
-            pos = root_pos + quat_rotate(root_quat, pos)
-            quat = None if quat is None else quat_multiply(root_quat, quat)
         return pos, quat
 
+    def in_world(self, pos: F64, quat: F64 | None) -> tuple[F64, F64 | None]:
+        """Poses (N, 3), (N, 4) of `frame` in the environment's frame."""
+        if self._world:
+            return pos, quat
+        root_pos, root_quat = self._solver.root_pose()
+        turned = None if quat is None else quat_multiply(root_quat, quat)
+        return root_pos + quat_rotate(root_quat, pos), turned
+
     def in_frame(self, pos: F64, quat: F64) -> tuple[F64, F64]:
-        """Poses (N, 3), (N, 4) in `frame`."""
+        """Poses (N, 3), (N, 4) of the environment's frame in `frame`."""
         if self._world:
             return pos, quat
         root_pos, root_quat = self._solver.root_pose()
@@ -141,13 +143,11 @@ def _normalized(quat: F64, orientation: Callable[[], F64]) -> F64:
     return unit
 
 
-class RelativePose:
-    """Actions that are motions of a tool: scale x clamp(action, clip).
+class MotionColumns:
+    """Columns of actions that are motions of a tool: scale x clamp(action, clip).
 
     Args:
-        solver: The kinematics of the tool.
         num_envs: N.
-        frame: Of the motion: ``base``, ``world`` or ``tool``, as of `eef_delta_pose`.
         rotation: ``command``, ``keep`` or ``free``, as of `eef_delta_pose`.
         scale: m and rad per unit of action; None is 0.02 m and 0.1 rad.
         clip: Bounds of the action; None is [-1, 1].
@@ -159,6 +159,34 @@ class RelativePose:
 
     def __init__(
         self,
+        num_envs: int,
+        rotation: Literal["command", "keep", "free"],
+        scale: PerJoint | None,
+        clip: JointClip | None,
+    ) -> None:
+        turns = rotation == "command"
+        self.names = ("x", "y", "z", *(("rx", "ry", "rz") if turns else ()))
+        if scale is None:
+            scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
+        affine = Affine(self.names, num_envs, scale, 0.0, clip or [-1.0, 1.0], what="column")
+        self.low, self.high = affine.low, affine.high
+        self.value = affine.value
+
+
+class RelativePose(MotionColumns):
+    """Actions that are motions of a tool from a pose.
+
+    Args:
+        solver: The kinematics of the tool.
+        num_envs: N.
+        frame: Of the motion: ``base``, ``world`` or ``tool``, as of `eef_delta_pose`.
+        rotation: As of `MotionColumns`.
+        scale: Likewise.
+        clip: Likewise.
+    """
+
+    def __init__(
+        self,
         solver: ArmSolver,
         num_envs: int,
         frame: Literal["base", "world", "tool"],
@@ -166,22 +194,16 @@ class RelativePose:
         scale: PerJoint | None,
         clip: JointClip | None,
     ) -> None:
+        super().__init__(num_envs, rotation, scale, clip)
         self._solver, self._frame, self._rotation = solver, frame, rotation
-        turns = rotation == "command"
-        self.names = ("x", "y", "z", *(("rx", "ry", "rz") if turns else ()))
-        if scale is None:
-            scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
-        affine = Affine(self.names, num_envs, scale, 0.0, clip or [-1.0, 1.0], what="column")
-        self.low, self.high = affine.low, affine.high
-        self._value = affine.value
 
-    def target(self, action: torch.Tensor, pos: F64, quat: F64) -> tuple[F64, F64 | None]:
+    def asked(self, action: torch.Tensor, pos: F64, quat: F64) -> tuple[F64, F64 | None]:
         """The poses that actions (N, A) ask for, from poses (N, 3), (N, 4).
 
         Returns:
             Position (N, 3) and orientation (N, 4) or None, if that is free.
         """
-        value = self._value(action).astype(np.float64)
+        value = self.value(action).astype(np.float64)
         shift = np.ascontiguousarray(value[:, :3])
         turn = None
         if self._rotation == "command":

@@ -15,20 +15,28 @@ from embodichain.lab.gym.envs.managers.param_types import Box3, UnitInterval
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import UNLIMITED, ResolvedEntity
 from embodichain.lab.gym.envs.mdp._tools import arm_solver, moving_joints
-from embodichain.lab.gym.envs.mdp.actions._tool_poses import AbsolutePose, RelativePose
+from embodichain.lab.gym.envs.mdp.actions._tool_poses import AbsolutePose, MotionColumns
 from embodichain.lab.gym.envs.mdp.actions.joint_action import (
     JointClip,
     JointTerm,
     PerJoint,
     per_joint,
 )
+from embodichain.lab.sim.solvers.chain import matmul
+from embodichain.lab.sim.solvers.least_squares import Target, pose_error
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import (
+    quat_conjugate,
+    quat_to_matrix,
+    rotvec_to_quat,
+)
 
 if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.solvers.chain import Frames
 
 __all__ = ["EefDeltaPose", "EefPose", "EefTerm"]
 
@@ -89,10 +97,10 @@ class EefTerm(JointTerm):
         whole[:, self._ids] = self._targets()
         return whole
 
-    def _follow(self, commanded: F64, pos: F64, quat: F64 | None) -> None:
-        """Move targets towards poses (N, 3), (N, 4) in the environment's frame."""
+    def _follow(self, commanded: F64, frames: Frames, error: F64) -> None:
+        """Move targets by an error of the pose, (6, N) or (3, N), in the axes of the root."""
         posture = self._default if self._gain else None
-        step = self._solver.approach(commanded, pos, quat, self._largest, posture, self._gain)
+        step = self._solver.approach(commanded, frames, error, self._largest, posture, self._gain)
         self._write_targets(commanded[:, self._ids] + step.change)
         off = (step.distance > _POSITION_TOLERANCE) | (step.angle > _ROTATION_TOLERANCE)
         self._measures = {
@@ -100,7 +108,7 @@ class EefTerm(JointTerm):
             "rotation_error": step.angle,
             "unreachable": (off & step.stationary).astype(np.float64),
         }
-        if quat is None:
+        if len(error) == 3:
             del self._measures["rotation_error"]
 
     def metrics(self) -> Mapping[str, F64]:
@@ -157,7 +165,10 @@ class EefPose(EefTerm):
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets towards the poses of (N, A) actions."""
         commanded = self._commanded()
-        self._follow(commanded, *self._poses.target(action, lambda: self._pose(commanded)[1]))
+        pos, quat = self._poses.asked(action, lambda: self._pose(commanded)[1])
+        target = self._solver.to_root(pos, quat) if self._world else Target.of(pos, quat)
+        frames = self._solver.frames(commanded)
+        self._follow(commanded, frames, pose_error(frames, target))
 
     def _pose(self, qpos: F64) -> tuple[F64, F64]:
         """The tool's pose in `frame`."""
@@ -214,13 +225,41 @@ class EefDeltaPose(EefTerm):
         posture_gain: UnitInterval = 0.0,
     ) -> None:
         super().__init__(env, entity_cfg, max_velocity, posture_gain)
+        self._frame, self._rotation = frame, rotation
         self._measured = reference == "qpos"
-        poses = RelativePose(self._solver, self._count, frame, rotation, scale, clip)
-        self._poses = poses
-        self.names, self.low, self.high = poses.names, poses.low, poses.high
+        columns = MotionColumns(self._count, rotation, scale, clip)
+        self.names, self.low, self.high = columns.names, columns.low, columns.high
+        self._value = columns.value
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets by (N, A) actions."""
+        value = np.ascontiguousarray(self._value(action).T, np.float64)
         commanded = self._commanded()
-        start = self._asset.read_qpos() if self._measured else commanded
-        self._follow(commanded, *self._poses.target(action, *self._solver.forward(start)))
+        frames = self._solver.frames(commanded)
+        start = self._solver.frames(self._asset.read_qpos()) if self._measured else frames
+        motion = self._in_root(value.reshape(-1, 3, self._count), start)
+        if self._rotation == "keep":
+            motion = np.concatenate([motion, np.zeros_like(motion)])
+        if self._measured:
+            error = pose_error(frames, _moved(start, motion))
+        else:
+            error = motion.reshape(-1, self._count)
+        self._follow(commanded, frames, error)
+
+    def _in_root(self, vectors: F64, start: Frames) -> F64:
+        """Vectors (v, 3, N) of `frame` in the axes of the root."""
+        if self._frame == "base":
+            return vectors
+        axes = start.rotation
+        if self._frame == "world":
+            back = quat_conjugate(self._solver.root_pose()[1])
+            axes = np.moveaxis(quat_to_matrix(back), 0, -1)
+        return np.stack([matmul(axes, vector) for vector in vectors])
+
+
+def _moved(start: Frames, motion: F64) -> Target:
+    """The pose of the tool, translated and, if there is one, rotated by a rotation vector."""
+    if len(motion) == 1:
+        return Target(start.position + motion[0], None)
+    turn = np.moveaxis(quat_to_matrix(rotvec_to_quat(motion[1].T)), 0, -1)
+    return Target(start.position + motion[0], matmul(turn, start.rotation))

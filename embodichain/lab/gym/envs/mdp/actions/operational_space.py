@@ -19,6 +19,8 @@ from embodichain.lab.gym.envs.mdp.actions.joint_action import (
     PerJoint,
     per_joint,
 )
+from embodichain.lab.sim.solvers.arm_dynamics import ArmDynamics
+from embodichain.lab.sim.solvers.impedance import Impedance
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -102,9 +104,6 @@ class OperationalSpace(JointTerm):
         posture_stiffness: NonNegative = 10.0,
         posture: PerJoint | None = None,
     ) -> None:
-        from embodichain.lab.sim.solvers.arm_dynamics import ArmDynamics
-        from embodichain.lab.sim.solvers.impedance import Impedance
-
         solver = arm_solver(entity_cfg)
         super().__init__(env, moving_joints(entity_cfg, solver), driven=False)
         self._refuse_drives()
@@ -166,10 +165,10 @@ class OperationalSpace(JointTerm):
         (now, asked), poses = self._poses_now(), self._poses
         if isinstance(poses, AbsolutePose):
             frame = poses.in_frame
-            pos, quat = poses.target(action, lambda: frame(*asked)[1])
+            pos, quat = poses.in_world(*poses.asked(action, lambda: frame(*asked)[1]))
         else:
             start, turn = now if self._measured else asked
-            pos, quat = poses.target(action, start, asked[1] if self._keeps else turn)
+            pos, quat = poses.asked(action, start, asked[1] if self._keeps else turn)
         self._pos[:] = pos
         self._quat[:] = asked[1] if quat is None else quat
         self._begins[:] = False
