@@ -107,9 +107,32 @@ def put(operator, uid, height):
     return slip
 
 
-@pytest.mark.parametrize(
+PLACES = pytest.mark.parametrize(
     ("task", "uid", "height"), [("pick_place", "stand", 0.045), ("stack_cubes", "base", 0.05)]
 )
+
+
+@PLACES
+def test_success_is_a_released_cube_2_cm_beside_the_middle_at_most(operator, task, uid, height):
+    run = operator(task, seed=5)
+    beside = np.zeros((N, 3))
+    beside[:6, :2] = [[0, 0], [0.019, 0], [0.021, 0], [0, -0.019], [0.015, 0.015], [0.013, 0.013]]
+    pose = run.env.sim.get_rigid_object(uid).get_local_pose()
+    pose[:, :3] += torch.from_numpy(beside + height * Z).float()
+    pose[6, 2] += 0.1  # falls
+    pose[7, :3] = torch.tensor([0.65, 0.0, 0.725])  # on the table
+    run.env.sim.get_rigid_object("cube").set_local_pose(pose)
+    run.step()
+    wanted = [True, True, False, True, False, True, False, False]
+    assert run.successes[-1].tolist() == wanted
+    run.hold(-1.0)
+    assert not run.successes[-1].any()  # the gripper is closed
+    run.hold(1.0)
+    wanted[6] = True  # it has landed
+    assert run.successes[-1].tolist() == wanted
+
+
+@PLACES
 def test_a_cube_is_put_on_something(operator, task, uid, height):
     run = operator(task, seed=3)
     slip = put(run, uid, height)

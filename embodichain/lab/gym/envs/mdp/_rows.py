@@ -32,7 +32,7 @@ __all__ = [
 
 
 def squares(vectors: NDArray[Any]) -> F64:
-    """Sum of the squares of the rows, (N, K) -> (N,)."""
+    """Sum of the squares of the rows, (N, ..., K) -> (N, ...)."""
     rows = np.ascontiguousarray(vectors, np.float64)
     found: F64 = np.vecdot(rows, rows)
     return found
@@ -57,7 +57,7 @@ def mean(values: F64) -> F64:
 
 
 def norm(vectors: NDArray[Any]) -> F64:
-    """Euclidean length of the rows, (N, K) -> (N,)."""
+    """Euclidean length of the rows, (N, ..., K) -> (N, ...)."""
     found: F64 = np.sqrt(squares(vectors))
     return found
 

@@ -221,13 +221,15 @@ class _Controls:
             rows = [_servo(parsed, name) for name in self.names]
             self._gain: F64 = np.array([gain for gain, *_ in rows])
             self._bias: F64 = np.array([bias for _, bias, _ in rows])
-            self._lever: F64 = np.array([lever for *_, lever in rows])
+            levers = np.array([lever for *_, lever in rows])
+            moving = np.flatnonzero(levers.any(axis=0)).tolist()
+            self._levers = [(joint, levers[:, joint]) for joint in moving]
 
     def reach(self, qpos: F64, force: float) -> tuple[F64, F64]:
         """Controls (N, A) without force at positions (N, D), and the distance (A,) to `force`."""
         length = np.zeros((len(qpos), len(self.names)))
-        for joint in np.flatnonzero(self._lever.any(axis=0)).tolist():  # in a fixed order
-            length += qpos[:, joint, None] * self._lever[:, joint]
+        for joint, lever in self._levers:  # in a fixed order
+            length += qpos[:, joint, None] * lever
         free: F64 = -(self._bias[:, 0] + self._bias[:, 1] * length) / self._gain
         return free, force / np.abs(self._gain)
 

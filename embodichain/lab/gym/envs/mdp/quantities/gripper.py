@@ -8,7 +8,7 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Body, ContactOf, NonNegative
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.mdp._rows import norm
+from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -56,9 +56,8 @@ def grasped(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0) -
     if len(sensor.names) != 2:
         message = f"must be a contact sensor on two fingers; it is on {', '.join(sensor.names)}"
         raise ConfigError([Problem("sensor", message)])
-    one, other = sensor.read_force().transpose(1, 0, 2)
-    force, back = norm(one), norm(other)
-    dot = one[:, 0] * other[:, 0] + one[:, 1] * other[:, 1] + one[:, 2] * other[:, 2]
+    forces = sensor.read_force()
+    (one, other), (force, back) = forces.swapaxes(0, 1), norm(forces).T
     pressed = (force > threshold) & (back > threshold)
-    found: NDArray[np.bool_] = pressed & (dot < _OPPOSED * force * back)
+    found: NDArray[np.bool_] = pressed & (total(one * other) < _OPPOSED * force * back)
     return found
