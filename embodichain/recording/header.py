@@ -68,6 +68,7 @@ class Header:
         log_id: Identifier of the recording; the same in all files of a log.
         part: Index of the file within its log, from 0.
         first_step: First control step of the file.
+        call_steps: Physics steps of each physics call of a control step; 0 is all of them, in one.
     """
 
     task: str
@@ -90,6 +91,7 @@ class Header:
     log_id: str = ""
     part: int = 0
     first_step: int = 0
+    call_steps: int = 0
 
     def to_metadata(self) -> dict[str, str]:
         """Return the fields as strings: text as it is, everything else as JSON."""
@@ -129,7 +131,7 @@ class Header:
     def _check(self) -> None:
         """Raise ValueError unless the sizes are consistent and arrays of them can be allocated."""
         whole = ("seed", "num_envs", "substeps", "start_ns", "nstate")
-        counts = ("keyframe_every", "every", "part", "first_step")
+        counts = ("keyframe_every", "every", "part", "first_step", "call_steps")
         wrong = [name for name in (*whole, *counts) if type(getattr(self, name)) is not int]
         wrong += [name for name in counts if not 0 <= getattr(self, name) < 2**62]
         wrong += [n for n in ("num_envs", "substeps", "nstate") if not getattr(self, n) > 0]
@@ -145,6 +147,8 @@ class Header:
             wrong.append("layout")
         if not all(type(i) is int and 0 <= i < self.num_envs for i in self.view_envs):
             wrong.append("view_envs")
+        if self.call_steps and self.substeps % self.call_steps:
+            wrong.append("call_steps")
         if 8 * self.num_envs * self.nstate > LARGEST_CHUNK:
             wrong.append("num_envs")
         if not 0 <= self.start_ns < 2**62:
@@ -262,6 +266,7 @@ def header_of(
         keyframe_every=options.keyframe_every if options.state == "keyframes" else 0,
         every=options.every,
         log_id=uuid.uuid4().hex,
+        call_steps=int(env.physics_steps_per_call),
     )
 
 

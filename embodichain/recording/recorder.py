@@ -101,6 +101,7 @@ class McapRecorder(StepObserver):
         header = header_of(env, options, model_digest(mjb), task, self._start_ns)
         self._moved, self._period_ns = Moved(header.moved), header.period_ns
         self._substeps, self._keyframe_every = header.substeps, header.keyframe_every
+        self._call_steps = header.call_steps or header.substeps
         self._keeps_state = options.state != "none"
         self._gate = _EpisodeGate(options.every, next(iter(options.view_envs), 0))
         self._max_bytes = 0.0 if options.max_mb is None else options.max_mb * 1e6
@@ -197,9 +198,10 @@ class McapRecorder(StepObserver):
         phase, nstep, ids, rows, failed = event
         if phase == "before":
             if ids is None:
-                if nstep == self._substeps:
+                again = nstep == self._call_steps < self._substeps and self._gate.in_step
+                if nstep == self._call_steps:
                     self._gate.on_physics()
-                if self._gate.open:
+                if self._gate.open and not again:
                     self._views.on_rows(self._step, rows)
                     for part in self._drawing:
                         part.on_rows(self._step, rows)
@@ -425,19 +427,20 @@ class _EpisodeGate:
 
     Attributes:
         open: Whether calls are currently recorded.
+        in_step: Whether physics of the current control step has begun.
     """
 
     def __init__(self, every: int, lead: int) -> None:
         self._every, self._lead = every, lead
         self.open = True
         self._episodes = self._steps = 0
-        self._in_step = False
+        self.in_step = False
         self._held: list[EventRecord] = []
 
     def on_physics(self) -> None:
         """Count a control step; its physics begins."""
         self._steps += 1
-        self._in_step = True
+        self.in_step = True
 
     def hold(self, event: EventRecord) -> None:
         """Keep an event that fired while the gate was closed."""
@@ -448,11 +451,11 @@ class _EpisodeGate:
         if (env_ids == self._lead).any():
             self._episodes += self._steps > 0  # an episode without steps does not count
             self._steps = 0
-        return None if self._in_step else self.switch()
+        return None if self.in_step else self.switch()
 
     def switch(self) -> list[EventRecord] | None:
         """Between two steps: open or close; if it opens, return the events that were held."""
-        held, self._held, self._in_step = self._held, [], False
+        held, self._held, self.in_step = self._held, [], False
         before, self.open = self.open, self._episodes % self._every == 0
         return held if self.open and not before else None
 

@@ -133,25 +133,29 @@ def _needed(reader: LogReader, span: Span) -> list[ChunkPlace] | None:
 
 
 def own_physics(reader: LogReader, run: Run) -> int:
-    """Index of the call of a run that is the physics of the control step.
+    """Index of the call of a run with which the physics of the control step begins.
 
-    It is the first physics call for all environments with the decimation as its number of steps.
-    In the first step of a file, where a reset may settle for as many steps, it is the last one.
+    It is the first physics call for all environments with `Header.call_steps` as its number of
+    steps. In the first step of a file, where a reset may settle for as many steps, the last calls
+    are those of the control step.
 
     Raises:
         LogError: If there is none.
     """
     header = reader.require_header()
-    found = [i for i, call in enumerate(run.calls) if _is_whole_step(call, header)]
-    if not found:
+    nstep = header.call_steps or header.substeps
+    found = [i for i, call in enumerate(run.calls) if _is_whole(call, nstep)]
+    count = header.substeps // nstep
+    if len(found) < count:
         why = f"control step {run.first} has no physics of {header.substeps} steps"
         raise LogError(f"{reader.path}: {why}")
-    return found[-1 if run.first == header.first_step else 0]
+    return found[-count if run.first == header.first_step else 0]
 
 
-def _is_whole_step(call: Call, header: Header) -> bool:
+def _is_whole(call: Call, nstep: int) -> bool:
+    """Whether a call is physics of all environments with this number of steps."""
     whole = call.kind.kind == "physics" and "env_ids" not in call.arrays
-    return whole and call.kind.nstep == header.substeps
+    return whole and call.kind.nstep == nstep
 
 
 @lru_cache(maxsize=256)

@@ -22,6 +22,7 @@ __all__ = [
     "quat_multiply",
     "quat_rotate",
     "quat_to_matrix",
+    "quat_to_rotvec",
     "rotate",
     "rotate_back",
     "rotvec_to_quat",
@@ -186,6 +187,17 @@ def rotvec_to_quat(vectors: F64) -> F64:
     # sin(half) / angle tends to 1/2 for small angles.
     factor = np.divide(np.sin(half), angle, out=np.full_like(angle, 0.5), where=angle > 1e-9)
     return np.stack([np.cos(half), factor * x, factor * y, factor * z], axis=-1)
+
+
+def quat_to_rotvec(quats: F64) -> F64:
+    """Rotation vectors (axis times angle in rad, at most pi), (..., 3), of unit quaternions."""
+    w, x, y, z = np.ascontiguousarray(np.moveaxis(quats, -1, 0))
+    sine = np.sqrt(x * x + y * y + z * z)
+    angle = 2.0 * np.arctan2(sine, np.abs(w))
+    # angle / sine tends to 2 for small angles.
+    factor = np.divide(angle, sine, out=np.full_like(w, 2.0), where=sine > 1e-9)
+    factor = np.where(w < 0.0, -factor, factor)
+    return np.stack([x * factor, y * factor, z * factor], axis=-1)
 
 
 def look_at(eye: F64, target: F64, up: F64) -> F64:

@@ -1,6 +1,7 @@
 """A scene in which the example of every registered term can be built.
 
-It has the robots `ur10`, `go` (a quadruped on a floating base) and `panda` (with a gripper), the
+It has the robots `ur10`, `go` (a quadruped on a floating base) and `panda` (a
+gripper on an arm without drives), the
 objects `cube` and `goal`, a light, sensors, commands, and poses kept by name. Terms and the scene
 itself are declared in YAML and go the way that a user's task goes.
 """
@@ -43,7 +44,10 @@ max_episode_steps: 50
 robot: {uid: ur10, fpath: UniversalRobots/UR10/UR10.urdf, init_pos: [0, 0, 1],
         init_qpos: [1.57, -1.57, 1.57, -1.57, -1.57, 0]}
 robots:
-  panda: {fpath: panda_description/urdf/panda.urdf, init_pos: [0, -1.5, 0]}
+  panda: {fpath: panda_description/urdf/panda.urdf, init_pos: [0, -1.5, 0],
+          init_qpos: [0, -0.57, 0, -2.2, 0, 2.4, 0.74, 0.04, 0.04],
+          drive_pros: {stiffness: {"panda_joint.*": 0, "panda_finger.*": 1000},
+                       damping: {"panda_joint.*": 0, "panda_finger.*": 100}}}
   go: {fix_base: false, init_pos: [2, 0, 0.45],
        drive_pros: {stiffness: 40, damping: 2}}
 objects:

@@ -59,6 +59,7 @@ class SmallEnv:
     def __init__(self, num_envs=3, seed=0, settle=0, length=7, push=False, threads=1, model=MODEL):
         self.num_envs, self.seed_value = num_envs, seed
         self.physics_dt, self.sim_steps_per_control = 0.005, 4
+        self.physics_steps_per_call = 4
         self.step_dt = self.physics_dt * self.sim_steps_per_control
         self.settle, self.length, self.push = settle, length, push
         engine = CpuEngine(model, num_envs, num_threads=threads)
@@ -117,7 +118,7 @@ class SmallEnv:
         engine.write("ctrl", action)
         if self.push and self.count == 3:
             engine.write("xfrc_applied", 3.0, np.array([1]), np.arange(30, 33))
-        engine.step(self.sim_steps_per_control)
+        self.step_physics()
         goal = 0.1 * self._draw(everyone, 3)
         engine.write("mocap_pos", goal, None, slice(3, 6))
         self._event("move_goal", "interval", None, {"position": goal})
@@ -143,6 +144,10 @@ class SmallEnv:
         record = StepRecord(self.count, action, reward, terminated, truncated, info, {}, episodes)
         for o in self.observers:
             o.on_step(self, record)
+
+    def step_physics(self):
+        """Advance physics by one control step."""
+        self.sim.engine.step(self.sim_steps_per_control)
 
     def close(self):
         for o in self.observers:

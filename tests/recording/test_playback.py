@@ -49,6 +49,46 @@ def test_rows_and_masses_are_those_of_each_step(record, settle, push, before):
             assert steps == list(range(20))
 
 
+class _Stepwise(SmallEnv):
+    """Writes controls before every physics step."""
+
+    def __init__(self, seen, **kwargs):
+        super().__init__(**kwargs)
+        self.physics_steps_per_call, self.seen = 1, seen
+
+    def step_physics(self):
+        engine = self.sim.engine
+        for step in range(self.sim_steps_per_control):
+            engine.write("ctrl", 0.3 * step)
+            if not step:
+                self.seen.append(engine.rows.copy())
+            engine.step(1)
+
+
+@pytest.mark.parametrize("settle", [0, 1, 4])
+@pytest.mark.parametrize("before", [0, 9])
+def test_states_of_steps_with_several_physics_calls(record, settle, before):
+    seen = []
+    path = record(env=_Stepwise, seen=seen, settle=settle, before=before)
+    seen = seen[-20:]
+    assert recording.verify(path).ok
+    with recording.open(path) as log:
+        playback = Playback(log, 1)
+        for step in playback.steps(Span()):
+            assert playback.engine.rows[0].tobytes() == seen[step][1].tobytes(), step
+        assert step == 19
+
+
+def test_pictures_and_views_of_steps_with_several_physics_calls(record):
+    def messages(path):
+        with recording.open(path) as log:
+            start_ns, found = log.header.start_ns, list(log.reader.messages())
+        return [(topic, time - start_ns) for topic, time, _ in found if "/env_" in topic]
+
+    several = messages(record(name="a.mcap", env=_Stepwise, seen=[]))
+    assert several and several == messages(record(name="b.mcap"))
+
+
 def test_a_range_and_every_third(record):
     with recording.open(record()) as log:
         assert list(Playback(log, 1).steps(Span(4, 12), every=3)) == [4, 7, 10]

@@ -41,6 +41,16 @@ def test_multiply_rotate_conjugate(rotations):
     )
 
 
+def test_rotation_vectors(rotations):
+    quats = wxyz(rotations)
+    expected = rotations.as_rotvec()
+    half_turns = np.linalg.norm(expected, axis=1) > np.pi - 1e-6  # either sign
+    for sign in (1.0, -1.0):
+        found = m.quat_to_rotvec(sign * quats)
+        np.testing.assert_allclose(found[~half_turns], expected[~half_turns], atol=1e-12)
+        np.testing.assert_allclose(np.abs(found), np.abs(expected), atol=1e-6)
+
+
 def test_euler_is_intrinsic_xyz():
     angles = np.random.default_rng(2).uniform(-3, 3, (100, 3))
     expected = Rotation.from_euler("XYZ", angles).as_matrix()

@@ -321,7 +321,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         action = self._act(self._preprocess_action(action))
         if self.run_dir is not None:
             self._dump.keep()
-        self.sim.update(step=self.sim_steps_per_control)
+        self.action_manager.step_physics(self.sim_steps_per_control)
         self._update_sim_state(**kwargs)
         self.event_manager.step(stepped)
         self.command_manager.step(stepped)

@@ -21,6 +21,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     import torch
 
+    from embodichain.lab.gym.envs.managers.action_manager import ActionManager
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.managers.value_managers import (
         MetricManager,
@@ -59,6 +60,7 @@ class EnvReads:
     sim_steps_per_control: int
     control_step: int
     observation_space: gym.Space[Any]
+    action_manager: ActionManager
     metric_manager: MetricManager
     reward_manager: RewardManager
     termination_manager: TerminationManager
@@ -86,6 +88,11 @@ class EnvReads:
     def step_dt(self) -> float:
         """Seconds per control step."""
         return self.physics_dt * self.sim_steps_per_control
+
+    @property
+    def physics_steps_per_call(self) -> int:
+        """Physics steps of each physics call of a control step: all, or 1 (`ActionTerm`)."""
+        return 1 if self.action_manager.acts_in_physics else self.sim_steps_per_control
 
     @property
     def physics_frequency(self) -> float:

@@ -84,6 +84,11 @@ class ObservedEnv(Protocol):
         ...
 
     @property
+    def physics_steps_per_call(self) -> int:
+        """Physics steps of each physics call of a control step: all, or 1 (`ActionTerm`)."""
+        ...
+
+    @property
     def control_step(self) -> int:
         """Control steps since the environment was built."""
         ...

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.sim.solvers.chain import Chain, matmul
-from embodichain.utils.math import matrix_to_quat, quat_to_matrix
+from embodichain.utils.math import matrix_to_quat, quat_to_matrix, quat_to_rotvec
 from embodichain.utils.random import RandomStreams
 
 if TYPE_CHECKING:
@@ -77,11 +77,8 @@ def pose_error(frames: Frames, target: Target) -> F64:
     if target.rotation is None:
         return shift
     turn = matmul(target.rotation, np.swapaxes(frames.rotation, 0, 1))
-    w, x, y, z = np.ascontiguousarray(matrix_to_quat(np.moveaxis(turn, -1, 0)).T)
-    sine = np.sqrt(x * x + y * y + z * z)
-    # angle / sine tends to 2 for small angles.
-    factor = np.divide(2.0 * np.arctan2(sine, w), sine, out=np.full_like(w, 2.0), where=sine > 1e-9)
-    return np.concatenate([shift, np.stack([x, y, z]) * factor])
+    vectors = quat_to_rotvec(matrix_to_quat(np.moveaxis(turn, -1, 0)))
+    return np.concatenate([shift, vectors.T])
 
 
 def squared(vectors: F64) -> F64:

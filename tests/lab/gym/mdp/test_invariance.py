@@ -127,10 +127,11 @@ def test_a_restored_environment_continues_to_the_byte(make) -> None:
 
 
 # Randomizers of model fields have a test like this one of their own, in test_randomizers_exact;
-# a film changes nothing, and textures are in test_camera_events.
+# a film changes nothing, and textures are in test_camera_events. The action operational_space,
+# which needs a robot without drives, has one in test_operational_space.
 ELSEWHERE = {case.func for case in randomizers.CASES} | {"record_camera_data", "randomize_texture"}
 USED = {
-    "action": set(ACTIONS),
+    "action": {*ACTIONS, "operational_space"},
     "event": {e.func for e in EVENTS.values()} | ELSEWHERE,
     "observation": {o.func for o in OBSERVATIONS.values()},
     "reward": set(REWARDS),

@@ -208,7 +208,6 @@ class ActionManager(Manager[ActionTermCfg]):
         super().__init__(env, "actions", "action", cfgs)
 
     def _bind(self) -> None:
-        default = ActionTerm.metrics
         known, self.slices = self.slices, {}
         start = 0
         lows: list[NDArray[np.float32]] = [np.zeros(0, np.float32)]
@@ -229,7 +228,12 @@ class ActionManager(Manager[ActionTermCfg]):
         self._measured = [
             (name, term.instance.metrics)
             for name, term in self.terms.items()
-            if getattr(type(term.instance), "metrics", default) is not default
+            if _overrides(term, "metrics")
+        ]
+        self._before_physics = [
+            term.instance.before_physics
+            for term in self.terms.values()
+            if _overrides(term, "before_physics")
         ]
 
     def _receiver(self, name: str, term: BuiltTerm[ActionTermCfg]) -> Callable[..., Any]:
@@ -284,6 +288,21 @@ class ActionManager(Manager[ActionTermCfg]):
             call(action[:, columns])
 
     @property
+    def acts_in_physics(self) -> bool:
+        """Whether a term acts before every physics step."""
+        return bool(self._before_physics)
+
+    def step_physics(self, count: int) -> None:
+        """Advance physics by ``count`` steps; one by one if a term acts before every step."""
+        if not self._before_physics:
+            self.env.sim.update(step=count)
+            return
+        for _ in range(count):
+            for act in self._before_physics:
+                act()
+            self.env.sim.update(step=1)
+
+    @property
     def has_metrics(self) -> bool:
         """Whether a term measures how its action was applied."""
         return bool(self._measured)
@@ -308,6 +327,12 @@ class ActionManager(Manager[ActionTermCfg]):
         for name, term in self.terms.items():
             held[:, self.slices[name]] = term.instance.hold()
         return held
+
+
+def _overrides(term: BuiltTerm[ActionTermCfg], name: str) -> bool:
+    """Whether a term's class overrides a method of `ActionTerm`; it need not be a subclass."""
+    default = getattr(ActionTerm, name)
+    return getattr(type(term.instance), name, default) is not default
 
 
 def _bounds_of(

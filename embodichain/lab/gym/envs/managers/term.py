@@ -98,6 +98,12 @@ class ActionTerm(Term):
         """
         raise NotImplementedError
 
+    def before_physics(self) -> None:
+        """Act before a physics step. The default does nothing.
+
+        If a class overrides it, the physics of a control step is calculated step by step.
+        """
+
     def home(self) -> NDArray[np.float64]:
         """(A,) the action that goes to the initial state; policies explore around it."""
         return np.clip(np.zeros(len(self.low)), self.low, self.high)

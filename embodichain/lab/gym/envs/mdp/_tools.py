@@ -1,7 +1,11 @@
-"""A robot's tool by the entity of a term: `tool_links` names it, `arm_solver` moves it."""
+"""A robot's tool by the entity of a term: `tool_links` names it, `arm_solver` moves it.
+
+`moving_joints` are the joints that do.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 from embodichain.utils.errors import ConfigError, Problem
@@ -10,7 +14,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
-__all__ = ["arm_solver", "tool_links"]
+__all__ = ["arm_solver", "moving_joints", "tool_links"]
 
 
 def tool_links(entity: ResolvedEntity) -> list[str]:
@@ -53,3 +57,9 @@ def arm_solver(entity: ResolvedEntity, path: str = "entity_cfg") -> ArmSolver:
     part = entity.control_parts[0] if len(entity.control_parts) == 1 else None
     settings = getattr(asset, "solver_cfg", lambda part: SolverCfg())(part)
     return ArmSolver(asset, entity.joint_ids, asset.body_of(links[0]), settings, path)
+
+
+def moving_joints(entity: ResolvedEntity, solver: ArmSolver) -> ResolvedEntity:
+    """The entity with those of its joints picked that move the tool, from root to tool."""
+    joints = tuple(map(int, solver.moving))
+    return dataclasses.replace(entity, joint_ids=joints, joint_names=solver.names, all_joints=False)

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal
 
@@ -15,9 +14,9 @@ import numpy as np
 from embodichain.lab.gym.envs.managers.param_types import Box3, UnitInterval
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import UNLIMITED, ResolvedEntity
-from embodichain.lab.gym.envs.mdp._tools import arm_solver
+from embodichain.lab.gym.envs.mdp._tools import arm_solver, moving_joints
+from embodichain.lab.gym.envs.mdp.actions._tool_poses import AbsolutePose, MotionColumns
 from embodichain.lab.gym.envs.mdp.actions.joint_action import (
-    Affine,
     JointClip,
     JointTerm,
     PerJoint,
@@ -27,17 +26,13 @@ from embodichain.lab.sim.solvers.chain import matmul
 from embodichain.lab.sim.solvers.least_squares import Target, pose_error
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
-    euler_xyz_to_quat,
     quat_conjugate,
-    quat_multiply,
-    quat_rotate,
     quat_to_matrix,
     rotvec_to_quat,
 )
 
 if TYPE_CHECKING:
     import torch
-    from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
@@ -76,10 +71,7 @@ class EefTerm(JointTerm):
         posture_gain: float,
     ) -> None:
         self._solver = arm_solver(entity)
-        moving, names = self._solver.moving, self._solver.names
-        joints = tuple(map(int, moving))
-        picked = dataclasses.replace(entity, joint_ids=joints, joint_names=names, all_joints=False)
-        super().__init__(env, picked)
+        super().__init__(env, moving_joints(entity, self._solver))
         self._count = env.num_envs
         self._largest: F64 = self._speeds(max_velocity) * env.step_dt
         self._gain = posture_gain
@@ -124,19 +116,6 @@ class EefTerm(JointTerm):
         return self._measures
 
 
-def _quat_to_rpy(quat: F64) -> F64:
-    """Roll, pitch, yaw about fixed axes (R = Rz Ry Rx), (..., 3), of wxyz quaternions."""
-    w, x, y, z = np.ascontiguousarray(np.moveaxis(quat, -1, 0))
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    angles: F64 = np.stack([roll, pitch, yaw], axis=-1)
-    return angles
-
-
-_QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
-
-
 @register_term("action", name="eef_pose")
 class EefPose(EefTerm):
     """Moves a robot's tool towards a pose, by inverse kinematics, as fast as its joints may.
@@ -177,56 +156,19 @@ class EefPose(EefTerm):
         posture_gain: UnitInterval = 0.0,
     ) -> None:
         super().__init__(env, entity_cfg, max_velocity, posture_gain)
-        self._world, self._rotation = frame == "world", rotation
-        index = self._asset.entity
-        root = np.zeros(3) if not self._world else np.asarray(index.pos0, np.float64)
-        reach = self._solver.chain.reach
-        box = [root - reach, root + reach] if position_range is None else position_range
-        extra = {"quat": 1.0, "rpy": np.pi}.get(rotation, 0.0)
-        self.names = ("x", "y", "z", *{"quat": _QUATS, "rpy": _ANGLES}.get(rotation, ()))
-        ends = np.full(len(self.names) - 3, extra)
-        self.low: NDArray[np.float32] = np.concatenate([box[0], -ends]).astype(np.float32)
-        self.high: NDArray[np.float32] = np.concatenate([box[1], ends]).astype(np.float32)
-        initial = np.asarray(self._asset.parsed.init_qpos, np.float64)[None]
-        pos, quat = self._solver.forward_in_root(initial, np.zeros(1, np.int64))
-        if self._world:
-            turn = np.asarray(index.quat0, np.float64)[None]
-            pos, quat = root + quat_rotate(turn, pos), quat_multiply(turn, quat)
-        self._home: F64 = self._action_at(pos, quat)[0]
-        self._kept: F64 = np.tile(quat, (self._count, 1))
-
-    def _action_at(self, pos: F64, quat: F64) -> F64:
-        """(n, A) the action for a pose in `frame`."""
-        turned = {"quat": quat, "rpy": _quat_to_rpy(quat)}.get(self._rotation, quat[:, :0])
-        action = np.concatenate([pos, turned], axis=1)
-        within: F64 = np.minimum(np.maximum(action, self.low), self.high)
-        return within
+        poses = AbsolutePose(
+            self._asset, self._solver, self._count, frame, rotation, position_range
+        )
+        self._poses, self._world = poses, frame == "world"
+        self.names, self.low, self.high = poses.names, poses.low, poses.high
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets towards the poses of (N, A) actions."""
-        given = np.minimum(np.maximum(action.numpy(), self.low), self.high).astype(np.float64)
         commanded = self._commanded()
-        pos, turned = np.ascontiguousarray(given[:, :3]), np.ascontiguousarray(given[:, 3:])
-        quat: F64 | None = None
-        if self._rotation == "keep":
-            quat = self._kept
-        elif self._rotation == "rpy":
-            quat = quat_conjugate(euler_xyz_to_quat(-turned))
-        elif self._rotation == "quat":
-            quat = self._normalized(turned, commanded)
+        pos, quat = self._poses.asked(action, lambda: self._pose(commanded)[1])
         target = self._solver.to_root(pos, quat) if self._world else Target.of(pos, quat)
         frames = self._solver.frames(commanded)
         self._follow(commanded, frames, pose_error(frames, target))
-
-    def _normalized(self, quat: F64, commanded: F64) -> F64:
-        """(N, 4) unit quaternions; the commanded orientation where one is 0."""
-        squares = quat * quat
-        norm = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
-        void = norm < 1e-6
-        unit: F64 = quat / np.where(void, 1.0, norm)[:, None]
-        if void.any():
-            unit[void] = self._pose(commanded)[1][void]
-        return unit
 
     def _pose(self, qpos: F64) -> tuple[F64, F64]:
         """The tool's pose in `frame`."""
@@ -234,11 +176,11 @@ class EefPose(EefTerm):
 
     def home(self) -> F64:
         """(A,) the action that goes to the tool's initial pose."""
-        return self._home
+        return self._poses.home
 
     def hold(self) -> F64:
         """(N, A) the action that keeps the present targets."""
-        return self._action_at(*self._pose(self._commanded()))
+        return self._poses.action_at(*self._pose(self._commanded()))
 
 
 @register_term("action", name="eef_delta_pose")
@@ -285,13 +227,9 @@ class EefDeltaPose(EefTerm):
         super().__init__(env, entity_cfg, max_velocity, posture_gain)
         self._frame, self._rotation = frame, rotation
         self._measured = reference == "qpos"
-        turns = rotation == "command"
-        self.names = ("x", "y", "z", *(("rx", "ry", "rz") if turns else ()))
-        if scale is None:
-            scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
-        affine = Affine(self.names, self._count, scale, 0.0, clip or [-1.0, 1.0], what="column")
-        self.low, self.high = affine.low, affine.high
-        self._value = affine.value
+        columns = MotionColumns(self._count, rotation, scale, clip)
+        self.names, self.low, self.high = columns.names, columns.low, columns.high
+        self._value = columns.value
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets by (N, A) actions."""

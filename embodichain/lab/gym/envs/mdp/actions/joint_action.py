@@ -358,12 +358,18 @@ class Efforts:
                 ", ".join(asset.parsed.joint_names[j] for j in stiff),
             )
 
-    def write(self, effort: F64) -> None:
-        """Apply (N, A) efforts, N m or N, within `max_effort`, times the drives' strength."""
+    def write(self, effort: F64) -> F64:
+        """Apply (N, A) efforts, N m or N, within `max_effort`, times the drives' strength.
+
+        Returns:
+            (N, A) efforts within `max_effort`.
+        """
         drives = self._asset.drives
         most = drives.max_effort[:, self._joints]
-        effort = np.minimum(np.maximum(effort, -most), most) * drives.strength[:, self._joints]
-        self._asset.engine.write("qfrc_applied", effort, None, self._dofs)
+        within: F64 = np.minimum(np.maximum(effort, -most), most)
+        applied = within * drives.strength[:, self._joints]
+        self._asset.engine.write("qfrc_applied", applied, None, self._dofs)
+        return within
 
 
 Centre = Literal["zero", "home", "qpos", "target", "limits"]

@@ -1,0 +1,222 @@
+"""Poses that an action asks of a tool: `AbsolutePose`, `RelativePose` and its `MotionColumns`.
+
+Poses are in the environment's frame, unless a name says otherwise; quaternions are wxyz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine, JointClip, PerJoint
+from embodichain.utils.math import (
+    euler_xyz_to_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_rotate,
+    rotvec_to_quat,
+)
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.managers.param_types import Box3
+    from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
+
+__all__ = ["AbsolutePose", "MotionColumns", "RelativePose"]
+
+_QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
+
+
+def _quat_to_rpy(quat: F64) -> F64:
+    """Roll, pitch, yaw about fixed axes (R = Rz Ry Rx), (..., 3), of wxyz quaternions."""
+    w, x, y, z = np.ascontiguousarray(np.moveaxis(quat, -1, 0))
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    angles: F64 = np.stack([roll, pitch, yaw], axis=-1)
+    return angles
+
+
+class AbsolutePose:
+    """Actions that are poses of a tool.
+
+    Args:
+        asset: The robot.
+        solver: The kinematics of its tool.
+        num_envs: N.
+        frame: Of the pose: ``base``, the robot's root, or ``world``, the environment.
+        rotation: ``quat``, ``rpy``, ``keep`` or ``free``, as of `eef_pose`.
+        position_range: Low and high of the position, or None: a box around all that the links
+            could reach.
+
+    Attributes:
+        names: Names of the A columns.
+        low, high: (A,) float32 bounds of the action.
+        home: (A,) the action that asks for the initial pose.
+    """
+
+    def __init__(
+        self,
+        asset: Any,
+        solver: ArmSolver,
+        num_envs: int,
+        frame: Literal["base", "world"],
+        rotation: Literal["quat", "rpy", "keep", "free"],
+        position_range: Box3 | None,
+    ) -> None:
+        self._solver, self._world, self._rotation = solver, frame == "world", rotation
+        index = asset.entity
+        root = np.zeros(3) if not self._world else np.asarray(index.pos0, np.float64)
+        reach = solver.chain.reach
+        box = [root - reach, root + reach] if position_range is None else position_range
+        extra = {"quat": 1.0, "rpy": np.pi}.get(rotation, 0.0)
+        self.names = ("x", "y", "z", *{"quat": _QUATS, "rpy": _ANGLES}.get(rotation, ()))
+        ends = np.full(len(self.names) - 3, extra)
+        self.low: NDArray[np.float32] = np.concatenate([box[0], -ends]).astype(np.float32)
+        self.high: NDArray[np.float32] = np.concatenate([box[1], ends]).astype(np.float32)
+        initial = np.asarray(asset.parsed.init_qpos, np.float64)[None]
+        pos, quat = solver.forward_in_root(initial, np.zeros(1, np.int64))
+        if self._world:
+            turn = np.asarray(index.quat0, np.float64)[None]
+            pos, quat = root + quat_rotate(turn, pos), quat_multiply(turn, quat)
+        self.home: F64 = self.action_at(pos, quat)[0]
+        self._kept: F64 = np.tile(quat, (num_envs, 1))
+
+    def action_at(self, pos: F64, quat: F64) -> F64:
+        """(n, A) the action for a pose (n, 3), (n, 4) in `frame`."""
+        turned = {"quat": quat, "rpy": _quat_to_rpy(quat)}.get(self._rotation, quat[:, :0])
+        action = np.concatenate([pos, turned], axis=1)
+        within: F64 = np.minimum(np.maximum(action, self.low), self.high)
+        return within
+
+    def asked(self, action: torch.Tensor, orientation: Callable[[], F64]) -> tuple[F64, F64 | None]:
+        """The poses in `frame` that actions (N, A) ask for.
+
+        Args:
+            action: The action.
+            orientation: Returns the orientation (N, 4) in `frame` that a quaternion 0 keeps.
+
+        Returns:
+            Position (N, 3) and orientation (N, 4) or None, if that is free.
+        """
+        given = np.minimum(np.maximum(action.numpy(), self.low), self.high).astype(np.float64)
+        pos, turned = np.ascontiguousarray(given[:, :3]), np.ascontiguousarray(given[:, 3:])
+        quat: F64 | None = None
+        if self._rotation == "keep":
+            quat = self._kept
+        elif self._rotation == "rpy":
+            quat = quat_conjugate(euler_xyz_to_quat(-turned))
+        elif self._rotation == "quat":
+            quat = _normalized(turned, orientation)
+        return pos, quat
+
+    def in_world(self, pos: F64, quat: F64 | None) -> tuple[F64, F64 | None]:
+        """Poses (N, 3), (N, 4) of `frame` in the environment's frame."""
+        if self._world:
+            return pos, quat
+        root_pos, root_quat = self._solver.root_pose()
+        turned = None if quat is None else quat_multiply(root_quat, quat)
+        return root_pos + quat_rotate(root_quat, pos), turned
+
+    def in_frame(self, pos: F64, quat: F64) -> tuple[F64, F64]:
+        """Poses (N, 3), (N, 4) of the environment's frame in `frame`."""
+        if self._world:
+            return pos, quat
+        root_pos, root_quat = self._solver.root_pose()
+        back = quat_conjugate(root_quat)
+        return quat_rotate(back, pos - root_pos), quat_multiply(back, quat)
+
+
+def _normalized(quat: F64, orientation: Callable[[], F64]) -> F64:
+    """(N, 4) unit quaternions; those of `orientation` where one is 0."""
+    squares = quat * quat
+    norm = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
+    void = norm < 1e-6
+    unit: F64 = quat / np.where(void, 1.0, norm)[:, None]
+    if void.any():
+        unit[void] = orientation()[void]
+    return unit
+
+
+class MotionColumns:
+    """Columns of actions that are motions of a tool: scale x clamp(action, clip).
+
+    Args:
+        num_envs: N.
+        rotation: ``command``, ``keep`` or ``free``, as of `eef_delta_pose`.
+        scale: m and rad per unit of action; None is 0.02 m and 0.1 rad.
+        clip: Bounds of the action; None is [-1, 1].
+
+    Attributes:
+        names: Names of the A columns.
+        low, high: (A,) float32 bounds of the action.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        rotation: Literal["command", "keep", "free"],
+        scale: PerJoint | None,
+        clip: JointClip | None,
+    ) -> None:
+        turns = rotation == "command"
+        self.names = ("x", "y", "z", *(("rx", "ry", "rz") if turns else ()))
+        if scale is None:
+            scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
+        affine = Affine(self.names, num_envs, scale, 0.0, clip or [-1.0, 1.0], what="column")
+        self.low, self.high = affine.low, affine.high
+        self.value = affine.value
+
+
+class RelativePose(MotionColumns):
+    """Actions that are motions of a tool from a pose.
+
+    Args:
+        solver: The kinematics of the tool.
+        num_envs: N.
+        frame: Of the motion: ``base``, ``world`` or ``tool``, as of `eef_delta_pose`.
+        rotation: As of `MotionColumns`.
+        scale: Likewise.
+        clip: Likewise.
+    """
+
+    def __init__(
+        self,
+        solver: ArmSolver,
+        num_envs: int,
+        frame: Literal["base", "world", "tool"],
+        rotation: Literal["command", "keep", "free"],
+        scale: PerJoint | None,
+        clip: JointClip | None,
+    ) -> None:
+        super().__init__(num_envs, rotation, scale, clip)
+        self._solver, self._frame, self._rotation = solver, frame, rotation
+
+    def asked(self, action: torch.Tensor, pos: F64, quat: F64) -> tuple[F64, F64 | None]:
+        """The poses that actions (N, A) ask for, from poses (N, 3), (N, 4).
+
+        Returns:
+            Position (N, 3) and orientation (N, 4) or None, if that is free.
+        """
+        value = self.value(action).astype(np.float64)
+        shift = np.ascontiguousarray(value[:, :3])
+        turn = None
+        if self._rotation == "command":
+            turn = rotvec_to_quat(value[:, 3:])
+        if self._frame == "tool":
+            moved = pos + quat_rotate(quat, shift)
+            turned = quat if turn is None else quat_multiply(quat, turn)
+        else:
+            if self._frame == "base":
+                root = self._solver.root_pose()[1]
+                shift = quat_rotate(root, shift)
+                if turn is not None:
+                    turn = quat_multiply(quat_multiply(root, turn), quat_conjugate(root))
+            moved = pos + shift
+            turned = quat if turn is None else quat_multiply(turn, quat)
+        return moved, None if self._rotation == "free" else turned
