@@ -60,6 +60,7 @@ lights:
   lamp: {init_pos: [0, 0, 3]}
 sensors:
   contacts: {sensor_type: contact, entity_cfg: {uid: go, link_names: [".*foot.*"]}}
+  fingers: {sensor_type: contact, entity_cfg: {uid: panda, link_names: ["panda_.*finger"]}}
   imu: {sensor_type: imu, entity_cfg: {uid: go, link_names: [trunk]}}
   wrench: {sensor_type: force_torque, entity_cfg: {uid: ur10, link_names: [wrist_3_link]}}
   scan: {sensor_type: height_scan, entity_cfg: {uid: go, link_names: [trunk]},

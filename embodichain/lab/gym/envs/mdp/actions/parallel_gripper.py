@@ -46,7 +46,7 @@ class ParallelGripper(JointTerm):
     is moved by the control of its actuator.
 
     Example:
-        ``{func: parallel_gripper, params: {of: {uid: ur10}, actuator_names: gripper/grip}}``
+        ``{func: parallel_gripper, params: {of: {uid: panda, joint_names: panda_finger_joint1}}}``
 
     Args:
         entity_cfg: The robot and the joints of its gripper.

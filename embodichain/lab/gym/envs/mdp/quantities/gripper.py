@@ -31,8 +31,8 @@ def gripper_opening(env: TermContext, from_: Body, to: Body, closed: float = 0.0
         closed: The distance of the links' origins when the gripper is closed, m.
 
     Example:
-        ``{func: gripper_opening, params: {from: {uid: ur10, link_names: [gripper/left_finger]},
-        to: {uid: ur10, link_names: [gripper/right_finger]}}}``
+        ``{func: gripper_opening, params: {from: {uid: panda, link_names: [panda_leftfinger]},
+        to: {uid: panda, link_names: [panda_rightfinger]}}}``
     """
     return norm(to.position() - from_.position()) - closed
 
