@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.sim.solvers.arm_dynamics import in_axes, matrix_product
-from embodichain.lab.sim.solvers.least_squares import times, transposed
+from embodichain.lab.sim.solvers.least_squares import squared, times, transposed
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_to_rotvec
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ class Impedance:
         stiffness: (6,) K of x, y, z, rx, ry, rz; (3,) if the orientation is free. 1/s^2, without
             decoupling N/m and N m/rad.
         ratio: Damping ratios r, likewise.
+        most: Largest lengths of the errors of position and rotation that the spring pulls with, m
+            and rad.
         decoupling: Whether L shapes the forces.
         posture: (k,) joint positions.
         pull: 1/s^2 towards the posture, critically damped; 0 is no posture.
@@ -52,11 +54,12 @@ class Impedance:
         dynamics: ArmDynamics,
         stiffness: F64,
         ratio: F64,
+        most: tuple[float, float],
         decoupling: bool,
         posture: F64,
         pull: float,
     ) -> None:
-        self._dynamics, self._decouples = dynamics, decoupling
+        self._dynamics, self._most, self._decouples = dynamics, most, decoupling
         self._stiffness: F64 = stiffness[:, None]
         root = np.sqrt(self._stiffness)
         self._root: F64 = root
@@ -84,7 +87,9 @@ class Impedance:
             error: (6 or 3, N) from `error`.
             axes: (N, 4) orientation of the axes of stiffness, wxyz; None is the world's axes.
         """
-        size, dynamics = len(error), self._dynamics
+        size, dynamics, most = len(error), self._dynamics, self._most
+        parts = zip(np.split(error, size // 3), most, strict=False)
+        error = np.concatenate([_shortened(part, length) for part, length in parts])
         jacobian, velocity = dynamics.jacobian()[:size], dynamics.velocity()[:size]
         if axes is not None:
             jacobian, velocity, error = (in_axes(axes, v) for v in (jacobian, velocity, error))
@@ -121,6 +126,12 @@ class Impedance:
         qpos, qvel = self._dynamics.joint_motion()
         found: F64 = self._pull * (self._posture - qpos) - self._brake * qvel
         return found
+
+
+def _shortened(vectors: F64, length: float) -> F64:
+    """Vectors (3, N), scaled to a length where they are longer."""
+    found: F64 = vectors * (length / np.maximum(np.sqrt(squared(vectors)), length))
+    return found
 
 
 def _solved(matrix: F64, right: F64) -> F64:

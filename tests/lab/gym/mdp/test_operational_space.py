@@ -143,6 +143,22 @@ def test_the_elbow_moves_to_the_posture_and_the_tool_does_not() -> None:
     env.close()
 
 
+def test_a_far_pose_is_approached_at_a_bounded_speed() -> None:
+    env = panda(command="pose", frame="world", rotation="keep", stiffness=400.0)
+    home = env.action_manager.home()
+    far = home + np.array([-0.25, 0.1, -0.2])
+    before, speeds = tool(env)[0], []
+    for _ in range(100):
+        act(env, far)
+        pos = tool(env)[0]
+        speeds.append(np.linalg.norm(pos - before, axis=1).max() / env.step_dt)
+        before = pos
+    assert np.abs(pos - far).max() < 1e-3
+    # Without a bound a critically damped spring reaches 0.37 x sqrt(400) x 0.34 m = 2.5 m/s.
+    assert 0.6 < max(speeds) < 0.1 * np.sqrt(400.0) / 2 + 0.05
+    env.close()
+
+
 FRAMES = {"world": [0.0, 1.0, 0.0], "base": [-1.0, 0.0, 0.0], "tool": None}
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Box3, NonNegative
+from embodichain.lab.gym.envs.managers.param_types import Box3, NonNegative, Positive
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._tools import arm_solver, moving_joints
@@ -70,6 +70,9 @@ class OperationalSpace(JointTerm):
             a free axis. With `decoupling` in 1/s^2, None is 150; without in N/m and N m/rad, None
             is 1000 and 50.
         damping_ratio: r, likewise; 1 is critical.
+        max_position_error: m: the spring pulls no more than at this error, so that the tool approaches
+            a far pose at about max_position_error sqrt(K) / (2 r), and contact forces are bounded.
+        max_rotation_error: rad, likewise.
         decoupling: Whether L shapes the forces, so that the axes do not disturb each other. Without
             it, the force of the spring is K e, and the damper is critical at r = 1 with L as mass.
         posture_stiffness: 1/s^2 towards the posture, critically damped, in the null space of arms
@@ -100,6 +103,8 @@ class OperationalSpace(JointTerm):
         position_range: Box3 | None = None,
         stiffness: PerJoint | None = None,
         damping_ratio: PerJoint = 1.0,
+        max_position_error: Positive = 0.1,
+        max_rotation_error: Positive = 0.5,
         decoupling: bool = True,
         posture_stiffness: NonNegative = 10.0,
         posture: PerJoint | None = None,
@@ -131,7 +136,8 @@ class OperationalSpace(JointTerm):
         target = self._default if posture is None else per_joint(posture, joints, "posture")
         pull = posture_stiffness if len(joints) > len(axes) else 0.0
         self._dynamics = ArmDynamics(self._asset, self._ids.tolist(), solver.chain.body)
-        self._impedance = Impedance(self._dynamics, *gains, decoupling, target, pull)
+        most = max_position_error, max_rotation_error
+        self._impedance = Impedance(self._dynamics, *gains, most, decoupling, target, pull)
         self._efforts = Efforts(self._asset, self._ids)
         self._pos: F64 = np.zeros((count, 3))
         self._quat: F64 = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
