@@ -56,6 +56,7 @@ def test_the_tasks_are_those_of_the_folder():
         "pick_place",
         "stack_cubes",
         "peg_in_hole",
+        "hand_over",
         "press_button",
         "open_drawer",
     }

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.unmeasured
 
 N = 8
 TOOL = "gripper/tcp"
-X, Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+X, Y, Z = np.eye(3)
 
 
 class Operator:
@@ -22,24 +22,26 @@ class Operator:
     def __init__(self, task, seed):
         self.env = embodichain.make(task, num_envs=N, overrides=[f"seed={seed}"])
         self.env.reset()
-        self.grip = 1.0
+        self.robots = list(self.env.sim.robots.values())
+        self.arm = 0  # the robot that moves
+        self.grips = [1.0] * len(self.robots)
         self.successes = []
-        self.turns = self.env.single_action_space.shape == (7,)
+        self.width = self.env.single_action_space.shape[0] // len(self.robots)
 
     @property
     def at(self):
         return self.tool()[:, :3, 3]
 
     def tool(self):
-        return self.env.robot.get_link_pose(TOOL, to_matrix=True).numpy().astype(float)
+        return self.robots[self.arm].get_link_pose(TOOL, to_matrix=True).numpy().astype(float)
 
     def step(self, move=0.0, turn=0.0):
-        action = np.zeros((N, self.env.single_action_space.shape[0]), np.float32)
-        action[:, :3] = np.asarray(move) / 0.02
-        if self.turns:
-            action[:, 5] = np.asarray(turn) / 0.1
-        action[:, -1] = self.grip
-        *_, terminated, truncated, info = self.env.step(torch.from_numpy(action))
+        action = np.zeros((N, len(self.robots), self.width), np.float32)
+        action[:, self.arm, :3] = np.asarray(move) / 0.02
+        if self.width == 7:
+            action[:, self.arm, 5] = np.asarray(turn) / 0.1
+        action[:, :, -1] = self.grips
+        *_, terminated, truncated, info = self.env.step(torch.from_numpy(action.reshape(N, -1)))
         assert not (terminated | truncated | info["diverged"]).any()
         self.successes.append(info["metrics"]["success"].numpy() > 0)
 
@@ -48,7 +50,7 @@ class Operator:
             self.step()
 
     def hold(self, grip, steps=15):
-        self.grip = grip
+        self.grips[self.arm] = grip
         self.wait(steps)
 
     def go(self, to, speed=1.0):
@@ -164,6 +166,34 @@ def test_the_peg_is_put_into_the_hole(operator):
     assert run.successes[-1].sum() >= 7
     inside = run.pose("peg")[:, :3, 3] - hole[:, :3, 3]
     assert np.abs(inside[run.successes[-1]]).max() < 0.002  # 1 mm of play on each side
+
+
+def test_the_bar_is_handed_over(operator):
+    run = operator("hand_over", seed=3)
+
+    def grasp(along):
+        bar = run.pose("bar")
+        end = bar[:, :3, 3] + along * bar[:, :3, 1]
+        run.go(end + 0.12 * Z)
+        run.align(bar)
+        run.go(end, speed=0.5)
+        run.hold(-1.0)
+
+    grasp(-0.15)
+    middle = np.array([0.65, 0.0, 0.45]) - run.pose("bar")[:, :3, 3]
+    run.go(run.at + middle[:, 2:] * Z, speed=0.5)
+    run.go(run.at + middle * [1, 1, 0], speed=0.5)
+    run.arm = 1
+    grasp(0.15)
+    assert not np.any(run.successes)  # the right arm has not let go
+    run.arm = 0
+    run.hold(1.0)
+    run.go(run.at + 0.1 * Z)
+    assert run.successes[-1].sum() >= 7
+    run.arm = 1
+    run.go(run.at + (0.1 * Y + 0.05 * Z), speed=0.5)
+    run.wait(10)
+    assert run.successes[-1].sum() >= 7  # it carries the bar away
 
 
 def test_the_button_is_pressed_and_comes_back(operator):

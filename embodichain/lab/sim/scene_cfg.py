@@ -112,7 +112,7 @@ class TableCfg:
     thickness: Length = 0.04
     """Metres: of the top."""
     type: Literal["wood", "plain"] = "wood"
-    color: Rgb = (0.72, 0.56, 0.40)
+    color: Rgb = (0.9, 0.83, 0.71)
     """RGB in [0, 1] of the top."""
     collision: bool = True
     friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
