@@ -230,7 +230,7 @@ def test_frames_a_second_are_whole(record, tmp_path):
     class Slow(SmallEnv):
         def __init__(self, **kwargs):
             super().__init__(**kwargs)
-            self.sim_steps_per_control = 3
+            self.sim_steps_per_control = self.physics_steps_per_call = 3
             self.step_dt = 0.015
 
     said = r"whole number of frames a second; control steps make 66\.66"
