@@ -26,6 +26,7 @@ __all__ = [
     "rotate",
     "rotate_back",
     "rotvec_to_quat",
+    "wrapped",
 ]
 
 F64 = NDArray[np.float64]
@@ -198,6 +199,13 @@ def quat_to_rotvec(quats: F64) -> F64:
     factor = np.divide(angle, sine, out=np.full_like(w, 2.0), where=sine > 1e-9)
     factor = np.where(w < 0.0, -factor, factor)
     return np.stack([x * factor, y * factor, z * factor], axis=-1)
+
+
+def wrapped(angles: F64) -> F64:
+    """Angles (...) wrapped to [-pi, pi) rad."""
+    turn = 2.0 * np.pi
+    found: F64 = angles - turn * np.floor((angles + np.pi) / turn)
+    return found
 
 
 def look_at(eye: F64, target: F64, up: F64) -> F64:

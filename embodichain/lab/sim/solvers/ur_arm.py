@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.sim.solvers.chain import Chain, matmul
+from embodichain.utils.math import wrapped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -134,7 +135,7 @@ class UrArm:
                     number = 4 * shoulder + 2 * wrist + elbow
                     angles = [first, second, third, whole - second - third, fifth, sixth]
                     found[number], exist[number] = np.stack(angles), possible
-        return _wrapped((found - self._zero) * self._signs), exist
+        return wrapped((found - self._zero) * self._signs), exist
 
     def nearest(
         self,
@@ -178,12 +179,6 @@ class UrArm:
         exist = np.take_along_axis(exist, order, axis=0)
         turned = np.take_along_axis(turned, order[:, None], axis=0)
         return np.where(exist[:, None], turned, seed), exist
-
-
-def _wrapped(angles: F64) -> F64:
-    """Angles in [-pi, pi)."""
-    found: F64 = angles - 2.0 * np.pi * np.floor((angles + np.pi) / (2.0 * np.pi))
-    return found
 
 
 def _angle(start: F64, end: F64, axis: F64) -> float:

@@ -13,11 +13,10 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm, Uniform
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
 from embodichain.lab.gym.envs.mdp.quantities.bodies import heading, unique_quat
-from embodichain.lab.gym.envs.mdp.quantities.joints import wrapped
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.math import euler_xyz_to_quat, quat_multiply, quat_rotate
+from embodichain.utils.math import euler_xyz_to_quat, quat_multiply, quat_rotate, wrapped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -6,7 +6,6 @@ limit, that is an error.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +20,7 @@ from embodichain.lab.gym.envs.managers.param_types import (
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import wrapped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,14 +42,7 @@ __all__ = [
     "joint_velocity",
     "joint_velocity_excess",
     "stand_still",
-    "wrapped",
 ]
-
-
-def wrapped(angles: F64) -> F64:
-    """Angles wrapped to [-pi, pi) rad."""
-    turn = 2.0 * math.pi
-    return angles - turn * np.floor((angles + math.pi) / turn)
 
 
 @quantity()
