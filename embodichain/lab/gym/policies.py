@@ -7,10 +7,10 @@ number of environments.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
 import lazy_loader
 import numpy as np
@@ -32,7 +32,16 @@ if TYPE_CHECKING:
 else:
     torch = lazy_loader.load("torch")
 
-__all__ = ["POLICIES", "Policy", "hold", "random", "random_around_home", "resolve_policy", "zero"]
+__all__ = [
+    "POLICIES",
+    "PlannedPolicy",
+    "Policy",
+    "hold",
+    "random",
+    "random_around_home",
+    "resolve_policy",
+    "zero",
+]
 
 STREAM = "policy"
 """The random stream that policies draw from."""
@@ -47,6 +56,19 @@ class Policy(Protocol):
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Clear the state of the episodes of these environments; (n,) int64, or None for all."""
+
+
+@runtime_checkable
+class PlannedPolicy(Policy, Protocol):
+    """A policy with an end: it knows when it has done everything, and what has failed."""
+
+    @property
+    def done(self) -> NDArray[np.bool_]:
+        """(N,) whether nothing is left to do in the episode of each environment."""
+
+    @property
+    def failures(self) -> Sequence[str | None]:
+        """For each environment what has failed in its episode, in one line; None if nothing has."""
 
 
 def zero(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
