@@ -82,20 +82,28 @@ class Episode:
         dones[-1:] = self.terminated or self.truncated
         return dones
 
+    def entries(self, group: str = "policy") -> dict[str, NDArray[Any]]:
+        """(T+1, ...) entries of an observation group by name, in order.
+
+        Raises:
+            ConfigError: If there is no such group.
+        """
+        if group not in self.groups:
+            known = ", ".join(self.groups) or "none"
+            raise ConfigError(f"{self.task}: no observation group {group!r}; there are: {known}")
+        return {name: self.observations[name] for name in self.groups[group]}
+
     def group(self, name: str = "policy") -> NDArray[np.float32]:
         """(T+1, K) the vector of an observation group.
 
         Raises:
             ConfigError: If there is no such group, or one of its entries is an image.
         """
-        if name not in self.groups:
-            known = ", ".join(self.groups) or "none"
-            raise ConfigError(f"{self.task}: no observation group {name!r}; there are: {known}")
-        parts = [self.observations[entry] for entry in self.groups[name]]
-        images = [e for e, p in zip(self.groups[name], parts, strict=True) if p.ndim > _IMAGE_NDIM]
+        parts = self.entries(name)
+        images = [entry for entry, values in parts.items() if values.ndim > _IMAGE_NDIM]
         if images:
             raise ConfigError(f"{self.task}: {', '.join(images)}: an image is no part of a vector")
-        flat = [part.reshape(len(part), -1).astype(np.float32) for part in parts]
+        flat = [part.reshape(len(part), -1).astype(np.float32) for part in parts.values()]
         return np.concatenate(flat, axis=1)
 
 

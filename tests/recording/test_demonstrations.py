@@ -2,58 +2,21 @@
 
 import numpy as np
 import pytest
-import torch
 
 import embodichain.recording as recording
-from embodichain.config.factory import make_env
 from embodichain.config.resolved import dump_yaml, resolve
-from embodichain.lab.gym.envs.observers import StepObserver
-from embodichain.recording import McapRecorder, RecordOptions, read_episodes
+from embodichain.recording import RecordOptions, read_episodes
 from embodichain.recording.log_error import LogError
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.tensor_mapping import leaves_of
-
-
-class Live(StepObserver):
-    """Stores what the policy sees: per environment and episode, first and final ones included."""
-
-    def __init__(self, env, first):
-        self.seen = {(i, 0): [self.row(first, i)] for i in range(env.num_envs)}
-
-    @staticmethod
-    def row(obs, i):
-        return {"/".join(path): np.array(leaf[i].numpy()) for path, leaf in leaves_of(obs)}
-
-    def on_step(self, env, step):
-        for i, episode in enumerate(step.episode_ids.tolist()):
-            done = step.terminated[i] or step.truncated[i]
-            self.seen[i, episode].append(self.row(step.info["final_obs"] if done else step.obs, i))
-            if done:
-                self.seen[i, episode + 1] = [self.row(step.obs, i)]
+from tests.recording.live import NOISY, record_task
 
 
 @pytest.fixture
 def record(tmp_path):
     """Records a run of a task with random actions; returns the log and the observations."""
 
-    def run(overrides, steps, name="rollout.mcap", options=None, cut=(), touch=None, said=None):
-        resolved = resolve(["num_envs=3", "seed=3", *overrides])
-        env = make_env(resolved)
-        path = tmp_path / name
-        text = dump_yaml(resolved.tree) if said is None else said
-        env.add_observer(McapRecorder(path, env, text, [], options, resolved.task_name))
-        obs, _ = env.reset()
-        live = Live(env, obs)
-        env.add_observer(live)
-        draw = torch.Generator().manual_seed(1)
-        for step in range(steps):
-            if step in cut:
-                env.truncate(np.array([step % 3]))
-            if touch is not None:
-                touch(env, step)
-            env.step(2 * torch.rand((3, *env.single_action_space.shape), generator=draw) - 1)
-        env.close()
-        return path, live.seen
+    def run(overrides, steps, name="rollout.mcap", *args, **kwargs):
+        return record_task(tmp_path / name, overrides, steps, *args, **kwargs)
 
     return run
 
@@ -64,15 +27,6 @@ def same(episode, seen):
         expected = np.stack([one[name] for one in seen])
         assert values.dtype == expected.dtype and np.array_equal(values, expected), name
     return set(episode.observations) == set(seen[0])
-
-
-NOISY = [
-    "task=reach",
-    "task.max_episode_steps=9",
-    "+task.observations.past={func: joint_position, history_length: 3, delay: [1, 2], "
-    "noise: {type: gaussian, std: 0.1}, params: {of: {uid: ur10}}}",
-    "+task.observations.latest={func: last_action, group: critic}",
-]
 
 
 def test_observations_are_those_of_the_run(record, caplog):
