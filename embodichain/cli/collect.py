@@ -192,7 +192,7 @@ def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
 
     with ProgressDisplay(task, wanted, "successes", quiet=job.quiet) as display:
         try:
-            for steps, _ in enumerate(collector.play(), 1):  # noqa: B007  (used below)
+            for steps, _ in enumerate(collector.play(), 1):
                 if display.due:
                     display.show(collected.successes, _facts(collected, wanted, rate()))
                 if collector.complete:

@@ -197,7 +197,7 @@ class Collector:
             self._cut |= self._waited > self._rules.wait_steps
             if finished.any():
                 failures = self._planned.failures
-                failed = [i for i in np.flatnonzero(finished) if failures[i] is not None]
+                failed = [i for i in np.flatnonzero(finished).tolist() if failures[i] is not None]
                 self._cut[failed] = True
         if self._cut.any():
             self._env.truncate(np.flatnonzero(self._cut))

@@ -5,7 +5,7 @@ import torch
 
 
 class Planned:
-    """Holds the pose; done after 6 steps or never. In a third of the episodes it moves: a failure."""
+    """Holds the pose, done after 6 steps or never; in a third of the episodes it moves."""
 
     def __init__(self):
         self.done, self.kind = np.zeros(0, bool), np.zeros(0, int)
@@ -13,7 +13,9 @@ class Planned:
     @property
     def failures(self):
         texts = {True: "step 2, grasp cube: the fingers closed on nothing", False: None}
-        return [texts[bool(done and kind == 0)] for done, kind in zip(self.done, self.kind)]
+        return [
+            texts[bool(done and kind == 0)] for done, kind in zip(self.done, self.kind, strict=True)
+        ]
 
     def reset(self, env_ids):
         if env_ids is None:
