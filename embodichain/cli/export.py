@@ -90,7 +90,7 @@ def command(**kwargs: Any) -> None:
     elif options.form is None:
         from embodichain.recording.export.formats import EPISODE_FORMATS, FORMATS
 
-        raise ConfigError(f"--format is needed: {', '.join({**FORMATS, **EPISODE_FORMATS})}")
+        raise ConfigError(f"--format is needed: {', '.join(FORMATS | EPISODE_FORMATS)}")
     elif _has_observations(options):
         _export_episodes(options)
     elif len(options.words) > 1:
@@ -122,7 +122,7 @@ def _export_episodes(options: SimpleNamespace) -> None:
     """Write the episodes of logs with observations; a signal leaves no file."""
     from embodichain.recording.export.episodes import export_episodes
 
-    paths = [log_of(word) if word == "last" else Path(word) for word in options.words]
+    paths = [log_of(word).parent if word == "last" else Path(word) for word in options.words]
     count = 0
     with (
         warnings_on_stderr(),

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 import embodichain.recording as recording
+from embodichain.cli import main
 from embodichain.config.resolved import dump_yaml, resolve
 from embodichain.recording import RecordOptions, read_episodes
+from embodichain.recording.collection import read_collection
 from embodichain.recording.log_error import LogError
 from embodichain.utils.errors import ConfigError
 from tests.recording.live import NOISY, record_task
@@ -145,5 +147,37 @@ def test_logs_that_cannot_be_reenacted_are_refused(record, tmp_path):
         said = dump_yaml(resolve(["num_envs=3", "seed=3", *few, overrides[name]]).tree)
         path, _ = record(few, 5, f"{name}.mcap", said=said)
         refused(why, path)
-    with pytest.raises(ConfigError, match="has no log"):
+    with pytest.raises(ConfigError, match=r"has no rollout\.mcap"):
         next(read_episodes(tmp_path / "cwd"))
+
+
+def test_a_resumed_collection_is_one_data_set(tmp_path):
+    """Attempts draw by their number, whichever environment and log they are in."""
+    words = ["task=reach", "policy=random", "task.max_episode_steps=9", "seed=1", "-q"]
+    words += ["task.metrics.success.shape.below=0.3", "collect.success_steps=1", "num_envs=3"]
+    words += [NOISY[2]]
+
+    def collect(name, *more):
+        assert main(["collect", *words, f"output_dir={tmp_path / name}", *more]) == 0
+        return next((tmp_path / name).glob("*/*_reach"))
+
+    whole = collect("whole", "episodes=5")
+    parts = collect("parts", "episodes=2")
+    assert main(["collect", f"resume={parts}", "episodes=5", "-q"]) == 0
+    found = []
+    for folder in (whole, parts):
+        listed = {(e.log, e.env, e.episode): e for e in read_collection(folder, failures=True)}
+        episodes = list(read_episodes(folder, failures=True))
+        assert {(e.path.name, e.env, e.episode) for e in episodes} == set(listed)
+        numbers = {listed[e.path.name, e.env, e.episode].attempt: e for e in episodes}
+        assert len(numbers) == len(listed)
+        found.append(numbers)
+        wanted = {number for number, e in numbers.items() if e.success}
+        successes = {e.attempt for e in read_collection(folder)}
+        assert wanted == successes and len(list(read_episodes(folder))) == 5
+    assert found[0].keys() == found[1].keys()
+    for number, episode in found[0].items():
+        for name, values in episode.observations.items():
+            assert np.array_equal(values, found[1][number].observations[name])
+    alone = list(read_episodes(whole / "rollout.mcap"))
+    assert len(alone) == 5

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording.demonstrations import Episode, logs_of, read_episodes
+from embodichain.recording.demonstrations import Episode, read_episodes, sources_of
 from embodichain.recording.export.formats import EPISODE_FORMATS, new_file
 from embodichain.recording.recorded_log import RecordedLog
 from embodichain.utils.errors import ConfigError
@@ -130,10 +130,9 @@ def export_episodes(
             f"{format} has no observations.{hint} Formats that have: {', '.join(EPISODE_FORMATS)}"
         )
     given = [paths] if isinstance(paths, (str, Path)) else list(paths)
-    logs = [log for one in given for log in logs_of(one)]
     chosen = EPISODE_FORMATS[format]
     suffix = chosen.suffix
-    first = logs[0]
+    first = sources_of(given[0])[0].path
     path = Path(output) if output else first.with_name(f"{first.stem}_{format}{suffix}")
     module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
     write: Callable[[DataSet, Path], None] = module.write_episodes

@@ -9,7 +9,7 @@ import logging
 import os
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,7 +104,7 @@ class Format(NamedTuple):
     extra: str = ""
 
 
-FORMATS: Mapping[str, Format] = {
+FORMATS: dict[str, Format] = {
     "csv": Format(".csv", "tables"),
     "npz": Format(".npz", "tables"),
     "parquet": Format(".parquet", "tables", "parquet"),
@@ -114,7 +114,7 @@ FORMATS: Mapping[str, Format] = {
     "ros2": Format(".mcap", "ros2", "ros2"),
     "mp4": Format(".mp4"),
 }
-EPISODE_FORMATS: Mapping[str, Format] = {
+EPISODE_FORMATS: dict[str, Format] = {
     "lerobot": Format("", "lerobot_episodes", "lerobot"),
     "robomimic": Format(".hdf5", "robomimic", "hdf5"),
 }
