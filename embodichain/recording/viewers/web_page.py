@@ -29,7 +29,7 @@ from embodichain.lab.sim.engine.api import F64
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.cpu import CpuEngine
+    from embodichain.lab.sim.engine.api import Engine
 
 __all__ = ["LOOKS", "SPEEDS", "Controls", "Facts", "PageOptions", "WebPage"]
 
@@ -177,7 +177,7 @@ class WebPage:
         """Whether the speed is unlimited, so that not every step needs to be shown."""
         return self._controls.speed is None
 
-    def begin(self, engine: CpuEngine) -> None:
+    def begin(self, engine: Engine) -> None:
         """Show states of an engine's environment 0 from now on."""
         self.show_model(engine.model_of(0))
 
