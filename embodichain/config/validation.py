@@ -300,9 +300,14 @@ def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
 def _check_engine(root: RootCfg) -> list[Problem]:
     """Check that the engine exists here and runs on the device."""
     engine, problems = choose_engine(root.sim.engine, root.device or "cpu")
-    sizes = root.sim.warp
-    if engine != "warp" and (sizes.nconmax, sizes.njmax) != (None, None):
-        problems.append(Problem("sim.warp", "is for sim.engine=warp, but the engine is mujoco"))
+    for key, value in vars(root.sim.warp).items():
+        if engine != "warp" and value is not None:
+            message = "is for sim.engine=warp, but the engine is mujoco"
+            problems.append(Problem(f"sim.warp.{key}", message))
+    record = root.record
+    if engine == "warp" and record.format != "none" and record.state == "keyframes":
+        message = "physics of sim.engine=warp is not repeated to the bit; use record.state=all"
+        problems.append(Problem("record.state", message))
     return problems
 
 

@@ -297,6 +297,8 @@ class CpuEngine(HostEngine):
             False, unless the model needs True. Results are the same to the bit.
     """
 
+    name = "mujoco"
+
     def __init__(
         self,
         model: mujoco.MjModel,

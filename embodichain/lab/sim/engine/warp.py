@@ -64,6 +64,8 @@ class WarpEngine(HostEngine):
         ConfigError: If MuJoCo Warp lacks something that the model has; lists all of it.
     """
 
+    name = f"mujoco_warp {mjw.__version__}"
+
     def __init__(
         self,
         model: mujoco.MjModel,

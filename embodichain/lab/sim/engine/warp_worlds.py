@@ -22,7 +22,7 @@ from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, compiled_field, ro
 from embodichain.lab.sim.engine.warp_support import start_warp
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Counts", "WarpWorlds"]
+__all__ = ["Counts", "WarpWorlds", "measured_sizes"]
 
 _log = logging.getLogger(__name__)
 _AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -31,6 +31,8 @@ _LOOKS = ("mat_", "light_", "cam_", "geom_castshadow", "geom_group", "site_rgba"
 _PLACES = frozenset({"geom_pos", "geom_quat", "body_pos", "body_quat"})
 _NO_LIMIT = 1e30
 """Force range of actuators without a limit, where others have one, N or Nm."""
+_MANY, _FEW = 4096, 16
+"""Memory of a measurement, and the least memory of a simulation."""
 _FIRST_GROUP = wp.types.vector(length=6, dtype=float)(1, 0, 0, 0, 0, 0)
 _LEAST_TOLERANCE = 1e-6
 """Of the solver in float32, as `mujoco_warp.put_model` sets it."""
@@ -145,14 +147,20 @@ class WarpWorlds:
         """Compute the position and velocity stages with their sensors."""
         model, data = self._model, self._data
         with wp.ScopedDevice(self._device):
-            mjw.fwd_position(model, data)
+            self.positions()
             data.sensordata.zero_()
             mjw.sensor_pos(model, data)
             mjw.fwd_velocity(model, data)
             mjw.sensor_vel(model, data)
 
+    def positions(self) -> None:
+        """Compute the position stage: contacts and constraints."""
+        with wp.ScopedDevice(self._device):
+            self._data.overflow.zero_()
+            mjw.fwd_position(self._model, self._data)
+
     def counts(self) -> Counts:
-        """Numbers of the last position stage, and overflows since `step` or `forward` began."""
+        """Numbers of the last position stage, and overflows since the last computation began."""
         data = self._data
         return Counts(
             int(data.nacon.numpy()[0]),
@@ -284,6 +292,27 @@ class WarpWorlds:
         flags, kept = self._model.actuator_forcelimited, self._model.actuator_forcerange
         self._model.actuator_forcelimited = wp.array(self._limited.any(axis=0), dtype=flags.dtype)
         self._model.actuator_forcerange = wp.array(ranges, dtype=kept.dtype)
+
+
+def measured_sizes(model: mujoco.MjModel, rows: F64) -> dict[str, int]:
+    """Twice the memory that the worst of some states needs.
+
+    Args:
+        model: The compiled scene.
+        rows: (n, nstate) integration-state rows.
+
+    Returns:
+        ``nconmax`` and ``njmax`` of `WarpWorlds`, for each world.
+    """
+    worlds = WarpWorlds(model, 1, "cpu", _MANY, _MANY)
+    near = constraints = 0
+    for row in rows:
+        worlds.upload(row[None])
+        worlds.positions()
+        counts = worlds.counts()
+        near = max(near, counts.contacts, counts.pairs)
+        constraints = max(constraints, int(counts.rows.max()))
+    return {"nconmax": max(2 * near, _FEW), "njmax": max(2 * constraints, _FEW)}
 
 
 def _is_batched(owner: Any, field: str) -> bool:
