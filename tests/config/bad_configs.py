@@ -659,7 +659,8 @@ BAD = {
         "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "
         "'reset', 'interval', got 'intervall'. Did you mean 'interval'?",
         "command line: num_envs: must be at least 1, got 0",
-        "command line: device: unknown device 'gpu'; allowed: cpu. Did you mean 'cpu'?",
+        "command line: device: unknown device 'gpu'; allowed: cpu, cuda, cuda:N. "
+        "Did you mean 'cpu'?",
         "command line: task.rewards.near.func: unknown reward term 'within_distanc'; "
         "allowed: {rewards}, or "
         "package.module:function. Did you mean 'within_distance'?",

@@ -60,6 +60,9 @@ class WarpEngine(HostEngine):
             estimate.
         njmax: Rows of constraints for each environment; None is Warp's estimate.
 
+    Attributes:
+        worlds: The device's copy.
+
     Raises:
         ConfigError: If MuJoCo Warp lacks something that the model has; lists all of it.
     """
@@ -79,7 +82,7 @@ class WarpEngine(HostEngine):
         if problems:
             raise ConfigError(problems)
         super().__init__(model, num_envs, num_threads, False)
-        self._worlds = WarpWorlds(model, num_envs, device, nconmax, njmax)
+        self.worlds = WarpWorlds(model, num_envs, device, nconmax, njmax)
         self._diverged = self._divergence = _Diverged(num_envs)
         self._only_kinematics = True
         self._model_changed = False
@@ -98,8 +101,8 @@ class WarpEngine(HostEngine):
     def _empty(self, name: str) -> F64:
         """An array for a field of all environments, shaped as the batch's."""
         out: F64 = np.zeros(self._batch.bind(name).shape)
-        if self._worlds.width(name) != out[0].size:
-            known = [key for key in mujoco.batch.DATA_FIELDS if self._worlds.width(key)]
+        if self.worlds.width(name) != out[0].size:
+            known = [key for key in mujoco.batch.DATA_FIELDS if self.worlds.width(key)]
             raise ValueError(
                 f"MuJoCo Warp has no field {name!r}; there are {', '.join(sorted(known))}."
                 f"{did_you_mean(name, known)}"
@@ -109,11 +112,11 @@ class WarpEngine(HostEngine):
     def _refresh(self) -> None:
         self._upload()
         if self._only_kinematics:
-            self._worlds.kinematics()
+            self.worlds.kinematics()
         else:
-            self._worlds.position_and_velocity()
+            self.worlds.position_and_velocity()
         for name, out in self._derived.items():
-            self._worlds.read(name, out)
+            self.worlds.read(name, out)
         self._clean()
 
     def _clean(self) -> None:
@@ -125,18 +128,18 @@ class WarpEngine(HostEngine):
         if found is None:
             output = self._empty(name)
             if name in _CONSTRAINT_FORCES:
-                self._worlds.want_constraint_forces()
+                self.worlds.want_constraint_forces()
             self._upload()
-            self._worlds.forward()
+            self.worlds.forward()
             self._check_memory(None)
-            self._worlds.read(name, output)
+            self.worlds.read(name, output)
             self._any_dirty = self._all_dirty = True  # of the reads of `derived`
             found = self._accelerations[name] = output, output.copy()
         return found[1]
 
     def _read_accelerations(self, env_ids: EnvIndex | None) -> None:
         for name, (output, _) in self._accelerations.items():
-            self._worlds.read(name, output)
+            self.worlds.read(name, output)
         self._copy_accelerations(env_ids)
 
     def cast_rays(
@@ -156,7 +159,7 @@ class WarpEngine(HostEngine):
         starts, ways = np.zeros(shape, np.float32), np.ones(shape, np.float32)
         starts[here] = np.broadcast_to(origins, (count, rays, 3))
         ways[here] = np.broadcast_to(directions, (count, rays, 3))
-        distance, geom, normals = self._worlds.rays(starts, ways, geoms)
+        distance, geom, normals = self.worlds.rays(starts, ways, geoms)
         return RayHits(
             distance[here].astype(np.float64),
             geom[here],
@@ -171,7 +174,7 @@ class WarpEngine(HostEngine):
         for listener in self.listeners:
             listener.on_physics(PhysicsEvent("before", nstep, env_ids, self._rows))
         self._upload()
-        self._worlds.step(nstep)  # all of them: the rows of the others are not read back
+        self.worlds.step(nstep)  # all of them: the rows of the others are not read back
         self._read_rows(nstep, ALL if env_ids is None else env_ids)
         self._check_memory(env_ids)
         self._mark(env_ids)
@@ -183,7 +186,7 @@ class WarpEngine(HostEngine):
         for name in _MOVED:
             view = self._views.get(name)
             if view is not None and view.shape[1]:
-                view[rows] = self._worlds.download(name)[rows]
+                view[rows] = self.worlds.download(name)[rows]
         timestep = self.model_values("opt.timestep").reshape(-1, 1)
         if len(timestep) > 1:
             timestep = timestep[rows]
@@ -196,14 +199,14 @@ class WarpEngine(HostEngine):
         Raises:
             ConfigError: If the memory for contacts or constraints was not enough.
         """
-        overflow = self._worlds.counts().overflow
+        overflow = self.worlds.counts().overflow
         wild: NDArray[np.bool_] = np.zeros(self.num_envs, np.bool_)
         for name in ("qpos", "qvel"):
             wild |= ~(np.abs(self._views[name]) < _LARGEST).all(axis=1)
         if overflow.any():
             # A state that is not finite any more may need any amount of rows.
-            _require(~wild & ((overflow & _ROWS) != 0), "njmax", self._worlds.njmax)
-            _require((overflow & _CONTACTS) != 0, "nconmax", self._worlds.nconmax)
+            _require(~wild & ((overflow & _ROWS) != 0), "njmax", self.worlds.njmax)
+            _require((overflow & _CONTACTS) != 0, "nconmax", self.worlds.nconmax)
             wild |= (overflow & _WORLD) != 0
         if env_ids is not None:
             wild[np.setdiff1d(np.arange(self.num_envs), env_ids)] = False
@@ -212,11 +215,11 @@ class WarpEngine(HostEngine):
 
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         self._upload()
-        self._worlds.forward()
+        self.worlds.forward()
         self._check_memory(env_ids)
         self._read_accelerations(env_ids)
         for name, out in self._derived.items():
-            self._worlds.read(name, out)
+            self.worlds.read(name, out)
         self._clean()
         self.version += 1
         self._notify(Write("forward", "", env_ids, ALL, None))
@@ -239,11 +242,11 @@ class WarpEngine(HostEngine):
             self._set_const_now()
         if self._model_changed:
             self._model_changed = False
-            if self._worlds.put_fields(self._fields.expanded()):
+            if self.worlds.put_fields(self._fields.expanded()):
                 position, matrix = (self._batch.bind(f"geom_{name}") for name in ("xpos", "xmat"))
                 self._call(self._batch.forward, None, stage=int(mujoco.mjtStage.mjSTAGE_POS))
-                self._worlds.put_poses_of_geoms(position, matrix)
-        self._worlds.upload(self._rows)
+                self.worlds.put_poses_of_geoms(position, matrix)
+        self.worlds.upload(self._rows)
 
 
 _USES = {"njmax": "rows of constraints", "nconmax": "contacts and pairs of geoms near each other"}

@@ -169,6 +169,14 @@ class WarpWorlds:
             data.overflow.numpy().copy(),
         )
 
+    def contacts(self) -> NDArray[np.int64]:
+        """(n, 3) world and two geom ids of each contact of the last position stage, sorted."""
+        count = self.counts().contacts
+        found = self._data.contact
+        ids = np.column_stack([found.worldid.numpy()[:count], found.geom.numpy()[:count]])
+        ids[:, 1:].sort(axis=1)
+        return np.asarray(ids[np.lexsort(ids.T[::-1])], np.int64)
+
     def want_constraint_forces(self) -> None:
         """Also compute ``cacc``, ``cfrc_int`` and ``cfrc_ext`` from now on."""
         self._model.opt.run_rne_postconstraint = True
