@@ -1,4 +1,4 @@
-"""Whole tasks on MuJoCo Warp's CPU device, compared with MuJoCo: two, or all by `make test-warp`."""
+"""Whole tasks on MuJoCo Warp's CPU device, against MuJoCo: two, or all by `make test-warp`."""
 
 import os
 from pathlib import Path
@@ -89,10 +89,10 @@ def test_a_task_is_the_same_on_both_engines(task):
 
 
 def test_what_events_draw_is_the_same_to_the_bit():
+    of = "func: randomize, mode: reset, params: {of: {uid: cart_pole}"
     draws = (
-        "+task.events.mass={func: randomize, mode: reset, params: {entity_cfg: {uid: robot}, "
-        "mass: {range: [0.8, 1.2], operation: scale}, "
-        "joint_damping: {range: [0.1, 0.4], operation: add}}}",
+        f"+task.events.mass={{{of}, mass: [0.8, 1.2], operation: scale}}}}",
+        f"+task.events.damping={{{of}, joint_damping: [0.1, 0.4]}}}}",
         "+task.events.fall={func: randomize, mode: reset, "
         "params: {gravity: [[0, 0, -1], [0, 0, 1]]}}",
     )
