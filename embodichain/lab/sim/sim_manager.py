@@ -385,6 +385,11 @@ class SimulationManager:
             self._viewer = None
 
     @property
+    def window(self) -> NativeViewer | None:
+        """The viewer, if one was opened."""
+        return self._viewer
+
+    @property
     def is_window_open(self) -> bool:
         """Whether a viewer is open (the user may have closed it)."""
         return self._viewer is not None and self._viewer.is_running
