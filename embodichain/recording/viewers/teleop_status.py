@@ -61,7 +61,7 @@ class TeleopStatus:
         if step.terminated[0] or step.truncated[0]:
             discarded = DISCARDED in self._teleop.failures
             end = "discarded" if discarded else "success" if succeeded else "no success"
-            self._last = f"episode {self._episode - 1}: {end}"
+            self._last = f"episode {int(step.episode_ids[0])}: {end}"
         else:
             self._step = int(step.info["elapsed_steps"].numpy(force=True)[0])
             self._success = succeeded

@@ -125,7 +125,7 @@ def test_the_tool_goes_to_where_it_is_dragged_and_no_faster_than_allowed(make):
     run = make("eef_delta_pose")
     run.step()
     start = run.tool[0]
-    goal = start + [0.05, -0.04, 0.03]
+    goal = start + np.array([0.05, -0.04, 0.03])
     run.operator.set(goal=tuple(goal))
     run.step()
     assert np.linalg.norm(run.tool[0] - start) <= 0.25 * run.env.step_dt + 1e-6
