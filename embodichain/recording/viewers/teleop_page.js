@@ -16,7 +16,7 @@
     #teleop input { flex: 1; }
     #teleop .live { color: #6fdc8c; } #teleop .idle { color: #ffb454; }
     #teleop hr { border: 0; border-top: 1px solid #445; margin: 6px 0; }
-    #teleop-handle { position: fixed; width: 26px; height: 26px; margin: -16px; z-index: 9;
+    #teleop-handle { position: fixed; width: 26px; height: 26px; margin: -16px; z-index: 11;
       border: 3px solid #ffb454; border-radius: 50%; cursor: grab; touch-action: none; }
     #teleop-handle.held { cursor: grabbing; border-color: #6fdc8c; }`;
   const HEARTBEAT = 100; // ms

@@ -5,36 +5,31 @@ training. The run's process (`web_page.py`) sends models, states and facts throu
 process sends back the controls. It ends when the socket closes.
 
 MuJoCo 4.0's web viewer listens on every interface, accepts files dropped on its page, and answers
-pages of other sites. `_Viewer` sets the address, and `_guard_serving` checks every request first.
+pages of other sites. `_Viewer` sets the address, and `web_guard.py` checks every request first.
 If a version of MuJoCo does not allow these two changes, nothing is served.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import socket
 import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
-from urllib.parse import urlsplit
-from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
 from mujoco.studio import launch_thread, messages, plugin, ux, viewer_protocol, web_viewer
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
-from mujoco.studio.web import web_server
 
 from embodichain.lab.sim.compiler.views import DEFAULT_VIEW
-from embodichain.recording.viewers.teleop_desk import SCRIPT, Desk, View, look_like, view_of
+from embodichain.recording.viewers.teleop_desk import Desk, View, look_like, view_of
+from embodichain.recording.viewers.web_guard import GUARDS, Guard, guard_serving
 from embodichain.recording.viewers.web_page import SPEEDS, Controls, Facts, PageOptions
-from embodichain.utils.addresses import is_loopback
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Panel", "Studio", "main"]
@@ -43,10 +38,6 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _POLL_SECONDS = 1.0 / 60.0
 _START_SECONDS = 20.0
 _IDLE_SECONDS = 0.05
-_TELEOP = "/teleop"
-_HEAD_END = b"</head>"
-_TELEOP_TAG = f'<script src="{SCRIPT.name}"></script>'.encode()
-_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _WIDTH, _HEIGHT, _MARGIN = 330.0, 640.0, 8.0
 _BUTTON = imgui.Vec2(70.0, 0.0)
 _HISTORY = 400
@@ -164,7 +155,7 @@ class Studio:
                 ready.set()
             viewer_protocol.run_viewer_loop(viewer)
 
-        _guard_serving()
+        guard_serving()
         self._handle = launch_thread.launch_thread(run)
         ready.wait(_START_SECONDS)
         if not made:
@@ -200,6 +191,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
 
     def __init__(self, host: str, desk: Desk | None, *args: Any, **kwargs: Any) -> None:
         self._address, self._desk = host, desk
+        self._scene: tuple[Any, mujoco.MjvScene] | None = None  # a model, and what was made for it
         super().__init__(*args, **kwargs)
 
     @property
@@ -223,7 +215,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
         if bound not in {found[4][0] for found in socket.getaddrinfo(self._address, None)}:
             raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
         self._http_sock.listen()  # fails here, not in the server's thread, if the port is in use
-        self.guard = _GUARDS[self._http_sock] = _Guard(self._address, self._desk)
+        self.guard = GUARDS[self._http_sock] = Guard(self._address, self._desk)
         super()._start_server()
         if not self.guard.serving.wait(_START_SECONDS):
             self._web_server.stop()
@@ -235,112 +227,19 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
             time.sleep(_IDLE_SECONDS)
             return False
         ready: bool = super().prepare_next_frame()
+        if self._desk is not None:
+            self._desk.view = self._view()
         return ready
+
+    def _view(self) -> View:
+        """The camera of the page, which the controlling browser moves."""
+        if self._scene is None or self._scene[0] is not self.model:
+            self._scene = self.model, mujoco.MjvScene(self.model, 1)
+        return view_of(self.model, self.data, self.camera, self._scene[1])
 
     def get_drop_file(self) -> str:
         """Ignore dropped files."""
         return ""
-
-
-class _Guard:
-    """Checks the requests to one socket, and answers those for the operator's desk.
-
-    Args:
-        host: The address it listens on.
-        desk: The operator's place; None serves Studio's page as it is.
-
-    Attributes:
-        serving: Set once requests are checked.
-        connections: Paths of open WebSockets.
-    """
-
-    def __init__(self, host: str, desk: Desk | None = None) -> None:
-        self._names = {host.lower(), *_LOOPBACK} if is_loopback(host) else None
-        self._desk = desk
-        self.serving = threading.Event()
-        self.connections: list[str] = []
-
-    async def count(self, handler: Callable[[Any], Any], websocket: Any) -> None:
-        """Handle a connection; it is in `connections` while it is open."""
-        path = websocket.request.path.partition("?")[0]
-        self.connections.append(path)
-        desk = self._desk
-        try:
-            await (desk.handle if desk is not None and path == _TELEOP else handler)(websocket)
-        finally:
-            self.connections.remove(path)
-
-    def answer(self, answer: Callable[[Any, Any], Any], connection: Any, request: Any) -> Any:
-        """The response to a request that is not refused; None opens a WebSocket."""
-        path = request.path.partition("?")[0]
-        if self._desk is None:
-            return answer(connection, request)
-        if path == _TELEOP:
-            return None
-        if path == f"/{SCRIPT.name}":
-            return _response(SCRIPT.read_bytes(), "text/javascript")
-        response = answer(connection, request)
-        if path in ("/", "/index.html"):
-            page = response.body.replace(_HEAD_END, _TELEOP_TAG + _HEAD_END, 1)
-            return _response(page, "text/html; charset=utf-8")
-        return response
-
-    def refusal(self, request: Any) -> Any:
-        """The response if a request is refused, else None.
-
-        Browsers let any page open a WebSocket to any address, with the page's site in ``Origin``;
-        pages of other sites are refused. Another name in ``Host`` than ours is refused too: it may
-        be a site's name that was made to resolve to this machine (DNS rebinding).
-        """
-        if request.path.partition("?")[0].endswith("/drop"):
-            return _forbidden("this viewer takes no files")
-        hosts = request.headers.get_all("Host")
-        if len(hosts) != 1:
-            return _forbidden("one Host is needed")
-        if self._names is not None and urlsplit(f"//{hosts[0]}").hostname not in self._names:
-            return _forbidden("this viewer is not known by that name")
-        for origin in request.headers.get_all("Origin"):
-            if urlsplit(origin).netloc.lower() != hosts[0].lower():
-                return _forbidden("pages of other sites may not use this viewer")
-        return None
-
-
-_GUARDS: WeakKeyDictionary[socket.socket, _Guard] = WeakKeyDictionary()
-
-
-def _guard_serving() -> None:
-    """Make MuJoCo's server check requests to guarded sockets first."""
-    plain: Callable[..., Any] = web_server.serve
-
-    def serve(handler: Callable[[Any], Any], *args: Any, **kwargs: Any) -> Any:
-        guard = _GUARDS.get(kwargs.get("sock"))  # type: ignore[arg-type]
-        if guard is None:
-            return plain(handler, *args, **kwargs)
-        answer = kwargs["process_request"]
-
-        def checked(connection: Any, request: Any) -> Any:
-            refused = guard.refusal(request)
-            return guard.answer(answer, connection, request) if refused is None else refused
-
-        guard.serving.set()
-        kwargs["process_request"] = checked
-        return plain(functools.partial(guard.count, handler), *args, **kwargs)
-
-    web_server.serve = serve
-
-
-def _response(body: bytes, kind: str) -> Any:
-    """A response with the headers that the page's shared memory needs."""
-    headers = web_server.Headers()
-    headers["Content-Type"], headers["Content-Length"] = kind, str(len(body))
-    headers["Cache-Control"] = "no-store"
-    headers["Cross-Origin-Opener-Policy"] = "same-origin"
-    headers["Cross-Origin-Embedder-Policy"] = "require-corp"
-    return web_server.Response(200, "OK", headers, body)
-
-
-def _forbidden(why: str) -> Any:
-    return web_server.Response(403, "Forbidden", web_server.Headers(), f"{why}\n".encode())
 
 
 # -- the panel -------------------------------------------------------------------------------------
@@ -365,7 +264,6 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
     ) -> None:
         self._options, self._num_envs, self.controls = options, num_envs, controls
         self._desk = desk
-        self._scene: tuple[Any, mujoco.MjvScene] | None = None  # a model, and what was made for it
         self._changing = threading.Lock()
         self._facts: Facts | None = None
         self._history: deque[Facts] = deque(maxlen=_HISTORY)
@@ -416,7 +314,6 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
     @messages.handler  # type: ignore[untyped-decorator]
     def _on_update(self, _: messages.UpdateEvent) -> None:
         if self._desk is not None:
-            self._desk.view = self._view()
             return  # the page has keys of its own
         if imgui.GetIO().WantCaptureKeyboard:
             return
@@ -428,13 +325,6 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
             self._reset()
         elif imgui.IsKeyChordPressed(imgui.Key.P):
             self._open = not self._open
-
-    def _view(self) -> View:
-        """The camera of the page."""
-        model = self.viewer.model
-        if self._scene is None or self._scene[0] is not model:
-            self._scene = model, mujoco.MjvScene(model, 1)
-        return view_of(model, self.viewer.data, self.viewer.camera, self._scene[1])
 
     @messages.handler  # type: ignore[untyped-decorator]
     def _on_build_gui(self, _: messages.BuildGuiEvent) -> None:

@@ -6,15 +6,19 @@ import time
 
 import pytest
 
+import embodichain.recording as recording
 from embodichain.cli import main
+from embodichain.lab.gym.teleop import DISCARDED
 from embodichain.recording.chunks import LogReader
+from embodichain.recording.collection import read_collection
+from embodichain.recording.verification import verify
 from embodichain.recording.viewers.web_page import WebPage
 from tests.helpers.browser import chromium, needs_chromium
 
 pytestmark = [needs_chromium, pytest.mark.unmeasured]
 
 SECONDS = 60.0
-PACE = 2.0
+PACE = 3.0
 """Simulated seconds per second."""
 KEYS = {
     "x": ("KeyW", "KeyS"),
@@ -35,12 +39,12 @@ def wait(condition, pause=0.01):
 class Run(threading.Thread):
     """`embodichain run policy=teleop` in a thread of its own."""
 
-    def __init__(self, folder, *overrides):
+    def __init__(self, folder, verb, *overrides):
         super().__init__(daemon=True)
         self.folder, self.result = folder, None
         self.line = [
-            *("run", "task=pick_place", "policy=teleop", "viewer=web", "scene_png=false"),
-            *("seed=4", f"output_dir={folder}", "task.max_episode_steps=500", *overrides),
+            *(verb, "task=pick_place", "policy=teleop", "viewer=web", "scene_png=false"),
+            *("seed=4", f"output_dir={folder}", "task.max_episode_steps=2000", *overrides),
         ]
         self.start()
 
@@ -129,7 +133,7 @@ class Person:
             self.pose("stand"),
             flush=True,
         )
-        wait(lambda: "success" in self.read("progress"))
+        wait(lambda: any("success" in self.read(name) for name in ("progress", "last")))
 
 
 @pytest.fixture
@@ -143,8 +147,10 @@ def visit():
     """Opens a page; without `scene` it has the operator's panel only, which costs less."""
     with chromium() as open_page:
 
-        def visit(url, scene=False):
+        def visit(url, scene=False, script=None):
             page = open_page("about:blank", 700, 500)
+            if script is not None:
+                page.add_init_script(script)
             if not scene:
                 page.route("**/web_client.js", lambda route: route.abort())
             page.goto(url)
@@ -154,15 +160,61 @@ def visit():
 
 
 def test_ten_demonstrations_with_the_keyboard(tmp_path, quick, visit):
-    run = Run(tmp_path, "episodes=10")
+    run = Run(tmp_path, "run", "episodes=10")
     person = Person(visit(run.url()))
     for episode in range(10):
         person.pick_and_place()
+        person.page.keyboard.press("Enter")
         if episode < 9:
-            person.page.keyboard.press("Enter")
             wait(lambda n=episode: f"episode {n}: success" in person.read("last"))
-    person.page.keyboard.press("Enter")
     run.join()
     assert run.result == 0
-    with LogReader(run.log) as log:
-        assert log.header.policy == "teleop"
+    with LogReader(run.log) as reader:
+        assert reader.header.policy == "teleop"
+    with recording.open(run.log) as log:
+        assert [episode.succeeded for episode in log.episodes] == [True] * 10
+    assert verify(run.log).ok
+
+
+PAD = """
+window.pad = null;
+navigator.getGamepads = () => [window.pad && {
+  connected: true, axes: window.pad[0],
+  buttons: [...Array(17).keys()].map((i) => ({pressed: window.pad[1].includes(i)}))}];
+"""
+
+
+def test_a_gamepad_and_the_mouse_collect_what_is_not_discarded(tmp_path, quick, visit):
+    run = Run(tmp_path, "collect", "episodes=1", "collect.success_steps=5")
+    page = visit(run.url(), script=PAD)
+    person = Person(page)
+
+    def pad(axes=(0, 0, 0, 0), buttons=()):
+        page.evaluate("pad => { window.pad = pad; }", [list(axes), list(buttons)])
+
+    # the right stick turns about z while it is held; A is the gripper
+    yaw = person.pose("tool")["yaw"]
+    pad(axes=(0, 0, -0.8, 0))
+    wait(lambda: person.pose("tool")["yaw"] > yaw + 10)
+    pad(buttons=[0])
+    wait(lambda: "gripper closed" in page.inner_text("#teleop h1"))
+    assert page.is_visible("text=left stick")
+    pad()
+    # the ring is dragged upwards
+    wait(lambda: page.is_visible("#teleop-handle"))
+    at = person.pose("tool")
+    box = page.locator("#teleop-handle").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y - 40, steps=4)
+    wait(lambda: person.pose("tool")["z"] > at["z"] + 20)
+    page.mouse.up()
+    wait(lambda: page.locator("#teleop-handle").bounding_box()["y"] < box["y"] - 10)
+    page.keyboard.press("Backspace")
+    wait(lambda: "episode 0: discarded" in person.read("last"))
+    person.pick_and_place()
+    run.join()
+    assert run.result == 0
+    found = read_collection(run.log.parent, failures=True)
+    assert [episode.failure for episode in found] == [DISCARDED, None]
