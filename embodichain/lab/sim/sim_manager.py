@@ -375,8 +375,7 @@ class SimulationManager:
         """
         from embodichain.lab.sim.viewer import NativeViewer
 
-        if self._viewer is None:
-            self._viewer = NativeViewer(self.engine, env_id)
+        self._viewer = self._viewer or NativeViewer(self.engine, env_id)
 
     def close_window(self) -> None:
         """Close the viewer if it is open."""
