@@ -21,15 +21,23 @@ from hydra.core.override_parser.types import OverrideType
 from embodichain.config.check_types import TypeCheck, check_types
 from embodichain.config.composed import Composed
 from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
-from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, VERBS, RootCfg, Verb
+from embodichain.config.schema import (
+    LARGEST_TRAINING_SEED,
+    SUGGESTED_KEYS,
+    VERBS,
+    PolicyCfg,
+    RootCfg,
+    Verb,
+)
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
-from embodichain.lab.gym.envs.managers.registry import SECTIONS
+from embodichain.lab.gym.envs.managers.registry import SECTIONS, resolve_term
 from embodichain.lab.gym.policies import resolve_policy
+from embodichain.lab.sim.cfg import choose_engine
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
-from embodichain.utils.type_errors import show_value, unknown_key
+from embodichain.utils.type_errors import unknown_key
 
 __all__ = ["Check", "check", "check_training_keys", "check_tree", "validate"]
 
@@ -145,12 +153,26 @@ def _check_meaning(
         from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
 
         in_task += describe(root.task, scene, root.num_envs)
+        problems += _lacking(root, scene)
     if images is not None and scene.scene is not None and root.task.id is None:
         from embodichain.config.recorded_images import check_images  # imports MuJoCo
 
         problems += check_images(images, scene.scene.model, scene.scene.camera_sensors)
     found = [replace(p, path=f"task.{p.path}".rstrip(".")) for p in in_task]
-    return problems + [p for p in found if p.path not in known]
+    problems += [p for p in found if p.path not in known]
+    if verb != "train" and _policy_name(root) == "teleop" and not _below("task.actions", missing):
+        problems += _check_teleop(root, allow_import)
+    return problems
+
+
+def _lacking(root: RootCfg, prepared: PreparedScene) -> list[Problem]:
+    """What MuJoCo Warp lacks of the compiled scene, if it is to step it."""
+    engine, missing = choose_engine(root.sim.engine, root.device or "cpu")
+    if engine != "warp" or missing or prepared.scene is None:
+        return []
+    from embodichain.lab.sim.engine.warp_support import unsupported  # imports MuJoCo Warp
+
+    return unsupported(prepared.scene.model)
 
 
 def check_training_keys(root: RootCfg) -> list[Problem]:
@@ -230,7 +252,7 @@ def _remove(tree: dict[str, Any], path: str) -> None:
 
 def _check_root(root: RootCfg, allow_import: bool) -> list[Problem]:
     """Check the everyday keys; a policy is imported to read its signature, if that is allowed."""
-    problems = _check_device(root.device) + _check_policy(root, allow_import)
+    problems = _check_engine(root) + _check_policy(root, allow_import)
     count = root.num_envs or 1
     beyond = [i for i in root.record.view_envs if i >= count]
     if beyond and root.record.format != "none":
@@ -287,6 +309,20 @@ def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
     return problems
 
 
+def _check_engine(root: RootCfg) -> list[Problem]:
+    """Check that the engine exists here and runs on the device."""
+    engine, problems = choose_engine(root.sim.engine, root.device or "cpu")
+    for key, value in vars(root.sim.warp).items():
+        if engine != "warp" and value is not None:
+            message = "is for sim.engine=warp, but the engine is mujoco"
+            problems.append(Problem(f"sim.warp.{key}", message))
+    record = root.record
+    if engine == "warp" and record.format != "none" and record.state == "keyframes":
+        message = "physics of sim.engine=warp is not repeated to the bit; use record.state=all"
+        problems.append(Problem("record.state", message))
+    return problems
+
+
 def _check_collecting(root: RootCfg) -> list[Problem]:
     """Check that a collection has a whole log, and a task that says what success is."""
     problems = []
@@ -305,22 +341,12 @@ def _check_collecting(root: RootCfg) -> list[Problem]:
     return problems
 
 
-def _check_device(device: str | None) -> list[Problem]:
-    if device is None or device == "cpu":
-        return []
-    if re.fullmatch(r"cuda(:\d+)?", device):
-        message = f"{device!r} is not available: the CUDA engine comes later; allowed: cpu"
-        return [Problem("device", message)]
-    hint = did_you_mean(device, ["cpu", "cuda"]).strip()
-    return [Problem("device", f"unknown device {show_value(device)}; allowed: cpu.", hint)]
-
-
 def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
     """Check that a policy exists and accepts its parameters; for a trained one, that it exists."""
     policy = root.policy
-    if policy is None:
+    name = _policy_name(root)
+    if policy is None or name is None:
         return []
-    name = policy if isinstance(policy, str) else policy.func
     if ":" in name and not allow_import:
         message = f"{name!r} would be imported, which is not allowed for this config"
         return [Problem("policy", message)]
@@ -330,6 +356,34 @@ def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
     except ConfigError as error:
         return list(error.problems)
     return []
+
+
+def _policy_name(root: RootCfg) -> str | None:
+    return root.policy.func if isinstance(root.policy, PolicyCfg) else root.policy
+
+
+def _check_teleop(root: RootCfg, allow_import: bool) -> list[Problem]:
+    """Check that a person can move a robot: a viewer, one environment, an action for a tool."""
+    from embodichain.lab.gym.teleop import check_teleop
+
+    problems = []
+    if root.viewer.name not in ("web", "native"):
+        message = f"teleop needs a viewer: viewer=web or viewer=native, not {root.viewer.name}"
+        problems.append(Problem("policy", message))
+    if (root.num_envs or 1) > 1:
+        message = f"policy: teleop moves one robot; set num_envs=1, not {root.num_envs}"
+        problems.append(Problem("num_envs", message))
+    try:
+        found = {
+            name: (
+                str(term.func),
+                resolve_term("action", term.func, allow_import=allow_import).func,
+            )
+            for name, term in root.task.actions.items()
+        }
+    except ConfigError:
+        return problems  # the check of the terms says which one there is not
+    return problems if root.task.id is not None else [*problems, *check_teleop(found)]
 
 
 def _existing(root: RootCfg, path: Path) -> Any:
@@ -346,6 +400,9 @@ def _with_suggestions(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None
     """A copy with the task's suggestions for null keys; see `check_tree`."""
     filled = copy.deepcopy(dict(tree))
     suggested = _suggested(filled, verb)
+    policy = filled.get("policy")
+    if "teleop" in (policy, policy.get("func") if isinstance(policy, dict) else None):
+        suggested.pop("num_envs", None)  # a person moves one robot
     for key in SUGGESTED_KEYS:
         if filled.get(key) is None and suggested.get(key) is not None:
             filled[key] = suggested[key]

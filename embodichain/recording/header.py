@@ -19,12 +19,14 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
+    from embodichain.lab.sim.engine.api import Engine
 
 __all__ = [
     "FORMAT_VERSION",
     "METADATA",
     "METADATA_END",
     "METADATA_RECOVERED",
+    "MUJOCO",
     "Header",
     "check_keyframes",
     "check_part",
@@ -36,6 +38,8 @@ METADATA = "embodichain"
 METADATA_END = "embodichain.end"
 METADATA_RECOVERED = "embodichain.recovered"
 """Record of a file that was recovered from a broken one: the source, and why the log ends."""
+MUJOCO = "mujoco"
+"""The engine that simulates logs again, to the bit where it recorded them."""
 FORMAT_VERSION = 4
 """Logs of other versions are refused."""
 _LONGEST_STEP = 1e5
@@ -69,6 +73,9 @@ class Header:
         part: Index of the file within its log, from 0.
         first_step: First control step of the file.
         call_steps: Physics steps of each physics call of a control step; 0 is all of them, in one.
+        policy: The source of the actions: name or path of a policy, ``teleop`` for a person; empty
+            if it is not known.
+        engine: What computed physics: ``mujoco``, or another engine with its version.
     """
 
     task: str
@@ -92,6 +99,8 @@ class Header:
     part: int = 0
     first_step: int = 0
     call_steps: int = 0
+    policy: str = ""
+    engine: str = MUJOCO
 
     def to_metadata(self) -> dict[str, str]:
         """Return the fields as strings: text as it is, everything else as JSON."""
@@ -114,6 +123,7 @@ class Header:
                 f"the log has format version {version or 'none'!r}; this reads {FORMAT_VERSION}"
             )
         text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id"}
+        text |= {"policy", "engine"}
         # Fields with a default were added later and may be missing in older logs.
         names = [f.name for f in fields(cls) if f.default is MISSING or f.name in values]
         try:
@@ -182,6 +192,12 @@ class Header:
         return round(self.control_dt * 1e9)
 
     @property
+    def recorded_with(self) -> str:
+        """What simulated the run, with versions."""
+        mujoco = f"MuJoCo {self.mujoco_version}"
+        return mujoco if self.engine == MUJOCO else f"{self.engine}, {mujoco}"
+
+    @property
     def every_note(self) -> str:
         """What `record.every` left out; empty if nothing."""
         if self.every <= 1:
@@ -230,7 +246,12 @@ def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
 
 
 def header_of(
-    env: ObservedEnv, options: RecordOptions, model_digest: str, task: str, start_ns: int
+    env: ObservedEnv,
+    options: RecordOptions,
+    model_digest: str,
+    task: str,
+    policy: str,
+    start_ns: int,
 ) -> Header:
     """The metadata of a new recording.
 
@@ -239,6 +260,7 @@ def header_of(
         options: The recorder's options.
         model_digest: Digest of the compiled model.
         task: The task's name.
+        policy: The source of the actions.
         start_ns: Wall clock in ns.
     """
     model = env.sim.engine.model
@@ -267,6 +289,8 @@ def header_of(
         every=options.every,
         log_id=uuid.uuid4().hex,
         call_steps=int(env.physics_steps_per_call),
+        policy=policy,
+        engine=env.sim.engine.name,
     )
 
 
@@ -281,9 +305,11 @@ def why_unverifiable(model: mujoco.MjModel, state: str) -> str:
     return ""
 
 
-def check_keyframes(options: RecordOptions, model: mujoco.MjModel) -> None:
+def check_keyframes(options: RecordOptions, engine: Engine) -> None:
     """Raise `ConfigError` if states between keyframes could not be simulated again."""
-    why = why_unverifiable(model, "all") if options.state == "keyframes" else ""
+    why = why_unverifiable(engine.model, "all") if options.state == "keyframes" else ""
+    if options.state == "keyframes" and engine.name != MUJOCO:
+        why = f"{engine.name} is not repeated to the bit"
     if why:
         message = f"keyframes cannot be replayed: {why}; use record.state=all"
         raise ConfigError([Problem("record.state", message)])

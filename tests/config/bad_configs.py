@@ -242,19 +242,51 @@ BAD = {
         verb="train",
     ),
     "unknown device": bad(
-        "command line: device: unknown device 'gpu'; allowed: cpu. Did you mean 'cpu'?",
+        "command line: device: unknown device 'gpu'; allowed: cpu, cuda, cuda:N. "
+        "Did you mean 'cpu'?",
         overrides=("device=gpu",),
     ),
     "unavailable device": bad(
-        "command line: device: 'cuda:0' is not available: the CUDA engine comes later; "
-        "allowed: cpu",
+        "command line: device: there is no CUDA device here (sim.engine=warp device=cpu runs, "
+        "slowly, without)",
         overrides=("device=cuda:0",),
+    ),
+    "an engine that does not run on the device": bad(
+        "command line: device: sim.engine=mujoco does not run on 'cuda': device=cpu, or "
+        "sim.engine=warp",
+        overrides=("device=cuda", "sim.engine=mujoco"),
+    ),
+    "memory of an engine that is not used": bad(
+        "command line: sim.warp.njmax: is for sim.engine=warp, but the engine is mujoco",
+        overrides=("sim.warp.njmax=64",),
+    ),
+    "a solver that MuJoCo Warp has not": bad(
+        "command line: task.physics.solver: MuJoCo Warp has no mjSOL_PGS; it has cg, newton",
+        overrides=("sim.engine=warp", "+task.physics.solver=PGS"),
+    ),
+    "keyframes of physics that is not repeated": bad(
+        "command line: record.state: physics of sim.engine=warp is not repeated to the bit; "
+        "use record.state=all",
+        overrides=("sim.engine=warp", "record.state=keyframes"),
     ),
     "unknown policy": bad(
         "command line: policy: unknown policy 'randon'; allowed: hold, random, "
-        "random_around_home, zero, package.module:function, or a path. Did you mean "
+        "random_around_home, teleop, zero, package.module:function, or a path. Did you mean "
         "'random'?",
         overrides=("policy=randon",),
+    ),
+    "teleoperation without a viewer or a tool": bad(
+        "command line: policy: teleop needs a viewer: viewer=web or viewer=native, not foxglove",
+        "command line: num_envs: policy: teleop moves one robot; set num_envs=1, not 2",
+        "command line: policy: teleop moves a tool: the task needs an action eef_delta_pose, "
+        "eef_pose or operational_space; its actions are arm: joint_position",
+        overrides=("policy=teleop", "viewer=foxglove", "num_envs=2"),
+    ),
+    "teleoperation with the task's number of environments": bad(
+        "command line: policy: teleop needs a viewer: viewer=web or viewer=native, not none",
+        old="actions:\n  arm: {func: joint_position",
+        new="actions:\n  tool: {func: eef_delta_pose",
+        overrides=("policy={func: teleop, params: {linear_speed: 0.1}}",),
     ),
     "wrong parameter of a policy": bad(
         "command line: policy.params.rnge: unknown parameter of policy "
@@ -640,7 +672,8 @@ BAD = {
         "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "
         "'reset', 'interval', got 'intervall'. Did you mean 'interval'?",
         "command line: num_envs: must be at least 1, got 0",
-        "command line: device: unknown device 'gpu'; allowed: cpu. Did you mean 'cpu'?",
+        "command line: device: unknown device 'gpu'; allowed: cpu, cuda, cuda:N. "
+        "Did you mean 'cpu'?",
         "command line: task.rewards.near.func: unknown reward term 'within_distanc'; "
         "allowed: {rewards}, or "
         "package.module:function. Did you mean 'within_distance'?",
