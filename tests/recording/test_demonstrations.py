@@ -1,5 +1,7 @@
 """Episodes read from logs have the observations that were live, bit for bit."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -181,3 +183,58 @@ def test_a_resumed_collection_is_one_data_set(tmp_path):
             assert np.array_equal(values, found[1][number].observations[name])
     alone = list(read_episodes(whole / "rollout.mcap"))
     assert len(alone) == 5
+
+
+def test_a_pushed_episode_is_corrected_and_others_are_exact(record, caplog):
+    """Corrections are of one environment; commands, noise and delays of all stay the run's."""
+
+    def lift(env, step):
+        if step == 5:
+            goal = env.sim.engine.state("mocap_pos")[2].copy()
+            goal[-1] += 0.3
+            env.sim.engine.write("mocap_pos", goal[None], np.array([2]))
+
+    path, seen = record(NOISY, steps=18, touch=lift)
+    found = list(read_episodes(path, failures=True))
+    moved = next(e for e in found if (e.env, e.episode) == (2, 0))
+    heights = moved.observations["to_goal"][:, 2]
+    assert heights[6] - heights[5] > 0.2
+    for episode in found:
+        assert same(episode, seen[episode.env, episode.episode])
+    assert len(caplog.messages) == 1 and "1 of 54 states differ" in caplog.messages[0]
+
+
+def test_a_command_and_its_observation_are_those_of_the_run(record):
+    """The task of a walker: commands that change within an episode, gravity, contacts, events."""
+    overrides = ["task=quadruped_velocity", "task.max_episode_steps=8"]
+    path, seen = record(overrides, steps=20, cut=(5,))
+    episodes = list(read_episodes(path, failures=True))
+    assert len(episodes) >= 6
+    for episode in episodes:
+        assert same(episode, seen[episode.env, episode.episode])
+
+
+def test_the_last_episode_is_cut_where_the_log_ends(record):
+    path, seen = record(NOISY, steps=13)
+    cut = [e for e in read_episodes(path, failures=True) if not (e.terminated or e.truncated)]
+    assert [(e.env, e.episode, len(e)) for e in cut] == [(i, 1, 4) for i in range(3)]
+    for episode in cut:
+        assert episode.success is None and not episode.dones.any()
+        assert same(episode, seen[episode.env, episode.episode])
+
+
+def test_lists_of_a_collection_that_do_not_fit_its_log(record, tmp_path):
+    path, _ = record(NOISY, steps=9)
+    line = {"attempt": 0, "log": path.name, "env": 0, "episode": 0, "first_step": 0, "steps": 9}
+    line |= {"total_reward": 0.0, "success": True, "failure": None}
+    lists = tmp_path / "successes.jsonl"
+    lists.write_text(json.dumps(line | {"episode": 7}) + "\n")
+    with pytest.raises(LogError, match="lacks episode 7 of environment 0, which the collection l"):
+        list(read_episodes(tmp_path))
+    # Attempt 5 begins in another state than environment 0 did.
+    lists.write_text(json.dumps(line | {"attempt": 5}) + "\n")
+    with pytest.raises(ConfigError, match="environment 0 begins in another state than recorded"):
+        list(read_episodes(tmp_path, failures=True))
+    lists.write_text("")
+    with pytest.raises(ConfigError, match="the collection has no episode yet"):
+        list(read_episodes(tmp_path))

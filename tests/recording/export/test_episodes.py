@@ -1,6 +1,9 @@
 """Data sets with the task's observations: robomimic's files and LeRobot's folders."""
 
 import json
+import os
+import subprocess
+from pathlib import Path
 
 import h5py
 import imageio_ffmpeg
@@ -15,6 +18,7 @@ from embodichain.recording.export import export_episodes
 from embodichain.utils.errors import ConfigError
 from tests.recording.live import NOISY, record_task
 
+LEROBOT_READER = Path(__file__).parents[2] / "helpers/lerobot_reader.py"
 NEAR = "task.metrics.success.shape.below=0.3"
 
 
@@ -141,3 +145,53 @@ def test_the_command(logs, tmp_path, capsys):
     assert [path.name for path in (tmp_path / "cwd").iterdir()] == []
     with pytest.raises(ConfigError, match="robomimic has the task's observations: use export_epi"):
         recording.export.export(recording.open(logs[0]), "robomimic")
+
+
+def test_an_interrupted_export_leaves_nothing(logs, tmp_path):
+    def interrupt(done):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    for form in ("robomimic", "lerobot"):
+        before = set(tmp_path.rglob("*"))
+        with pytest.raises(KeyboardInterrupt):
+            export_episodes(logs, form, tmp_path / "set", progress=interrupt)
+        assert set(tmp_path.rglob("*")) == before
+
+
+def test_another_group_alone(logs, tmp_path):
+    path = export_episodes(logs[0], "robomimic", group="critic")
+    assert path == logs[0].with_name("a_robomimic.hdf5")
+    episodes = list(read_episodes(logs[0]))
+    with h5py.File(path) as file:
+        for number, episode in enumerate(episodes):
+            demo = file[f"data/demo_{number}"]
+            assert list(demo["obs"]) == ["latest"]
+            # What follows an action is observed with it as the last action.
+            assert np.array_equal(demo["next_obs/latest"], demo["actions"])
+            assert np.array_equal(demo["obs/latest"][1:], episode.actions[:-1])
+            assert not demo["obs/latest"][0].any()
+    root = export_episodes(logs[0], "lerobot", group="critic")
+    features = json.loads((root / "meta/info.json").read_text())["features"]
+    assert features["observation.state"]["shape"] == [6]
+    assert "observation.environment_state" not in features
+
+
+@pytest.mark.skipif(
+    "LEROBOT_PYTHON" not in os.environ,
+    reason="LeRobot wants an older torch, 8 GB with CUDA: `make lerobot` runs this",
+)
+def test_lerobot_itself_loads_observations(logs, tmp_path):
+    root, out = export_episodes(logs, "lerobot", tmp_path / "set"), tmp_path / "read.npz"
+    subprocess.run(
+        [os.environ["LEROBOT_PYTHON"], LEROBOT_READER, root, out],
+        env=os.environ | {"HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path)},
+        check=True,
+    )
+    found, episodes = dict(np.load(out)), list(read_episodes(logs))
+    assert found["about"].tolist() == [sum(map(len, episodes)), len(episodes), 50]
+    to_goal = np.concatenate([e.observations["to_goal"][:-1] for e in episodes])
+    assert np.array_equal(found["observation.environment_state"], to_goal)
+    actions = np.concatenate([e.actions for e in episodes])
+    assert np.array_equal(found["action"], actions)
+    assert found["mean/observation.environment_state"] == pytest.approx(to_goal.mean(axis=0))
