@@ -25,7 +25,7 @@ from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, VER
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.registry import SECTIONS
-from embodichain.lab.gym.policies import resolve_policy
+from embodichain.lab.gym.policies import EXPERT, resolve_policy
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -143,6 +143,10 @@ def _check_meaning(
         from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
 
         in_task += describe(root.task, scene, root.num_envs)
+    if root.task.expert is not None and not _below("task.expert", missing):
+        from embodichain.lab.gym.expert.program import check_expert  # imports the actions
+
+        in_task += check_expert(root.task, scene.known, allow_import)
     if images is not None and scene.scene is not None and root.task.id is None:
         from embodichain.config.recorded_images import check_images  # imports MuJoCo
 
@@ -301,6 +305,8 @@ def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
     if policy is None:
         return []
     name = policy if isinstance(policy, str) else policy.func
+    if name == EXPERT and root.task.expert is None and root.task.id is None:
+        return [Problem("policy", "the task has no section `expert`, whose steps it would perform")]
     if ":" in name and not allow_import:
         message = f"{name!r} would be imported, which is not allowed for this config"
         return [Problem("policy", message)]

@@ -1,4 +1,4 @@
-"""Policies without learning: zero, random, random_around_home, hold; and policies of users.
+"""Policies without learning: zero, random, random_around_home, hold, expert; and users' own.
 
 Learned policies are files, which `resolve_policy` reads with a function of `embodichain.learning`.
 Random ones draw from the environment's streams: the actions of environment *i* do not depend on the
@@ -33,6 +33,7 @@ else:
     torch = lazy_loader.load("torch")
 
 __all__ = [
+    "EXPERT",
     "POLICIES",
     "PlannedPolicy",
     "Policy",
@@ -126,7 +127,9 @@ POLICIES: dict[str, Callable[..., Any]] = {
     "random_around_home": random_around_home,
     "zero": zero,
 }
-"""The policies that a config names."""
+"""The policies without state that a config names."""
+EXPERT = "expert"
+"""The name of the policy that performs the steps in the task's section `expert`."""
 
 
 def resolve_policy(
@@ -170,7 +173,7 @@ def resolve_policy(
 
 
 def _is_path(text: str) -> bool:
-    if text in POLICIES or ":" in text:
+    if text in POLICIES or text == EXPERT or ":" in text:
         return False
     return text == "last" or "/" in text or text.endswith(".zip") or Path(text).exists()
 
@@ -178,14 +181,19 @@ def _is_path(text: str) -> bool:
 def _named(name: str) -> Any:
     if name in POLICIES:
         return POLICIES[name]
+    if name == EXPERT:
+        from embodichain.lab.gym.expert.policy import Expert  # imports the actions
+
+        return Expert
     if ":" in name:
         try:
             return import_object(name)
         except ConfigError as error:
             raise ConfigError([Problem("policy", str(error))]) from error
-    allowed = ", ".join(POLICIES)
+    names = [EXPERT, *POLICIES]
+    allowed = ", ".join(names)
     message = f"unknown policy {name!r}; allowed: {allowed}, package.module:function, or a path"
-    raise ConfigError([Problem("policy", message, did_you_mean(name, POLICIES).strip())])
+    raise ConfigError([Problem("policy", message, did_you_mean(name, names).strip())])
 
 
 def _bound(func: Callable[..., Any], params: dict[str, Any]) -> Policy:

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine, JointClip, PerJoint
+from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
+from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
 from embodichain.utils.math import (
     euler_xyz_to_quat,
     quat_conjugate,
     quat_multiply,
     quat_rotate,
+    quat_to_rotvec,
     rotvec_to_quat,
 )
 
@@ -27,7 +29,11 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
-__all__ = ["AbsolutePose", "MotionColumns", "RelativePose"]
+__all__ = [
+    "AbsolutePose",
+    "MotionColumns",
+    "RelativePose",
+]
 
 _QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
 
@@ -170,7 +176,13 @@ class MotionColumns:
             scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
         affine = Affine(self.names, num_envs, scale, 0.0, clip or [-1.0, 1.0], what="column")
         self.low, self.high = affine.low, affine.high
-        self.value = affine.value
+        self.value, self.action_for = affine.value, affine.action_for
+        ends = np.abs([affine.value_of(self.low), affine.value_of(self.high)]).min(axis=0)
+        self._largest = ends[:3].min(), ends[3:].min(initial=np.inf)
+
+    def largest(self, rate: float) -> tuple[float, float]:
+        """The longest translation and rotation along each column, m and rad, times a rate."""
+        return float(self._largest[0]) * rate, float(self._largest[1]) * rate
 
 
 class RelativePose(MotionColumns):
@@ -196,6 +208,21 @@ class RelativePose(MotionColumns):
     ) -> None:
         super().__init__(num_envs, rotation, scale, clip)
         self._solver, self._frame, self._rotation = solver, frame, rotation
+
+    def action_between(self, pos: F64, quat: F64, to_pos: F64, to_quat: F64) -> F64:
+        """(N, A) the action that asks for poses (N, 3), (N, 4) from others."""
+        shift = to_pos - pos
+        if self._frame == "tool":
+            back = quat_conjugate(quat)
+            shift, turn = quat_rotate(back, shift), quat_multiply(back, to_quat)
+        else:
+            turn = quat_multiply(to_quat, quat_conjugate(quat))
+            if self._frame == "base":
+                back = quat_conjugate(self._solver.root_pose()[1])
+                shift = quat_rotate(back, shift)
+                turn = quat_multiply(quat_multiply(back, turn), quat_conjugate(back))
+        motion = np.concatenate([shift, quat_to_rotvec(turn)], axis=1)
+        return self.action_for(motion[:, : len(self.names)])
 
     def asked(self, action: torch.Tensor, pos: F64, quat: F64) -> tuple[F64, F64 | None]:
         """The poses that actions (N, A) ask for, from poses (N, 3), (N, 4).

@@ -13,15 +13,19 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Box3, UnitInterval
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import UNLIMITED, ResolvedEntity
-from embodichain.lab.gym.envs.mdp._tools import arm_solver, moving_joints
-from embodichain.lab.gym.envs.mdp.actions._tool_poses import AbsolutePose, MotionColumns
-from embodichain.lab.gym.envs.mdp.actions.joint_action import (
-    JointClip,
-    JointTerm,
-    PerJoint,
-    per_joint,
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp._tools import (
+    arm_solver,
+    moving_joints,
+    tool_orientation,
+    usual_speeds,
 )
+from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint, per_joint
+from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
+    AbsolutePose,
+    MotionColumns,
+)
+from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.lab.sim.solvers.chain import matmul
 from embodichain.lab.sim.solvers.least_squares import Target, pose_error
 from embodichain.utils.errors import ConfigError, Problem
@@ -36,14 +40,13 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
     from embodichain.lab.sim.solvers.chain import Frames
 
 __all__ = ["EefDeltaPose", "EefPose", "EefTerm"]
 
 _POSITION_TOLERANCE, _ROTATION_TOLERANCE = 1e-3, 1e-2
 """M and rad: a larger error is flagged where the joints cannot reduce it."""
-_TURNS_A_SECOND, _METRES_A_SECOND = np.pi, 1.0
-"""Rad/s and m/s of joints for which neither file nor drive has a limit."""
 
 
 class EefTerm(JointTerm):
@@ -84,12 +87,7 @@ class EefTerm(JointTerm):
             if not (speeds > 0).all():
                 raise ConfigError([Problem("max_velocity", "must be positive")])
             return speeds
-        parsed = self._asset.parsed
-        limits = np.minimum(parsed.qvel_limits, parsed.max_velocity)[self._ids]
-        hinges = self._solver.chain.hinges[np.isin(self._solver.chain.joints, self._ids)]
-        usual = np.where(hinges, _TURNS_A_SECOND, _METRES_A_SECOND)
-        found: F64 = np.where(limits < UNLIMITED, limits, usual)
-        return found
+        return usual_speeds(self._asset, self._ids, self._solver)
 
     def _commanded(self) -> F64:
         """(N, D) joint positions with the moving joints at their targets."""
@@ -114,6 +112,17 @@ class EefTerm(JointTerm):
     def metrics(self) -> Mapping[str, F64]:
         """Errors in m and rad that the last step leaves, and whether the pose is out of reach."""
         return self._measures
+
+    @property
+    def solver(self) -> ArmSolver:
+        """The kinematics of the tool."""
+        return self._solver
+
+    @property
+    def joint_speeds(self) -> F64:
+        """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
+        speeds: F64 = self._largest / self._period
+        return speeds
 
 
 @register_term("action", name="eef_pose")
@@ -160,6 +169,7 @@ class EefPose(EefTerm):
             self._asset, self._solver, self._count, frame, rotation, position_range
         )
         self._poses, self._world = poses, frame == "world"
+        self.orientation, self.tool_speeds = tool_orientation(rotation), (np.inf, np.inf)
         self.names, self.low, self.high = poses.names, poses.low, poses.high
 
     def apply(self, action: torch.Tensor) -> None:
@@ -181,6 +191,10 @@ class EefPose(EefTerm):
     def hold(self) -> F64:
         """(N, A) the action that keeps the present targets."""
         return self._poses.action_at(*self._pose(self._commanded()))
+
+    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+        """(N, A) the action for a pose of the tool; see `MovesTool`."""
+        return self._poses.action_at(*self._poses.in_frame(pos, quat))
 
 
 @register_term("action", name="eef_delta_pose")
@@ -229,7 +243,9 @@ class EefDeltaPose(EefTerm):
         self._measured = reference == "qpos"
         columns = MotionColumns(self._count, rotation, scale, clip)
         self.names, self.low, self.high = columns.names, columns.low, columns.high
-        self._value = columns.value
+        self._value, self._action_for = columns.value, columns.action_for
+        self.orientation = tool_orientation(rotation)
+        self.tool_speeds = columns.largest(1.0 / env.step_dt)
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets by (N, A) actions."""
@@ -246,14 +262,23 @@ class EefDeltaPose(EefTerm):
             error = motion.reshape(-1, self._count)
         self._follow(commanded, frames, error)
 
-    def _in_root(self, vectors: F64, start: Frames) -> F64:
-        """Vectors (v, 3, N) of `frame` in the axes of the root."""
+    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+        """(N, A) the action that moves the tool to a pose; see `MovesTool`."""
+        qpos = self._asset.read_qpos() if self._measured else self._commanded()
+        start = self._solver.frames(qpos)
+        error = pose_error(start, self._solver.to_root(pos, quat))
+        motion = self._in_root(error.reshape(2, 3, self._count), start, reverse=True)
+        return self._action_for(motion.reshape(6, self._count)[: len(self.names)].T)
+
+    def _in_root(self, vectors: F64, start: Frames, reverse: bool = False) -> F64:
+        """Vectors (v, 3, N) of `frame` in the axes of the root, or the reverse."""
         if self._frame == "base":
             return vectors
         axes = start.rotation
         if self._frame == "world":
             back = quat_conjugate(self._solver.root_pose()[1])
             axes = np.moveaxis(quat_to_matrix(back), 0, -1)
+        axes = np.swapaxes(axes, 0, 1) if reverse else axes
         return np.stack([matmul(axes, vector) for vector in vectors])
 
 

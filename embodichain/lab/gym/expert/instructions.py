@@ -1,0 +1,91 @@
+"""What steps are made of: `Move` the tool, `Grip`, `Wait`; and `Phase`, a list for each arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+__all__ = ["Goal", "Grip", "Instruction", "Move", "Phase", "Target", "Wait"]
+
+Target = str | Callable[..., Any]
+"""``ENTITY``, ``ENTITY/LINK``, a command's name; in Python also ``f(env) -> (N, 7)`` poses."""
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A pose for the tool, or for what it holds, computed when the motion begins.
+
+    Attributes:
+        target: What the position is relative to; None is where the tool was sent last.
+        offset: Metres.
+        axes: Axes of the offset: those of the environment, the target or the tool.
+        back: Metres back along the tool's z axis, which points out of a gripper.
+        align: What the tool is turned to about the vertical: until its x axis is parallel to an
+            axis of this entity; None keeps the orientation.
+        symmetry: Directions in a full turn that are as good as the axis.
+        level: Whether a tool that does not point up or down is aligned as well.
+        rpy: Orientation in `axes`, roll, pitch, yaw about fixed axes in rad; None keeps it.
+        beyond: Metres beyond the target, on the horizontal line from `start`.
+        start: Another target.
+        held: Whether the pose is that of what the gripper holds.
+    """
+
+    target: Target | None = None
+    offset: Vector = (0.0, 0.0, 0.0)
+    axes: Literal["world", "target", "tool"] = "world"
+    back: float = 0.0
+    align: Target | None = None
+    symmetry: int = 4
+    level: bool = False
+    rpy: Vector | None = None
+    beyond: float = 0.0
+    start: Target | None = None
+    held: bool = False
+
+
+@dataclass(frozen=True)
+class Move:
+    """Moves the tool along a straight line.
+
+    Attributes:
+        goal: Its end.
+        speed: Share of the largest speed.
+        tolerance: Metres from the goal that the measured pose must come within, at rest; None goes
+            on as soon as the goal was asked for.
+        step: The step, for messages.
+    """
+
+    goal: Goal
+    speed: float
+    tolerance: float | None
+    step: str
+
+
+@dataclass(frozen=True)
+class Grip:
+    """Opens or closes the gripper, until the fingers rest.
+
+    Attributes:
+        opens: Whether it opens.
+        takes: What must be between the fingers then, and is held from then on; None checks nothing.
+        step: The step, for messages.
+    """
+
+    opens: bool
+    takes: Target | None
+    step: str
+
+
+@dataclass(frozen=True)
+class Wait:
+    """Waits for `seconds`; `step` is the step, for messages."""
+
+    seconds: float
+    step: str
+
+
+Instruction = Move | Grip | Wait
+Phase = dict[str, list[Instruction]]
+"""Arm -> what it does; "" is the only arm. The next phase begins when all arms have finished."""
