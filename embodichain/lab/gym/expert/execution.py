@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.expert.arms import Arm, DeclaredArm, arms_of, find_arm
-from embodichain.lab.gym.expert.instructions import Goal, Grip, Move, Wait
+from embodichain.lab.gym.expert.instructions import EXACT, Goal, Grip, Move, Wait
 from embodichain.lab.gym.expert.program import Program, check_steps, targets_in
 from embodichain.lab.gym.expert.steps import ReadStep
 from embodichain.lab.gym.expert.targets import WORLD, TargetPoses, target_name
@@ -36,8 +36,8 @@ __all__ = ["Execution"]
 _MOVE, _GRIP, _WAIT, _IDLE = range(4)
 _PATIENCE = 2.0
 """Seconds after the end of its path in which the tool must arrive."""
-_TURN_TOLERANCE = 0.03
-"""Rad: how exact the tool's orientation must be where its position must be exact."""
+_TURN_TOLERANCES = 0.03, 0.2
+"""Rad: how exact the tool's orientation must be where its position must be exact, and elsewhere."""
 _FINGERS_REST = 0.003
 """Share of the gripper's opening: fingers that move less in a control step rest."""
 _FINGERS_TIME = 2.0, 0.5
@@ -193,7 +193,9 @@ class Execution:
         for a, (arm, path) in enumerate(zip(self._arms, self._paths, strict=True)):
             steps, tolerance = self._steps[:, a], self._tolerances[self._now[:, a]]
             distance, angle = path.remaining()
-            near = (distance <= tolerance) & (angle <= _TURN_TOLERANCE) & path.at_rest()
+            exact = tolerance < EXACT
+            near = (distance <= tolerance) & (angle <= np.where(exact, *_TURN_TOLERANCES))
+            near &= path.at_rest() | ~exact
             there = path.asked() & (near | ~np.isfinite(tolerance))
             late = (kind[:, a] == _MOVE) & ~there & (steps > path.steps + limit) & ~self.done
             for row in np.flatnonzero(late):
@@ -249,7 +251,7 @@ class Execution:
         self._grasp[rows, a] = self._in_tool(a, one.takes)[rows]
 
     def _fail(self, rows: Rows, a: int, why: str) -> None:
-        """Stop in these environments: all arms stay where they were sent."""
+        """Stop in these environments: all arms stay where they are."""
         for row in rows[~self.done[rows]]:
             one = self._program.instructions[self._now[row, a]]
             step = one.step if self._now[row, a] >= 0 else "between steps"
@@ -266,7 +268,8 @@ class Execution:
             manager.hold() if len(manager) else np.zeros((env.num_envs, self._arms[0].columns.stop))
         )
         for a, (arm, path) in enumerate(zip(self._arms, self._paths, strict=True)):
-            action[:, arm.columns] = path.action()
+            moves = self._kinds[self._now[:, a]] == _MOVE
+            action[:, arm.columns] = path.action(moves & ~self.done)
             if arm.gripper is not None:
                 action[:, arm.fingers] = self._command[:, a, None]
         return action
@@ -276,7 +279,7 @@ class Execution:
     def _goal(self, goal: Goal, a: int, rows: Rows) -> tuple[F64, F64]:
         """Position (n, 3) and orientation (n, 4) of the tool for a goal."""
         path = self._paths[a]
-        tool_pos, tool_quat = path.sent_pos[rows], path.sent_quat[rows]
+        tool_pos, tool_quat = path.path_pos[rows], path.path_quat[rows]
         place, axes = tool_pos, tool_quat
         if goal.target is not None:
             place, axes = (part[rows] for part in self._targets(goal.target))
@@ -287,6 +290,7 @@ class Execution:
         elif goal.axes == "tool":
             axes = tool_quat
         place = place + quat_rotate(axes, np.tile(goal.offset, (len(rows), 1)))
+        place = place + np.array([0.0, 0.0, goal.above])
         held_pos, held_quat = self._held_pose(goal, a, rows)
         quat = tool_quat
         if goal.rpy is not None:

@@ -6,10 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-__all__ = ["Goal", "Grip", "Instruction", "Move", "Phase", "Target", "Wait"]
+__all__ = ["EXACT", "Goal", "Grip", "Instruction", "Move", "Phase", "Target", "Wait"]
 
 Target = str | Callable[..., Any]
 """``ENTITY``, ``ENTITY/LINK``, a command's name; in Python also ``f(env) -> (N, 7)`` poses."""
+EXACT = 0.02
+"""M: a motion with a smaller tolerance ends at rest."""
 Vector = tuple[float, float, float]
 
 
@@ -21,6 +23,7 @@ class Goal:
         target: What the position is relative to; None is where the tool was sent last.
         offset: Metres.
         axes: Axes of the offset: those of the environment, the target or the tool.
+        above: Metres up from there.
         back: Metres back along the tool's z axis, which points out of a gripper.
         align: What the tool is turned to about the vertical: until its x axis is parallel to an
             axis of this entity; None keeps the orientation.
@@ -35,6 +38,7 @@ class Goal:
     target: Target | None = None
     offset: Vector = (0.0, 0.0, 0.0)
     axes: Literal["world", "target", "tool"] = "world"
+    above: float = 0.0
     back: float = 0.0
     align: Target | None = None
     symmetry: int = 4
@@ -52,8 +56,8 @@ class Move:
     Attributes:
         goal: Its end.
         speed: Share of the largest speed.
-        tolerance: Metres from the goal that the measured pose must come within, at rest; None goes
-            on as soon as the goal was asked for.
+        tolerance: Metres from the goal that the measured pose must come within, at rest if it is
+            below `EXACT`; None goes on as soon as the goal was asked for.
         step: The step, for messages.
     """
 

@@ -37,28 +37,29 @@ Turns = Annotated[int, Field(ge=1)]
 _ZERO: Vector = (0.0, 0.0, 0.0)
 _NEAR = 0.004
 """M: how near the tool must be to a place where it grasps, releases or presses."""
+_PASS = 0.03
+"""M: how near it must be to a place that it passes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One step; the parameters of all.
+    """One step. Lengths are in metres, a speed is a share of the largest one.
 
-    Attributes:
-        arm: The arm: its action term or its robot; it may be left out if there is only one.
-        speed: Share of the largest speed.
+    Parameters that several steps have: `offset` from the target to the tool, in `axes`; `approach`
+    and `retreat`, lengths along the tool's z axis, which points out of a gripper, from where it
+    comes and to where it goes back; `rpy`, an orientation in `axes`: roll, pitch, yaw about fixed
+    axes in rad; `align`, a target to which the tool (or what is held) is turned about the vertical,
+    until axes are parallel; `symmetry`, the directions in a full turn that are as good.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
         extra="forbid", arbitrary_types_allowed=True
     )
-    first: ClassVar[str] = ""
-    """The parameter that a plain value sets."""
-    targets: ClassVar[tuple[str, ...]] = ()
-    """Parameters that are a `Target`."""
-    grips: ClassVar[bool] = False
-    """Whether it needs a gripper."""
+    first: ClassVar[str] = ""  # the parameter that a plain value sets
+    targets: ClassVar[tuple[str, ...]] = ()  # the parameters that are targets
+    grips: ClassVar[bool] = False  # whether it needs a gripper
 
-    arm: str | None = None
+    arm: str | None = None  # its action term or robot; may be left out if there is only one
     speed: Share = 1.0
 
     def phases(self, step: str) -> Iterator[Phase]:
@@ -80,26 +81,19 @@ class Step:
         same = {n: getattr(self, n) for n in ("offset", "axes", "symmetry", "rpy") if n in own}
         return Goal(target, **(same | values))
 
-    def move(self, goal: Goal, step: str, tolerance: float | None = None) -> Move:
-        """A motion at the speed of the step."""
-        return Move(goal, self.speed, tolerance, step)
+    def move(self, goal: Goal, step: str, near: float | None = _PASS, share: float = 1.0) -> Move:
+        """A motion at a share of the speed of the step."""
+        return Move(goal, self.speed * share, near, step)
+
+    def retreating(self, step: str, distance: float) -> Iterator[Instruction]:
+        """A motion back along the tool's z axis, unless the distance is 0."""
+        if distance:
+            yield self.move(Goal(back=distance), step)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MoveTo(Step):
-    """Moves the tool to a target: one straight line.
-
-    Args:
-        to: The target; without one, relative to where the tool was sent last.
-        offset: Metres from it.
-        axes: Axes of `offset` and `rpy`.
-        align: Turns the tool to this entity, as `grasp` does.
-        symmetry: As of `grasp`.
-        rpy: Orientation: roll, pitch, yaw in rad; else it is kept.
-        held: Whether what the gripper holds is moved there, instead of the tool.
-        tolerance: Metres; the step fails if the tool does not come that near. None goes on as soon
-            as the tool was sent there.
-    """
+    """One straight line to a target; without one, from where the tool is."""
 
     first: ClassVar[str] = "to"
     targets: ClassVar[tuple[str, ...]] = ("to", "align")
@@ -110,8 +104,8 @@ class MoveTo(Step):
     align: Target | None = None
     symmetry: Turns = 4
     rpy: Vector | None = None
-    held: bool = False
-    tolerance: Positive | None = 0.01
+    held: bool = False  # whether what is held is moved there, instead of the tool
+    tolerance: Positive | None = 0.01  # fails farther away; below 0.02 the tool comes to rest
 
     def instructions(self, step: str) -> Iterator[Instruction]:
         """One motion."""
@@ -121,18 +115,10 @@ class MoveTo(Step):
 
 @dataclass(frozen=True, kw_only=True)
 class Grasp(Step):
-    """Moves behind the target, then to it, closes the gripper, checks that it holds something.
+    """Moves before the target, then to it, closes the gripper, checks that it holds something.
 
-    Args:
-        of: What is grasped.
-        offset: Metres from its origin to the tool.
-        axes: Axes of `offset` and `rpy`.
-        approach: Metres along the tool's z axis from where the tool moves to the target.
-        align: Whether a tool that points up or down is turned about the vertical, so that its
-            fingers are parallel to faces of the target.
-        symmetry: Directions in a full turn in which the target can be grasped: 4 for a cube, 2 for
-            a bar, 1 for one direction only.
-        rpy: Orientation, as of `move_to`.
+    A tool that points up or down is turned about the vertical, so that its fingers are parallel to
+    faces of the target, unless `align` is false.
     """
 
     first: ClassVar[str] = "of"
@@ -158,11 +144,7 @@ class Grasp(Step):
 
 @dataclass(frozen=True, kw_only=True)
 class Release(Step):
-    """Opens the gripper, then moves back.
-
-    Args:
-        retreat: Metres back along the tool's z axis.
-    """
+    """Opens the gripper, then moves back."""
 
     first: ClassVar[str] = "retreat"
     grips: ClassVar[bool] = True
@@ -172,8 +154,7 @@ class Release(Step):
     def instructions(self, step: str) -> Iterator[Instruction]:
         """The fingers and perhaps a motion."""
         yield Grip(True, None, step)
-        if self.retreat:
-            yield self.move(Goal(back=self.retreat), step)
+        yield from self.retreating(step, self.retreat)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,11 +170,7 @@ class Close(Step):
 
 @dataclass(frozen=True, kw_only=True)
 class Lift(Step):
-    """Moves the tool up.
-
-    Args:
-        by: Metres.
-    """
+    """Moves the tool up."""
 
     first: ClassVar[str] = "by"
 
@@ -206,18 +183,7 @@ class Lift(Step):
 
 @dataclass(frozen=True, kw_only=True)
 class Place(Step):
-    """Moves what is held above the target, lowers it, opens the gripper and moves back.
-
-    Args:
-        to: Where the origin of what is held goes.
-        offset: Metres from it.
-        axes: Axes of `offset`.
-        above: Metres above from where it is lowered.
-        align: Turns what is held about the vertical to this entity.
-        symmetry: As of `grasp`.
-        retreat: Metres back along the tool's z axis.
-        lowering: Share of the largest speed while it is lowered.
-    """
+    """Moves what is held above the target, lowers it, opens the gripper and moves back."""
 
     first: ClassVar[str] = "to"
     targets: ClassVar[tuple[str, ...]] = ("to", "align")
@@ -230,32 +196,23 @@ class Place(Step):
     align: Target | None = None
     symmetry: Turns = 4
     retreat: NonNegative = 0.08
-    lowering: Share = 0.5
+    lowering: Share = 0.5  # its speed
 
     def instructions(self, step: str) -> Iterator[Instruction]:
         """Two motions, the fingers, and a motion."""
-        x, y, z = self.offset
-        if self.above and self.axes == "world":
-            high = self.goal(self.to, align=self.align, level=True, held=True)
-            high = dataclasses.replace(high, offset=(x, y, z + self.above))
-            yield self.move(high, step, 5 * _NEAR)
         goal = self.goal(self.to, align=self.align, level=True, held=True)
-        yield Move(goal, self.speed * self.lowering, _NEAR, step)
+        if self.above:
+            yield self.move(dataclasses.replace(goal, above=self.above), step)
+        yield self.move(goal, step, _NEAR, self.lowering)
         yield Grip(True, None, step)
-        if self.retreat:
-            yield self.move(Goal(back=self.retreat), step)
+        yield from self.retreating(step, self.retreat)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Push(Step):
-    """Moves behind an object and pushes it straight over the table to a target.
+    """Lowers the tool behind an object and moves it straight on, until the object is at a target.
 
-    Args:
-        of: The object.
-        to: Where its origin is pushed.
-        behind: Metres from its origin, away from the target, where the tool starts and ends.
-        height: Metres of the tool above its origin.
-        above: Metres above that from where the tool is lowered.
+    The tool is `behind` the object's origin when it touches it, and `height` above it.
     """
 
     first: ClassVar[str] = "of"
@@ -264,56 +221,37 @@ class Push(Step):
     of: Target
     to: Target
     behind: NonNegative = 0.05
-    clearance: NonNegative = 0.05
+    clearance: NonNegative = 0.05  # farther behind, where it is lowered
     height: float = 0.0
     above: NonNegative = 0.1
 
     def instructions(self, step: str) -> Iterator[Instruction]:
-        """Three motions and one up."""
-        far = self.behind + self.clearance
-        for height in ([self.above] if self.above else []) + [0.0]:
-            offset = (0.0, 0.0, self.height + height)
-            yield self.move(Goal(self.of, offset, beyond=far, start=self.to), step, 5 * _NEAR)
+        """Four motions."""
         offset = (0.0, 0.0, self.height)
-        end = Goal(self.to, offset, beyond=-self.behind, start=self.of)
-        yield self.move(end, step, 5 * _NEAR)
-        if self.above:
-            yield self.move(Goal(offset=(0.0, 0.0, self.above)), step)
+        start = Goal(self.of, offset, beyond=self.behind + self.clearance, start=self.to)
+        yield self.move(dataclasses.replace(start, above=self.above), step)
+        yield self.move(start, step)
+        yield self.move(Goal(self.to, offset, beyond=-self.behind, start=self.of), step)
+        yield self.move(Goal(above=self.above), step)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Open(Grasp):
-    """Grasps a handle and moves it along a straight line.
-
-    Args:
-        by: Metres.
-    """
+    """Grasps a handle, as `grasp` does, and moves it along a straight line."""
 
     by: Vector
-    pull: Share = 0.5
+    pull: Share = 0.5  # its speed
 
     def instructions(self, step: str) -> Iterator[Instruction]:
         """`grasp`, then a motion."""
         yield from super().instructions(step)
-        yield Move(Goal(offset=self.by, axes=self._pull_axes), self.speed * self.pull, 0.02, step)
-
-    @property
-    def _pull_axes(self) -> Axes:
-        return "tool" if self.axes == "tool" else "world"
+        axes: Axes = "tool" if self.axes == "tool" else "world"
+        yield self.move(Goal(offset=self.by, axes=axes), step, _PASS, self.pull)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Press(Step):
-    """Moves behind the target, presses it along the tool's z axis, and moves back.
-
-    Args:
-        of: What is pressed.
-        offset: Metres from its origin to the tool where it touches.
-        axes: Axes of `offset`.
-        depth: Metres beyond that.
-        approach: Metres along the tool's z axis from where the tool moves to the target.
-        pressing: Share of the largest speed while it presses.
-    """
+    """Moves before the target, presses it by `depth` along the tool's z axis, and moves back."""
 
     first: ClassVar[str] = "of"
     targets: ClassVar[tuple[str, ...]] = ("of",)
@@ -323,39 +261,29 @@ class Press(Step):
     axes: Axes = "world"
     depth: Positive = 0.01
     approach: NonNegative = 0.05
-    pressing: Share = 0.3
+    pressing: Share = 0.3  # its speed
 
     def instructions(self, step: str) -> Iterator[Instruction]:
-        """Three motions."""
+        """Three motions and a pause."""
         yield self.move(self.goal(self.of, back=self.approach), step, 2 * _NEAR)
-        down = self.goal(self.of, back=-self.depth)
-        yield Move(down, self.speed * self.pressing, None, step)
+        yield self.move(self.goal(self.of, back=-self.depth), step, None, self.pressing)
         yield Wait(0.3, step)
-        yield self.move(Goal(back=self.approach + self.depth), step)
+        yield from self.retreating(step, self.approach + self.depth)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandOver(Grasp):
-    """Carries what `arm` holds to a place, where another arm grasps it; then the first lets go.
+    """Carries what `arm` holds to a place, where another arm grasps it; then the first lets go."""
 
-    The other parameters are those of `grasp`.
-
-    Args:
-        of: What is handed over.
-        to: The arm that takes it.
-        at: Where its origin is handed over, in metres; None is where it is.
-        retreat: Metres that the first arm moves back along its tool's z axis.
-    """
-
-    to: str
-    at: Vector | None = None
+    to: str  # the arm that takes it
+    at: Vector | None = None  # where its origin is then; None is where it is
     retreat: NonNegative = 0.1
 
     def phases(self, step: str) -> Iterator[Phase]:
         """A motion of the first arm, `grasp` of the other, `release` of the first."""
         giver = self.arm or ""
         if self.at is not None:
-            yield {giver: [self.move(Goal("world", self.at, held=True), step, 5 * _NEAR)]}
+            yield {giver: [self.move(Goal("world", self.at, held=True), step)]}
         yield {self.to: list(self.instructions(step))}
         yield {giver: list(Release(retreat=self.retreat, speed=self.speed).instructions(step))}
 
@@ -367,11 +295,7 @@ class HandOver(Grasp):
 
 @dataclass(frozen=True, kw_only=True)
 class Waiting(Step):
-    """Waits.
-
-    Args:
-        seconds: How long.
-    """
+    """Waits."""
 
     first: ClassVar[str] = "seconds"
 
@@ -384,12 +308,7 @@ class Waiting(Step):
 
 @dataclass(frozen=True, kw_only=True)
 class Repeat(Step):
-    """Performs steps several times.
-
-    Args:
-        times: How often.
-        steps: The steps.
-    """
+    """Performs steps several times."""
 
     first: ClassVar[str] = "steps"
 
@@ -421,7 +340,7 @@ class Together(Step):
 
     def arms(self) -> Iterator[tuple[str, str]]:
         """Those of the lanes."""
-        yield from ((f"{arm}", arm) for arm in self.steps)
+        yield from ((arm, arm) for arm in self.steps)
 
 
 STEPS: dict[str, type[Step]] = {

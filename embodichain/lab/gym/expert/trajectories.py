@@ -72,8 +72,8 @@ class ToolPath:
     Attributes:
         pos: (N, 3) measured position of the tool, m, in the environment's frame.
         quat: (N, 4) measured orientation.
-        sent_pos: (N, 3) where the tool was sent.
-        sent_quat: (N, 4).
+        path_pos: (N, 3) where the tool is on its path.
+        path_quat: (N, 4).
         steps: (N,) control steps of the present path.
     """
 
@@ -89,11 +89,11 @@ class ToolPath:
         self.steps: NDArray[np.int64] = np.zeros(num_envs, np.int64)
         self._step: NDArray[np.int64] = np.zeros(num_envs, np.int64)
         self._shift: F64 = np.zeros((num_envs, 6))  # what is added to the path's pose
-        self._sent: F64 = np.zeros((num_envs, width))
+        self._last: F64 = np.zeros((num_envs, width))
         self._goal_pos: F64 = np.zeros((num_envs, 3))
         self._goal_quat: F64 = np.tile([1.0, 0.0, 0.0, 0.0], (num_envs, 1))
         self.pos, self.quat = self._solver.forward(arm.asset.read_qpos())
-        self.sent_pos, self.sent_quat = self.pos.copy(), self.quat.copy()
+        self.path_pos, self.path_quat = self.pos.copy(), self.quat.copy()
         self._speed: F64 = np.zeros(num_envs)
 
     def measure(self) -> None:
@@ -105,16 +105,16 @@ class ToolPath:
     def rest(self, rows: NDArray[np.int64]) -> None:
         """Stay where the tool is in these environments, whose episodes begin."""
         qpos = self._arm.asset.read_qpos()[rows][:, self._solver.moving]
-        self._sent[rows], self._path[rows, 0] = qpos, qpos
+        self._last[rows], self._path[rows, 0] = qpos, qpos
         self.steps[rows], self._step[rows], self._shift[rows] = 1, 0, 0.0
-        self.sent_pos[rows], self.sent_quat[rows] = self.pos[rows], self.quat[rows]
+        self.path_pos[rows], self.path_quat[rows] = self.pos[rows], self.quat[rows]
         self._goal_pos[rows], self._goal_quat[rows] = self.pos[rows], self.quat[rows]
         self._speed[rows] = 0.0
 
     # -- planning, once for each motion ------------------------------------------------------------
 
     def plan(self, rows: NDArray[np.int64], pos: F64, quat: F64, speed: float) -> NDArray[np.bool_]:
-        """Plan a straight line from where the tool was sent to a pose.
+        """Plan a straight line from where the tool is on its path to a pose.
 
         Args:
             rows: (n,) environments.
@@ -134,24 +134,24 @@ class ToolPath:
             self._path = longer
         for row, shares, points, good in zip(rows, times, line, reached, strict=True):
             if not good:
-                shares, points = np.ones(1), np.tile(self._sent[row], (_WAYPOINTS + 1, 1))
+                shares, points = np.ones(1), np.tile(self._last[row], (_WAYPOINTS + 1, 1))
             at = shares * _WAYPOINTS
             before = np.minimum(at.astype(np.int64), _WAYPOINTS - 1)
             part = (at - before)[:, None]
             path = points[before] * (1.0 - part) + points[before + 1] * part
             self._path[row, : len(path)] = path
             self.steps[row] = len(path)
-        self._step[rows], self._shift[rows] = 0, 0.0
-        self._goal_pos[rows] = np.where(reached[:, None], pos, self.sent_pos[rows])
-        self._goal_quat[rows] = np.where(reached[:, None], quat, self.sent_quat[rows])
+        self._step[rows] = 0
+        self._goal_pos[rows] = np.where(reached[:, None], pos, self.path_pos[rows])
+        self._goal_quat[rows] = np.where(reached[:, None], quat, self.path_quat[rows])
         return reached
 
     def _line(self, rows: NDArray[np.int64], pos: F64, quat: F64) -> tuple[F64, NDArray[np.bool_]]:
         """(n, W + 1, k) joint positions on lines, and (n,) whether they reach all of them."""
-        start_pos, start_quat = self.sent_pos[rows], self.sent_quat[rows]
+        start_pos, start_quat = self.path_pos[rows], self.path_quat[rows]
         turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(start_quat)))
         seed = self._arm.asset.read_qpos()[rows].copy()
-        seed[:, self._solver.moving] = self._sent[rows]
+        seed[:, self._solver.moving] = self._last[rows]
         end, reached = self._inverse(rows, seed, pos, quat)
         shares = np.linspace(0.0, 1.0, _WAYPOINTS + 1)[:, None, None]
         place = start_pos + shares * (pos - start_pos)
@@ -184,8 +184,8 @@ class ToolPath:
         self, rows: NDArray[np.int64], pos: F64, quat: F64, line: F64, speed: float
     ) -> list[F64]:
         """For each line the shares of it, up to 1, at the next control steps."""
-        turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(self.sent_quat[rows])))
-        way, angle = length(pos - self.sent_pos[rows]), length(turn)
+        turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(self.path_quat[rows])))
+        way, angle = length(pos - self.path_pos[rows]), length(turn)
         change = np.abs(np.diff(line, axis=1)) * _WAYPOINTS  # rad or m per unit of the parameter
         bend = np.abs(np.diff(line, 2, axis=1)) * _WAYPOINTS**2
         tiny = 1e-9
@@ -222,9 +222,9 @@ class ToolPath:
         return np.array([trajectory.at_time(float(time))[0][0] for time in times])
 
     def stop(self, row: int) -> None:
-        """Stay where the tool was sent in an environment."""
-        self._path[row, 0] = self._sent[row]
-        self.steps[row], self._step[row], self._shift[row] = 1, 1, 0.0
+        """Stay at this place of the path in an environment."""
+        self._path[row, 0] = self._last[row]
+        self.steps[row], self._step[row] = 1, 1
         self._goal_pos[row], self._goal_quat[row] = self.pos[row], self.quat[row]
 
     # -- moving, in every control step -------------------------------------------------------------
@@ -245,23 +245,27 @@ class ToolPath:
         slow: NDArray[np.bool_] = self._speed < 2.5 * _SLOW
         return slow
 
-    def action(self) -> F64:
-        """(N, A) the action for the next control step, which takes the tool along its path."""
+    def action(self, arriving: NDArray[np.bool_]) -> F64:
+        """(N, A) the action for the next control step, which takes the tool along its path.
+
+        Args:
+            arriving: (N,) where it is to be corrected what is missing at the end of the path.
+        """
         asked = self.asked()
-        self._correct(asked & (self._speed < _SLOW))
+        self._correct(arriving & asked & (self._speed < _SLOW))
         here = np.minimum(self._step, self.steps - 1)
         self._step += ~asked
+        self._last = self._path[np.arange(self._count), here]
         whole = self._arm.asset.read_qpos().copy()
-        whole[:, self._solver.moving] = self._path[np.arange(self._count), here]
+        whole[:, self._solver.moving] = self._last
+        self.path_pos, self.path_quat = pos, quat = self._solver.forward(whole)
         if self._shift.any():
-            frames = self._solver.frames(whole)
             error = self._in_root(self._shift)[: 3 if self._free else 6]
             widest = np.full(len(self._solver.moving), np.inf)
-            step = self._solver.approach(whole, frames, error, widest)
+            step = self._solver.approach(whole, self._solver.frames(whole), error, widest)
             whole[:, self._solver.moving] += step.change
-        self._sent = whole[:, self._solver.moving]
-        self.sent_pos, self.sent_quat = self._solver.forward(whole)
-        return self._arm.term.action_towards(self.sent_pos, self.sent_quat, self._sent)
+            pos, quat = self._solver.forward(whole)
+        return self._arm.term.action_towards(pos, quat, whole[:, self._solver.moving])
 
     def _correct(self, where: NDArray[np.bool_]) -> None:
         """Ask for a part of what is missing in addition, in these environments."""

@@ -4,39 +4,221 @@ import numpy as np
 import pytest
 
 import embodichain
+from embodichain.lab.gym.expert.policy import Expert
 from embodichain.lab.gym.policies import PlannedPolicy, resolve_policy
 
 pytestmark = pytest.mark.unmeasured
 
+TOOL = "of: {uid: ur10, control_parts: arm}"
+LOOSE = "task.robot.drive_pros={stiffness: 0, damping: 0}"
 
-def perform(task, num_envs=16, overrides=(), steps=None, change=None):
-    """Runs the expert for an episode; returns successes, the policy and all actions."""
-    env = embodichain.make(task, num_envs=num_envs, overrides=["seed=3", *overrides])
-    try:
-        policy = resolve_policy("expert")
+
+class Performance:
+    """One episode of an expert in all environments."""
+
+    def __init__(self, task, num_envs=16, overrides=(), steps=None, change=None, policy=None):
+        env = embodichain.make(task, num_envs=num_envs, overrides=["seed=3", *overrides])
+        self.policy = policy = policy or (Expert(steps) if steps else resolve_policy("expert"))
         assert isinstance(policy, PlannedPolicy)
-        obs, _ = env.reset()
-        if change is not None:
-            change(env)
-        space, actions, success = env.single_action_space, [], None
-        for _ in range(steps or env.max_episode_steps - 1):
-            action = policy(obs, env)
-            actions.append(action.numpy().copy())
-            obs, _, terminated, truncated, info = env.step(action)
-            assert not (terminated | truncated).any()
-            success = info["metrics"]["success"].numpy() > 0
-            if policy.done.all() and success.all():
-                break
-        actions = np.stack(actions)
-        assert (actions >= space.low).all() and (actions <= space.high).all()
-        return success, policy, actions
-    finally:
-        env.close()
+        self.actions = []
+        try:
+            obs, _ = env.reset()
+            if change is not None:
+                change(env)
+            space = env.single_action_space
+            for _ in range(env.max_episode_steps - 1):
+                action = policy(obs, env)
+                self.actions.append(action.numpy().copy())
+                obs, _, terminated, truncated, info = env.step(action)
+                assert not (terminated | truncated | info["diverged"]).any()
+                self.success = info["metrics"]["success"].numpy() > 0
+                if policy.done.all() and (self.success.all() or any(policy.failures)):
+                    break
+            self.tool = env.sim.robots[next(iter(env.sim.robots))].get_link_pose(
+                "gripper/tcp" if task != "lift_cube" else "panda_hand_tcp"
+            )
+        finally:
+            env.close()
+        taken = np.stack(self.actions)
+        assert (taken >= space.low).all() and (taken <= space.high).all()
+
+    @property
+    def failures(self):
+        return list(self.policy.failures)
 
 
-@pytest.mark.parametrize(("task", "longest"), [("pick_place", 130)])
+@pytest.mark.parametrize(
+    ("task", "longest"),
+    [
+        ("pick_place", 130),
+        ("stack_cubes", 150),
+        ("lift_cube", 200),
+        ("press_button", 100),
+        ("open_drawer", 130),
+        ("peg_in_hole", 220),
+        ("hand_over", 280),
+    ],
+)
 def test_the_expert_of_a_task_solves_it(task, longest):
-    success, policy, actions = perform(task)
-    assert success.all(), policy.failures
-    assert policy.failures == [None] * 16
-    assert len(actions) <= longest
+    run = Performance(task)
+    assert run.failures == [None] * 16
+    assert run.success.all()
+    assert len(run.actions) <= longest
+
+
+def of_tool(term, *more):
+    """Another action in place of the tool's."""
+    return ["~task.actions.tool", f"task.actions.arm={term}", *more]
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        of_tool(f"{{func: eef_pose, params: {{{TOOL}}}}}"),
+        of_tool(f"{{func: eef_pose, params: {{{TOOL}, frame: world, rotation: rpy}}}}"),
+        of_tool(f"{{func: joint_action, params: {{{TOOL}}}}}"),
+        of_tool(f"{{func: joint_action, params: {{{TOOL}, centre: target, scale: 0.05}}}}"),
+        of_tool(f"{{func: joint_action, params: {{{TOOL}, centre: limits}}}}"),
+        of_tool(f"{{func: operational_space, params: {{{TOOL}, command: pose}}}}", LOOSE),
+        of_tool(f"{{func: operational_space, params: {{{TOOL}, frame: tool, scale: 0.1}}}}", LOOSE),
+        of_tool(f"{{func: eef_delta_pose, params: {{{TOOL}, frame: tool, reference: qpos}}}}"),
+        [
+            "task.actions.gripper.params.command_mode=continuous",
+            "~task.actions.gripper.params.open_command",
+            "~task.actions.gripper.params.close_command",
+        ],
+    ],
+    ids=lambda overrides: overrides[1].partition("=")[2][:60] or "continuous gripper",
+)
+def test_the_same_steps_work_through_every_action_that_moves_a_tool(overrides):
+    run = Performance("pick_place", 3, [*overrides, "task.max_episode_steps=400"])
+    assert run.failures == [None] * 3
+    assert run.success.all()
+
+
+def test_actions_do_not_depend_on_the_number_of_environments():
+    many, few = (Performance("pick_place", n).actions for n in (5, 2))
+    for step, (a, b) in enumerate(zip(many, few, strict=False)):
+        assert np.array_equal(a[:2], b), step
+
+
+# -- what fails ------------------------------------------------------------------------------------
+
+
+def moved(uid, where):
+    """Moves an object of the first environment away when the episode has begun."""
+
+    def change(env):
+        pose = env.sim.get_rigid_object(uid).get_local_pose()
+        for row, place in where.items():
+            pose[row, : len(place)] = place
+        env.sim.get_rigid_object(uid).set_local_pose(pose)
+
+    import torch
+
+    where = {row: torch.tensor(place) for row, place in where.items()}
+    return change
+
+
+def test_a_target_out_of_reach_is_a_failure_of_its_environment_alone():
+    run = Performance("pick_place", 3, change=moved("cube", {0: [0.65, -3.0, 0.725]}))
+    assert run.failures[1:] == [None, None]
+    assert run.failures[0].startswith("step 1, grasp cube: no straight line of the tool to (0.650")
+    assert run.success.tolist() == [False, True, True]
+    assert run.policy.done.all()
+
+
+def test_fingers_that_close_on_nothing_are_a_failure():
+    steps = [{"grasp": {"of": "cube", "offset": [0.0, 0.0, 0.09]}}, {"lift": 0.1}]
+    run = Performance("pick_place", 2, steps=steps)
+    assert run.failures == ["step 1, grasp cube: the fingers closed on nothing"] * 2
+
+
+def test_what_was_lost_is_a_failure():
+    class Thief(Expert):
+        """Takes the cube away when the tool is on its way with it."""
+
+        calls = 0
+
+        def __call__(self, obs, env):
+            self.calls += 1
+            if self.calls == 75:
+                cube = env.sim.get_rigid_object("cube")
+                pose = cube.get_local_pose()
+                pose[1, :2] += 0.15
+                cube.set_local_pose(pose)
+            return super().__call__(obs, env)
+
+    run = Performance("pick_place", 2, policy=Thief())
+    assert run.failures == [None, "step 3, place stand: the gripper has lost cube"]
+
+
+def test_a_tool_that_is_stopped_does_not_arrive():
+    steps = [{"move_to": {"to": "world", "offset": [0.65, 0.0, 0.68]}}]  # in the table
+    run = Performance("pick_place", 2, steps=steps)
+    for failure in run.failures:
+        assert failure.startswith("step 1, move_to world: the tool has not arrived: ")
+        assert failure.endswith(" rad are missing")
+
+
+def test_a_reset_environment_begins_anew():
+    env = embodichain.make("press_button", num_envs=2, overrides=["seed=1"])
+    policy = resolve_policy("expert")
+    obs, _ = env.reset()
+    ended = 0
+    for _ in range(2 * env.max_episode_steps):
+        obs, _, _, truncated, info = env.step(policy(obs, env))
+        if truncated.any():
+            assert (info["metrics"]["success"] > 0).all()
+            assert policy.done.all()
+            ended += 1
+            policy.reset(np.array([0, 1]))
+            assert not policy.done.any()
+    env.close()
+    assert ended == 2
+
+
+# -- steps -----------------------------------------------------------------------------------------
+
+
+def where(env):
+    """Poses that a function chooses: 10 cm above the stand."""
+    pose = env.sim.get_rigid_object("stand").get_local_pose()
+    pose[:, 2] += 0.1
+    return pose
+
+
+def test_steps_in_python_may_aim_at_what_a_function_returns():
+    run = Performance("pick_place", 2, steps=[{"move_to": {"to": where, "tolerance": 0.003}}])
+    assert run.failures == [None, None]
+    assert run.tool[:, 2].numpy() == pytest.approx(0.82, abs=0.003)
+
+
+def steps_of_a_function(env, height: float = 0.1):
+    return [{"grasp": "cube"}, {"lift": height}]
+
+
+def test_a_function_makes_the_steps():
+    name = "tests.lab.gym.expert.test_expert:steps_of_a_function"
+    change = f"task.expert={{func: '{name}', params: {{height: 0.2}}}}"
+    run = Performance("pick_place", 2, [change])
+    assert run.failures == [None, None]
+    assert run.tool[:, 2].numpy() == pytest.approx(0.725 + 0.2, abs=0.03)
+
+
+def test_repeated_waiting_and_moving():
+    move = {"move_to": {"offset": [0.0, 0.0, -0.02], "tolerance": 0.002}}
+    steps = [{"repeat": {"times": 3, "steps": [move, {"wait": 0.2}]}}]
+    run = Performance("pick_place", 2, steps=steps)
+    assert run.failures == [None, None]
+    assert run.tool[:, 2].numpy() == pytest.approx(0.95 - 0.06, abs=0.002)
+
+
+def test_two_arms_at_the_same_time():
+    steps = [{"together": {arm: [{"lift": 0.1}, {"lift": 0.05}] for arm in ("right", "left")}}]
+    both = Performance("hand_over", 2, steps=steps)
+    steps = [{"lift": {"arm": arm, "by": 0.15}} for arm in ("right", "left")]
+    one = Performance("hand_over", 2, steps=steps)
+    assert both.failures == one.failures == [None, None]
+    assert both.tool.numpy() == pytest.approx(one.tool.numpy(), abs=0.02)
+    assert len(both.actions) < len(one.actions)
