@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.compiler.names import Known
 
-__all__ = ["Program", "check_expert", "check_steps", "steps_of", "targets_in"]
+__all__ = ["Program", "check_expert", "check_steps", "step_rows", "steps_of", "targets_in"]
 
 
 def check_steps(
@@ -51,7 +51,7 @@ def check_steps(
             try:
                 arm = find_arm(name, arms, read.path, key)
             except ConfigError as error:
-                problems += error.problems
+                problems += error.problems if read.arm is None else ()  # once for a lane
                 continue
             if read.step.grips and arm.gripper is None:
                 message = f"arm {arm.name!r} has no gripper: no parallel_gripper moves {arm.uid!r}"
@@ -68,6 +68,16 @@ def targets_in(steps: Sequence[ReadStep]) -> list[tuple[str, Any]]:
             if target is not None:
                 found.append((f"{read.path}.{name}", target))
     return found
+
+
+def step_rows(expert: Any) -> list[dict[str, Any]]:
+    """A table of the steps in a task: key path, name, parameters that were given."""
+    steps = read_steps(expert)[0] if isinstance(expert, list) else []
+    return [
+        {"path": one.path, "step": one.path.rpartition(".")[2], "made of": one.summary()}
+        for read in steps
+        for one in read.flat()
+    ]
 
 
 def check_expert(cfg: EnvCfg, known: Known | None, allow_import: bool = True) -> list[Problem]:

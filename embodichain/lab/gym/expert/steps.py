@@ -64,10 +64,9 @@ class Step:
 
     def phases(self, step: str) -> Iterator[Phase]:
         """What it is made of; `step` names it in messages."""
-        yield {self.arm or "": list(self.instructions(step))}
+        yield {self.arm or "": list(self._instructions(step))}
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """What its arm does."""
+    def _instructions(self, step: str) -> Iterator[Instruction]:
         raise NotImplementedError
 
     def arms(self) -> Iterator[tuple[str, str]]:
@@ -75,20 +74,20 @@ class Step:
         if self.arm is not None:
             yield "arm", self.arm
 
-    def goal(self, target: Target | None, **values: Any) -> Goal:
+    def _goal(self, target: Target | None, **values: Any) -> Goal:
         """A goal with the parameters of the same names."""
         own = {f.name for f in dataclasses.fields(self)}
         same = {n: getattr(self, n) for n in ("offset", "axes", "symmetry", "rpy") if n in own}
         return Goal(target, **(same | values))
 
-    def move(self, goal: Goal, step: str, near: float | None = _PASS, share: float = 1.0) -> Move:
+    def _move(self, goal: Goal, step: str, near: float | None = _PASS, share: float = 1.0) -> Move:
         """A motion at a share of the speed of the step."""
         return Move(goal, self.speed * share, near, step)
 
-    def retreating(self, step: str, distance: float) -> Iterator[Instruction]:
+    def _retreating(self, step: str, distance: float) -> Iterator[Instruction]:
         """A motion back along the tool's z axis, unless the distance is 0."""
         if distance:
-            yield self.move(Goal(back=distance), step)
+            yield self._move(Goal(back=distance), step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,10 +106,9 @@ class MoveTo(Step):
     held: bool = False  # whether what is held is moved there, instead of the tool
     tolerance: Positive | None = 0.01  # fails farther away; below 0.02 the tool comes to rest
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """One motion."""
-        goal = self.goal(self.to, align=self.align, level=True, held=self.held)
-        yield self.move(goal, step, self.tolerance)
+    def _instructions(self, step: str) -> Iterator[Instruction]:
+        goal = self._goal(self.to, align=self.align, level=True, held=self.held)
+        yield self._move(goal, step, self.tolerance)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,12 +131,11 @@ class Grasp(Step):
     symmetry: Turns = 4
     rpy: Vector | None = None
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """Two motions and the fingers."""
+    def _instructions(self, step: str) -> Iterator[Instruction]:
         align = self.of if self.align and self.rpy is None else None
         if self.approach:
-            yield self.move(self.goal(self.of, align=align, back=self.approach), step)
-        yield self.move(self.goal(self.of, align=align), step, _NEAR)
+            yield self._move(self._goal(self.of, align=align, back=self.approach), step)
+        yield self._move(self._goal(self.of, align=align), step, _NEAR)
         yield Grip(False, self.of, step)
 
 
@@ -151,10 +148,9 @@ class Release(Step):
 
     retreat: NonNegative = 0.0
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """The fingers and perhaps a motion."""
+    def _instructions(self, step: str) -> Iterator[Instruction]:
         yield Grip(True, None, step)
-        yield from self.retreating(step, self.retreat)
+        yield from self._retreating(step, self.retreat)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,8 +159,7 @@ class Close(Step):
 
     grips: ClassVar[bool] = True
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """The fingers."""
+    def _instructions(self, step: str) -> Iterator[Instruction]:
         yield Grip(False, None, step)
 
 
@@ -176,9 +171,8 @@ class Lift(Step):
 
     by: Positive = 0.1
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """One motion."""
-        yield self.move(Goal(offset=(0.0, 0.0, self.by)), step)
+    def _instructions(self, step: str) -> Iterator[Instruction]:
+        yield self._move(Goal(offset=(0.0, 0.0, self.by)), step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,14 +192,13 @@ class Place(Step):
     retreat: NonNegative = 0.08
     lowering: Share = 0.5  # its speed
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """Two motions, the fingers, and a motion."""
-        goal = self.goal(self.to, align=self.align, level=True, held=True)
+    def _instructions(self, step: str) -> Iterator[Instruction]:
+        goal = self._goal(self.to, align=self.align, level=True, held=True)
         if self.above:
-            yield self.move(dataclasses.replace(goal, above=self.above), step)
-        yield self.move(goal, step, _NEAR, self.lowering)
+            yield self._move(dataclasses.replace(goal, above=self.above), step)
+        yield self._move(goal, step, _NEAR, self.lowering)
         yield Grip(True, None, step)
-        yield from self.retreating(step, self.retreat)
+        yield from self._retreating(step, self.retreat)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,14 +218,13 @@ class Push(Step):
     height: float = 0.0
     above: NonNegative = 0.1
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """Four motions."""
+    def _instructions(self, step: str) -> Iterator[Instruction]:
         offset = (0.0, 0.0, self.height)
         start = Goal(self.of, offset, beyond=self.behind + self.clearance, start=self.to)
-        yield self.move(dataclasses.replace(start, above=self.above), step)
-        yield self.move(start, step)
-        yield self.move(Goal(self.to, offset, beyond=-self.behind, start=self.of), step)
-        yield self.move(Goal(above=self.above), step)
+        yield self._move(dataclasses.replace(start, above=self.above), step)
+        yield self._move(start, step)
+        yield self._move(Goal(self.to, offset, beyond=-self.behind, start=self.of), step)
+        yield self._move(Goal(above=self.above), step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,11 +234,10 @@ class Open(Grasp):
     by: Vector
     pull: Share = 0.5  # its speed
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """`grasp`, then a motion."""
-        yield from super().instructions(step)
+    def _instructions(self, step: str) -> Iterator[Instruction]:
+        yield from super()._instructions(step)
         axes: Axes = "tool" if self.axes == "tool" else "world"
-        yield self.move(Goal(offset=self.by, axes=axes), step, _PASS, self.pull)
+        yield self._move(Goal(offset=self.by, axes=axes), step, _PASS, self.pull)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,12 +254,11 @@ class Press(Step):
     approach: NonNegative = 0.05
     pressing: Share = 0.3  # its speed
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """Three motions and a pause."""
-        yield self.move(self.goal(self.of, back=self.approach), step, 2 * _NEAR)
-        yield self.move(self.goal(self.of, back=-self.depth), step, None, self.pressing)
+    def _instructions(self, step: str) -> Iterator[Instruction]:
+        yield self._move(self._goal(self.of, back=self.approach), step, 2 * _NEAR)
+        yield self._move(self._goal(self.of, back=-self.depth), step, None, self.pressing)
         yield Wait(0.3, step)
-        yield from self.retreating(step, self.approach + self.depth)
+        yield from self._retreating(step, self.approach + self.depth)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,9 +273,9 @@ class HandOver(Grasp):
         """A motion of the first arm, `grasp` of the other, `release` of the first."""
         giver = self.arm or ""
         if self.at is not None:
-            yield {giver: [self.move(Goal("world", self.at, held=True), step)]}
-        yield {self.to: list(self.instructions(step))}
-        yield {giver: list(Release(retreat=self.retreat, speed=self.speed).instructions(step))}
+            yield {giver: [self._move(Goal("world", self.at, held=True), step)]}
+        yield {self.to: list(self._instructions(step))}
+        yield {giver: list(Release(retreat=self.retreat, speed=self.speed)._instructions(step))}
 
     def arms(self) -> Iterator[tuple[str, str]]:
         """Both."""
@@ -301,8 +291,7 @@ class Waiting(Step):
 
     seconds: Positive
 
-    def instructions(self, step: str) -> Iterator[Instruction]:
-        """Nothing moves."""
+    def _instructions(self, step: str) -> Iterator[Instruction]:
         yield Wait(self.seconds, step)
 
 
@@ -380,6 +369,15 @@ class ReadStep:
     def phases(self) -> Iterator[Phase]:
         """What the step is made of."""
         yield from self.step.phases(self.label)
+
+    def summary(self) -> str:
+        """Its instructions in words: ``move, move, close``."""
+        words = []
+        for phase in self.phases():
+            for one in (one for lane in phase.values() for one in lane):
+                grip = "open" if isinstance(one, Grip) and one.opens else "close"
+                words.append(grip if isinstance(one, Grip) else type(one).__name__.lower())
+        return ", ".join(words)
 
     def flat(self) -> Iterator[ReadStep]:
         """This step and those within it."""

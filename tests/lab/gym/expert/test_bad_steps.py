@@ -1,6 +1,7 @@
 """Mistakes in `expert` are reported before anything runs, with key path, file and line."""
 
 import re
+from pathlib import Path
 
 import pytest
 import yaml
@@ -15,11 +16,11 @@ STEPS = "allowed: move_to, grasp, release, close, lift, place, push, open, press
 BAD = {
     "unknown step": (["grip: cube"], "0.grip: unknown step 'grip'; " + STEPS),
     "two keys": (["{grasp: cube, lift: 0.1}"], "0: a step is a map with one key, its name, got"),
-    "no map": (["3"], "0: a step is a map with one key, its name, got 3"),
+    "no map": (["3"], "0: expected text or a map, got 3"),
     "no steps": ([], ": needs at least one step"),
     "unknown key": (["grasp: {of: cube, from: 3}"], "0.grasp.from: unknown key; allowed: arm"),
     "wrong type": (["lift: up"], "0.lift.by: expected"),
-    "out of range": (["grasp: {of: cube, speed: 2}"], "0.grasp.speed: must be at most 1, got 2"),
+    "out of range": (["grasp: {of: cube, speed: 2}"], "0.grasp.speed: must be at most 1.0, got 2"),
     "short offset": (["place: {to: stand, offset: [0, 0]}"], "0.place.offset.2: missing value"),
     "no target": (["grasp"], "0.grasp.of: missing value"),
     "no value wanted": (["close: 3"], "0.close: takes no plain value, got 3"),
@@ -63,13 +64,14 @@ def test_every_mistake_has_its_key_path(name):
 
 
 def test_a_mistake_has_file_and_line(tmp_path):
-    folder = tmp_path / "task"
-    folder.mkdir()
-    text = "defaults: [pick_place, _self_]\nexpert:\n  - grasp: cube\n  - lift: 0.1\n  - place: stant\n"
-    (folder / "mine.yaml").write_text(text)
+    shipped = Path(embodichain.__file__).parent / "conf" / "task" / "pick_place.yaml"
+    text = shipped.read_text().replace("place: {to: stand,", "place: {to: stant,")
+    line = text[: text.index("stant")].count("\n") + 1
+    (tmp_path / "task").mkdir()
+    (tmp_path / "task" / "mine.yaml").write_text(text)
     found = validate(compose(["task=mine"], config_dir=tmp_path))
     assert len(found) == 1
-    assert re.search(r"mine\.yaml:5: task\.expert\.2\.place\.to: ", str(found[0]))
+    assert re.search(rf"mine\.yaml:{line}: task\.expert\.2\.place\.to: ", str(found[0]))
     assert "Did you mean 'stand'?" in str(found[0])
 
 

@@ -6,6 +6,7 @@ import pytest
 import embodichain
 from embodichain.lab.gym.expert.policy import Expert
 from embodichain.lab.gym.policies import PlannedPolicy, resolve_policy
+from embodichain.utils.math import pose_to_matrix
 
 pytestmark = pytest.mark.unmeasured
 
@@ -32,7 +33,7 @@ class Performance:
                 obs, _, terminated, truncated, info = env.step(action)
                 assert not (terminated | truncated | info["diverged"]).any()
                 self.success = info["metrics"]["success"].numpy() > 0
-                if policy.done.all() and (self.success.all() or any(policy.failures)):
+                if policy.done.all() and (self.success.all() or any(policy.failures) or steps):
                     break
             self.tool = env.sim.robots[next(iter(env.sim.robots))].get_link_pose(
                 "gripper/tcp" if task != "lift_cube" else "panda_hand_tcp"
@@ -68,7 +69,7 @@ def test_the_expert_of_a_task_solves_it(task, longest):
 
 def of_tool(term, *more):
     """Another action in place of the tool's."""
-    return ["~task.actions.tool", f"task.actions.arm={term}", *more]
+    return ["~task.actions.tool", f"+task.actions.arm={term}", *more]
 
 
 @pytest.mark.parametrize(
@@ -121,9 +122,9 @@ def moved(uid, where):
 
 
 def test_a_target_out_of_reach_is_a_failure_of_its_environment_alone():
-    run = Performance("pick_place", 3, change=moved("cube", {0: [0.65, -3.0, 0.725]}))
+    run = Performance("pick_place", 3, change=moved("cube", {0: [1.12, 0.55, 0.725]}))
     assert run.failures[1:] == [None, None]
-    assert run.failures[0].startswith("step 1, grasp cube: no straight line of the tool to (0.650")
+    assert run.failures[0].startswith("step 1, grasp cube: no straight line of the tool to (1.120")
     assert run.success.tolist() == [False, True, True]
     assert run.policy.done.all()
 
@@ -200,8 +201,7 @@ def steps_of_a_function(env, height: float = 0.1):
 
 def test_a_function_makes_the_steps():
     name = "tests.lab.gym.expert.test_expert:steps_of_a_function"
-    change = f"task.expert={{func: '{name}', params: {{height: 0.2}}}}"
-    run = Performance("pick_place", 2, [change])
+    run = Performance("pick_place", 2, steps={"func": name, "params": {"height": 0.2}})
     assert run.failures == [None, None]
     assert run.tool[:, 2].numpy() == pytest.approx(0.725 + 0.2, abs=0.03)
 
@@ -222,3 +222,59 @@ def test_two_arms_at_the_same_time():
     assert both.failures == one.failures == [None, None]
     assert both.tool.numpy() == pytest.approx(one.tool.numpy(), abs=0.02)
     assert len(both.actions) < len(one.actions)
+
+
+# -- goals -----------------------------------------------------------------------------------------
+
+
+def rested(steps, task="pick_place", overrides=(), change=None):
+    """Positions and axes of the tool when the steps are done; poses of the scene's first cube."""
+    poses = []
+
+    def look(env):
+        if change is not None:
+            change(env)
+        if "cube" in env.sim.rigid_objects:
+            poses.append(env.sim.get_rigid_object("cube").get_local_pose(to_matrix=True).numpy())
+
+    run = Performance(task, 2, overrides, steps=steps, change=look)
+    assert run.failures == [None, None]
+    matrix = pose_to_matrix(run.tool.numpy().astype(np.float64))
+    return matrix[:, :3, 3], matrix[:, :3, :3], poses
+
+
+AT = {"offset": [0.05, 0.02, 0.15], "tolerance": 0.002}
+
+
+@pytest.mark.parametrize("axes", ["world", "target", "tool"])
+def test_an_offset_is_in_the_axes_of_its_frame(axes):
+    offset = [0.05, 0.02, -0.15] if axes == "tool" else AT["offset"]
+    step = {"move_to": {**AT, "to": "cube", "axes": axes, "offset": offset}}
+    pos, turn, (cube,) = rested([step])
+    frames = {"world": np.tile(np.eye(3), (2, 1, 1)), "target": cube[:, :3, :3], "tool": turn}
+    wanted = cube[:, :3, 3] + frames[axes] @ np.array(offset)
+    assert pos == pytest.approx(wanted, abs=0.0025)
+
+
+def test_an_orientation_is_roll_pitch_yaw():
+    _, turn, _ = rested([{"move_to": {"to": "cube", **AT, "rpy": [np.pi, 0.0, 0.3]}}])
+    assert turn[:, :, 2] == pytest.approx(np.tile([0.0, 0.0, -1.0], (2, 1)), abs=0.03)
+    angle = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
+    assert angle == pytest.approx(0.3, abs=0.03)
+
+
+@pytest.mark.parametrize("symmetry", [4, 2, 1])
+def test_a_tool_is_aligned_as_the_symmetry_allows(symmetry):
+    step = {"move_to": {"to": "cube", **AT, "align": "cube", "symmetry": symmetry}}
+    _, turn, (cube,) = rested([step])
+    part = 2 * np.pi / symmetry
+    angles = [np.arctan2(m[:, 1, 0], m[:, 0, 0]) for m in (turn, cube)]
+    off = (angles[0] - angles[1] + part / 2) % part - part / 2
+    assert np.abs(off).max() < 0.03
+
+
+@pytest.mark.parametrize("rotation", ["keep", "free"])
+def test_an_action_that_does_not_turn_the_tool(rotation):
+    term = f"{{func: eef_pose, params: {{{TOOL}, rotation: {rotation}}}}}"
+    pos, _, (cube,) = rested([{"move_to": {"to": "cube", **AT}}], overrides=of_tool(term))
+    assert pos == pytest.approx(cube[:, :3, 3] + AT["offset"], abs=0.0025)
