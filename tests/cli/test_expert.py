@@ -13,12 +13,18 @@ from embodichain.utils.errors import ConfigError
 
 pytestmark = pytest.mark.unmeasured
 
-SHORT = ("num_envs=4", "seed=3", "record=none")
+SHORT = ("num_envs=4", "episodes=1", "seed=3", "record=none")
 
 
 def test_a_run_counts_the_successes_of_the_expert(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    words = ["task=press_button", "policy=expert", "task.max_episode_steps=75", *SHORT]
+    words = [
+        "task=press_button",
+        "policy=expert",
+        "task.max_episode_steps=75",
+        *SHORT,
+        "episodes=1",
+    ]
     assert main(["run", *words, "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["policy"] == "expert"
@@ -69,7 +75,7 @@ def test_other_steps_are_the_same_task_to_a_trained_policy():
 
 
 def test_show_task_lists_the_steps(capsys):
-    assert main(["show", "task", "press_button", "--json"]) == 0
+    assert main(["show", "task=press_button", "--json"]) == 0
     tables = json.loads(capsys.readouterr().out)
     assert [row["step"] for row in tables["expert"]] == ["close", "press"]
     assert tables["expert"][1]["path"] == "expert.1.press"

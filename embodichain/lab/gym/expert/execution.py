@@ -10,7 +10,7 @@ import numpy as np
 from embodichain.lab.gym.expert.arms import Arm, DeclaredArm, arms_of, find_arm
 from embodichain.lab.gym.expert.instructions import EXACT, Goal, Grip, Move, Wait
 from embodichain.lab.gym.expert.program import Program, check_steps, targets_in
-from embodichain.lab.gym.expert.steps import ReadStep
+from embodichain.lab.gym.expert.reading import ReadStep
 from embodichain.lab.gym.expert.targets import WORLD, TargetPoses, target_name
 from embodichain.lab.gym.expert.trajectories import ToolPath, length
 from embodichain.utils.errors import ConfigError, Problem
@@ -224,7 +224,7 @@ class Execution:
             self._still[rows, a] = 0
             if one.opens:
                 self._held[rows, a] = -1
-        else:
+        elif isinstance(one, Move):
             if one.goal.held:
                 empty = rows[self._held[rows, a] < 0]
                 self._fail(empty, a, "the gripper holds nothing")
@@ -351,16 +351,12 @@ def _orientations(
     """Steps that ask for an orientation of an arm whose action does not choose it."""
     problems = []
     kinds = {arm.name: arm.term.orientation for arm in arms}
-    for read in (one for step in steps for one in step.flat()):
-        align = getattr(read.step, "align", None)
-        asked = [
-            key
-            for key, value in (("align", align), ("rpy", getattr(read.step, "rpy", None)))
-            if value is not None and not isinstance(value, bool)
-        ]
-        if asked:
-            name = find_arm(read.step.arm or "", declared, read.path).name
-            if kinds[name] != "any":
+    for read in (one for step in steps for one in step.flat() if not one.within):
+        for arm, lane in (pair for phase in read.phases for pair in phase.items()):
+            goals = [one.goal for one in lane if isinstance(one, Move)]
+            turns = any(g.rpy or (g.align is not None and g.level) for g in goals)
+            name = find_arm(arm, declared, read.path).name
+            if turns and kinds[name] != "any":
                 message = f"the action {name!r} does not choose the tool's orientation"
-                problems += [Problem(f"{read.path}.{key}", message) for key in asked]
+                problems.append(Problem(read.path, message))
     return problems

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-__all__ = ["EXACT", "Goal", "Grip", "Instruction", "Move", "Phase", "Target", "Wait"]
+__all__ = ["EXACT", "Goal", "Grip", "Instruction", "Move", "Phase", "Target", "Vector", "Wait"]
 
 Target = str | Callable[..., Any]
-"""``ENTITY``, ``ENTITY/LINK``, a command's name; in Python also ``f(env) -> (N, 7)`` poses."""
+"""``ENTITY``, ``ENTITY/LINK``, a command, ``world``; in Python also ``f(env) -> (N, 7)`` poses."""
 EXACT = 0.02
 """M: a motion with a smaller tolerance ends at rest."""
 Vector = tuple[float, float, float]
@@ -20,16 +20,15 @@ class Goal:
     """A pose for the tool, or for what it holds, computed when the motion begins.
 
     Attributes:
-        target: What the position is relative to; None is where the tool was sent last.
+        target: What the position is relative to; None is where the tool is on its path.
         offset: Metres.
-        axes: Axes of the offset: those of the environment, the target or the tool.
+        axes: Axes of `offset` and `rpy`: those of the environment, the target or the tool.
         above: Metres up from there.
         back: Metres back along the tool's z axis, which points out of a gripper.
-        align: What the tool is turned to about the vertical: until its x axis is parallel to an
-            axis of this entity; None keeps the orientation.
-        symmetry: Directions in a full turn that are as good as the axis.
+        align: What it is turned to about the vertical; None keeps the orientation.
+        symmetry: Directions in a full turn that are as good.
         level: Whether a tool that does not point up or down is aligned as well.
-        rpy: Orientation in `axes`, roll, pitch, yaw about fixed axes in rad; None keeps it.
+        rpy: Orientation, roll, pitch, yaw about fixed axes in rad; None keeps it.
         beyond: Metres beyond the target, on the horizontal line from `start`.
         start: Another target.
         held: Whether the pose is that of what the gripper holds.
@@ -50,46 +49,40 @@ class Goal:
 
 
 @dataclass(frozen=True)
-class Move:
-    """Moves the tool along a straight line.
+class Instruction:
+    """What one arm does: `step` names the step in messages, "" is the only arm."""
 
-    Attributes:
-        goal: Its end.
-        speed: Share of the largest speed.
-        tolerance: Metres from the goal that the measured pose must come within, at rest if it is
-            below `EXACT`; None goes on as soon as the goal was asked for.
-        step: The step, for messages.
+    step: str
+    arm: str
+
+
+@dataclass(frozen=True)
+class Move(Instruction):
+    """Moves the tool along a straight line, at a share of the largest speed.
+
+    `tolerance` is how near the measured pose must come to the goal, in metres, at rest if it is
+    below `EXACT`; None goes on as soon as the goal was asked for.
     """
 
     goal: Goal
     speed: float
     tolerance: float | None
-    step: str
 
 
 @dataclass(frozen=True)
-class Grip:
-    """Opens or closes the gripper, until the fingers rest.
-
-    Attributes:
-        opens: Whether it opens.
-        takes: What must be between the fingers then, and is held from then on; None checks nothing.
-        step: The step, for messages.
-    """
+class Grip(Instruction):
+    """Opens or closes the gripper, until the fingers rest; `takes` must be between them then."""
 
     opens: bool
     takes: Target | None
-    step: str
 
 
 @dataclass(frozen=True)
-class Wait:
-    """Waits for `seconds`; `step` is the step, for messages."""
+class Wait(Instruction):
+    """Waits."""
 
     seconds: float
-    step: str
 
 
-Instruction = Move | Grip | Wait
 Phase = dict[str, list[Instruction]]
-"""Arm -> what it does; "" is the only arm. The next phase begins when all arms have finished."""
+"""Arm -> what it does. The next phase begins when all arms have finished."""

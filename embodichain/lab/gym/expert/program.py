@@ -12,7 +12,7 @@ from embodichain.lab.gym.envs.managers.check import check_params
 from embodichain.lab.gym.envs.managers.registry import describe_term, import_object
 from embodichain.lab.gym.expert.arms import DeclaredArm, declared_arms, find_arm
 from embodichain.lab.gym.expert.instructions import Goal, Grip, Instruction, Move
-from embodichain.lab.gym.expert.steps import ReadStep, read_steps
+from embodichain.lab.gym.expert.reading import ReadStep, read_steps
 from embodichain.lab.gym.expert.targets import check_target
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -42,18 +42,13 @@ def check_steps(
     if not values:
         problems.append(Problem(path, "needs at least one step"))
     for read in (one for step in steps for one in step.flat()):
-        if arms is None or hasattr(read.step, "steps") and not list(read.step.arms()):
-            continue
-        named = list(read.step.arms()) or [("arm", "")]
-        if "arm" not in (key for key, _ in named) and read.step.grips:
-            named = [("arm", ""), *named]
-        for key, name in named:
+        for key, name in read.arms.items() if arms is not None else ():
             try:
-                arm = find_arm(name, arms, read.path, key)
+                arm = find_arm(name, arms or (), read.path, key)
             except ConfigError as error:
-                problems += error.problems if read.arm is None else ()  # once for a lane
+                problems += error.problems if read.lane is None else ()  # once for a lane
                 continue
-            if read.step.grips and arm.gripper is None:
+            if read.grips and arm.gripper is None:
                 message = f"arm {arm.name!r} has no gripper: no parallel_gripper moves {arm.uid!r}"
                 problems.append(Problem(read.path, message))
     return steps, problems
@@ -61,23 +56,24 @@ def check_steps(
 
 def targets_in(steps: Sequence[ReadStep]) -> list[tuple[str, Any]]:
     """Key path and target of all that the steps refer to."""
-    found = []
-    for read in (one for step in steps for one in step.flat()):
-        for name in read.step.targets:
-            target = getattr(read.step, name)
-            if target is not None:
-                found.append((f"{read.path}.{name}", target))
-    return found
+    return [pair for step in steps for read in step.flat() for pair in read.targets]
 
 
 def step_rows(expert: Any) -> list[dict[str, Any]]:
-    """A table of the steps in a task: key path, name, parameters that were given."""
+    """A table of the steps in a task: key path, name and what they are made of."""
     steps = read_steps(expert)[0] if isinstance(expert, list) else []
-    return [
-        {"path": one.path, "step": one.path.rpartition(".")[2], "made of": one.summary()}
-        for read in steps
-        for one in read.flat()
-    ]
+    rows = []
+    for read in (one for step in steps for one in step.flat()):
+        made = [one for phase in read.phases for lane in phase.values() for one in lane]
+        words = ", ".join(_word(one) for one in made)
+        rows.append({"path": read.path, "step": read.path.rpartition(".")[2], "made of": words})
+    return rows
+
+
+def _word(instruction: Instruction) -> str:
+    if isinstance(instruction, Grip):
+        return "open" if instruction.opens else "close"
+    return type(instruction).__name__.lower()
 
 
 def check_expert(cfg: EnvCfg, known: Known | None, allow_import: bool = True) -> list[Problem]:
@@ -133,7 +129,7 @@ def function_of(cfg: TermCfg) -> tuple[Callable[..., Any], dict[str, Any]]:
     """
     try:
         function = import_object(cfg.func) if isinstance(cfg.func, str) else cfg.func
-        spec = describe_term("expert", function)
+        spec = describe_term("step", function)
     except (ConfigError, ValueError) as error:
         raise ConfigError([Problem("expert.func", str(error))]) from error
     values, problems = check_params(spec, cfg.params, "expert.params")
@@ -162,7 +158,7 @@ class Program:
         of_arm: list[int] = []
         following: list[int] = []
         first: list[list[int]] = []
-        for phase in (phase for step in steps for phase in step.phases()):
+        for phase in (phase for step in steps for phase in step.phases):
             row = [-1] * len(arms)
             for name, instructions in phase.items():
                 number = numbers[find_arm(name, arms, "").name]

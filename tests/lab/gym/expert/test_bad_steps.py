@@ -18,11 +18,14 @@ BAD = {
     "two keys": (["{grasp: cube, lift: 0.1}"], "0: a step is a map with one key, its name, got"),
     "no map": (["3"], "0: expected text or a map, got 3"),
     "no steps": ([], ": needs at least one step"),
-    "unknown key": (["grasp: {of: cube, from: 3}"], "0.grasp.from: unknown key; allowed: arm"),
+    "unknown key": (
+        ["grasp: {of: cube, from: 3}"],
+        "0.grasp.from: unknown parameter of step 'grasp'; it takes of",
+    ),
     "wrong type": (["lift: up"], "0.lift.by: expected"),
     "out of range": (["grasp: {of: cube, speed: 2}"], "0.grasp.speed: must be at most 1.0, got 2"),
     "short offset": (["place: {to: stand, offset: [0, 0]}"], "0.place.offset.2: missing value"),
-    "no target": (["grasp"], "0.grasp.of: missing value"),
+    "no target": (["grasp"], "0.grasp.of: missing; step 'grasp' needs it"),
     "no value wanted": (["close: 3"], "0.close: takes no plain value, got 3"),
     "unknown entity": (["grasp: cub"], "0.grasp.of: no entity is called 'cub'; there are: ur10"),
     "unknown link": (["grasp: ur10/hand"], "0.grasp.of: no link of 'ur10' matches 'hand'"),
@@ -42,7 +45,7 @@ BAD = {
     ),
     "two arms in a lane": (
         ["together: {ur10: [{hand_over: {of: cube, to: tool}}]}"],
-        "0.together.ur10.0.hand_over: it needs several arms",
+        "0.together.ur10.0.hand_over.to: contradicts 'ur10'",
     ),
 }
 

@@ -8,7 +8,8 @@ import yaml
 from embodichain.lab.gym.expert.arms import DeclaredArm, find_arm
 from embodichain.lab.gym.expert.instructions import Goal, Grip, Move, Wait
 from embodichain.lab.gym.expert.program import Program, check_steps, targets_in
-from embodichain.lab.gym.expert.steps import STEPS, read_steps
+from embodichain.lab.gym.expert.reading import read_steps
+from embodichain.lab.gym.expert.steps import STEPS
 from embodichain.utils.errors import ConfigError
 
 RIGHT = DeclaredArm("right_tool", "right", "right_gripper")
@@ -21,16 +22,19 @@ def phases(text):
     steps, problems = read_steps([yaml.safe_load(text)])
     assert problems == []
     return [
-        {arm: [dataclasses.replace(one, step="") for one in lane] for arm, lane in phase.items()}
-        for phase in steps[0].phases()
+        {
+            arm: [dataclasses.replace(one, step="", arm="") for one in lane]
+            for arm, lane in phase.items()
+        }
+        for phase in steps[0].phases
     ]
 
 
 def moves(goal, speed=1.0, tolerance=0.03):
-    return Move(goal, speed, tolerance, "")
+    return Move("", "", goal, speed, tolerance)
 
 
-OPEN, SHUT = Grip(True, None, ""), Grip(False, None, "")
+OPEN, SHUT = Grip("", "", True, None), Grip("", "", False, None)
 
 MADE_OF = {
     "move_to": [
@@ -51,23 +55,23 @@ MADE_OF = {
     "grasp: cube": [
         moves(Goal("cube", align="cube", back=0.1)),
         moves(Goal("cube", align="cube"), tolerance=0.004),
-        Grip(False, "cube", ""),
+        Grip("", "", False, "cube"),
     ],
     "grasp: {of: bar, offset: [0, 0.1, 0], axes: target, symmetry: 2, approach: 0}": [
         moves(
             Goal("bar", (0.0, 0.1, 0.0), axes="target", align="bar", symmetry=2), tolerance=0.004
         ),
-        Grip(False, "bar", ""),
+        Grip("", "", False, "bar"),
     ],
     "grasp: {of: bar, align: false, speed: 0.5}": [
         moves(Goal("bar", back=0.1), 0.5),
         moves(Goal("bar"), 0.5, 0.004),
-        Grip(False, "bar", ""),
+        Grip("", "", False, "bar"),
     ],
     "grasp: {of: bar, rpy: [3, 0, 0]}": [
         moves(Goal("bar", rpy=(3.0, 0.0, 0.0), back=0.1)),
         moves(Goal("bar", rpy=(3.0, 0.0, 0.0)), tolerance=0.004),
-        Grip(False, "bar", ""),
+        Grip("", "", False, "bar"),
     ],
     "release": [
         OPEN,
@@ -80,10 +84,10 @@ MADE_OF = {
         SHUT,
     ],
     "lift": [
-        moves(Goal(offset=(0.0, 0.0, 0.1))),
+        moves(Goal(above=0.1)),
     ],
     "lift: 0.2": [
-        moves(Goal(offset=(0.0, 0.0, 0.2))),
+        moves(Goal(above=0.2)),
     ],
     "place: stand": [
         moves(Goal("stand", above=0.08, level=True, held=True)),
@@ -104,17 +108,17 @@ MADE_OF = {
     "open: {of: cabinet/handle, by: [-0.2, 0, 0], approach: 0.08}": [
         moves(Goal("cabinet/handle", align="cabinet/handle", back=0.08)),
         moves(Goal("cabinet/handle", align="cabinet/handle"), tolerance=0.004),
-        Grip(False, "cabinet/handle", ""),
+        Grip("", "", False, "cabinet/handle"),
         moves(Goal(offset=(-0.2, 0.0, 0.0)), 0.5),
     ],
     "press: {of: button/cap, depth: 0.02, pressing: 0.5}": [
         moves(Goal("button/cap", back=0.05), tolerance=0.008),
         moves(Goal("button/cap", back=-0.02), 0.5, None),
-        Wait(0.3, ""),
+        Wait("", "", 0.3),
         moves(Goal(back=0.07)),
     ],
     "wait: 0.5": [
-        Wait(0.5, ""),
+        Wait("", "", 0.5),
     ],
 }
 
@@ -131,7 +135,7 @@ def test_what_a_step_of_one_arm_is_made_of(text):
 
 def test_every_step_is_tried():
     tried = {text.partition(":")[0] for text in MADE_OF}
-    assert set(STEPS) - tried == {"hand_over", "repeat", "together"}
+    assert set(STEPS) - tried == {"hand_over"}
 
 
 def test_a_step_names_its_arm():
@@ -165,13 +169,13 @@ def test_repetitions_in_repetitions():
 def test_what_together_is_made_of():
     found = phases("together: {left: [{lift: 0.1}, close], right: [{wait: 1}]}")
     assert len(found) == 1
-    assert found[0] == {"left": [*phases("lift: 0.1")[0][""], SHUT], "right": [Wait(1.0, "")]}
+    assert found[0] == {"left": [*phases("lift: 0.1")[0][""], SHUT], "right": [Wait("", "", 1.0)]}
 
 
 def test_the_names_of_steps_in_messages():
     values = [{"grasp": "cube"}, {"repeat": {"times": 1, "steps": ["release", {"place": "pad"}]}}]
     steps, _ = read_steps(values)
-    found = [one.step for step in steps for phase in step.phases() for one in phase[""]]
+    found = [one.step for step in steps for phase in step.phases for one in phase[""]]
     assert list(dict.fromkeys(found)) == [
         "step 1, grasp cube",
         "step 2.1, release",
@@ -277,15 +281,15 @@ def test_what_is_taken_is_listed_once():
         ({"move_to": {"rpy": 3}}, "move_to.rpy", "expected a list"),
         ({"grasp": {"of": "cube", "symmetry": 0}}, "grasp.symmetry", "must be at least 1"),
         ({"grasp": {"of": "cube", "approach": -1}}, "grasp.approach", "must be at least 0"),
-        ({"open": "handle"}, "open.by", "missing value"),
+        ({"open": "handle"}, "open.by", "missing; step"),
         ({"press": {"of": "cap", "depth": 0}}, "press.depth", "must be greater than 0"),
-        ({"hand_over": "bar"}, "hand_over.to", "missing value"),
-        ({"wait": None}, "wait.seconds", "missing value"),
+        ({"hand_over": "bar"}, "hand_over.to", "missing; step"),
+        ({"wait": None}, "wait.seconds", "missing; step"),
         ({"wait": "long"}, "wait.seconds", "expected a number"),
-        ({"repeat": {"steps": ["close"]}}, "repeat.times", "missing value"),
-        ({"repeat": {"times": 0, "steps": []}}, "repeat.times", "must be at least 1"),
-        ({"together": ["close"]}, "together.steps", "expected a map"),
-        ({"together": {"left": "close"}}, "together.steps.left", "expected a list"),
+        ({"repeat": {"steps": ["close"]}}, "repeat", "needs times and steps"),
+        ({"repeat": {"times": 0, "steps": ["close"]}}, "repeat.times", "an integer of at least 1"),
+        ({"together": ["close"]}, "together", "needs a map from arms to their steps"),
+        ({"together": {"left": "close"}}, "together.left", "needs a list of steps"),
     ],
 )
 def test_a_wrong_parameter_is_named(value, path, message):
@@ -303,5 +307,5 @@ def test_an_unknown_step_has_a_suggestion(name, meant):
 
 def test_a_wrong_step_does_not_hide_the_others():
     steps, problems = read_steps(["close", {"lift": "high"}, {"grasp": 3}, "release"])
-    assert [step.label for step in steps] == ["step 1, close", "step 4, release"]
+    assert [step.path for step in steps] == ["expert.0.close", "expert.3.release"]
     assert len(problems) == 2
