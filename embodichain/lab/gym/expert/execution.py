@@ -253,9 +253,10 @@ class Execution:
     def _fail(self, rows: Rows, a: int, why: str) -> None:
         """Stop in these environments: all arms stay where they are."""
         for row in rows[~self.done[rows]]:
-            one = self._program.instructions[self._now[row, a]]
-            step = one.step if self._now[row, a] >= 0 else "between steps"
-            self.failures[row] = f"{step}: {why}"
+            index = self._now[row, a]
+            if index < 0:  # what another arm does, while this one has finished
+                index = self._now[row].max()
+            self.failures[row] = f"{self._program.instructions[index].step}: {why}"
             self.done[row] = True
             for path in self._paths:
                 path.stop(row)
