@@ -41,8 +41,8 @@ BAD = {
         "sim_steps_per_control, ignore_terminations, max_episode_steps, description, id, "
         "physics, decimation, episode_length_s, robot, robots, objects, articulations, "
         "lights, scene, views, sensors, actions, events, commands, observations, "
-        "enable_corruption, rewards, terminations, metrics, curriculum, extensions, suggested. "
-        "Did you mean 'max_episode_steps'?",
+        "enable_corruption, rewards, terminations, metrics, curriculum, expert, extensions, "
+        "suggested. Did you mean 'max_episode_steps'?",
         old="max_episode_steps: 50",
         new="max_episode_step: 50",
     ),
@@ -251,7 +251,7 @@ BAD = {
         overrides=("device=cuda:0",),
     ),
     "unknown policy": bad(
-        "command line: policy: unknown policy 'randon'; allowed: hold, random, "
+        "command line: policy: unknown policy 'randon'; allowed: expert, hold, random, "
         "random_around_home, zero, package.module:function, or a path. Did you mean "
         "'random'?",
         overrides=("policy=randon",),
