@@ -94,8 +94,10 @@ def check_expert(cfg: EnvCfg, known: Known | None, allow_import: bool = True) ->
             return list(error.problems)
         return []
     open_scene = cfg.id is not None
-    arms = declared_arms(cfg, allow_import) if cfg.actions else None
-    steps, problems = check_steps(cfg.expert, None if open_scene else arms)
+    arms = declared_arms(cfg, allow_import)
+    # Of two actions of one robot, one may move fingers only: that is seen when it is built.
+    known_arms = cfg.actions and not open_scene and len({arm.uid for arm in arms}) == len(arms)
+    steps, problems = check_steps(cfg.expert, arms if known_arms else None)
     for path, target in targets_in(steps) if known is not None else ():
         problems += check_target(target, path, known or {}, cfg.commands, open_scene)
     return problems
