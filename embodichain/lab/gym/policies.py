@@ -33,7 +33,6 @@ else:
     torch = lazy_loader.load("torch")
 
 __all__ = [
-    "EXPERT",
     "POLICIES",
     "PlannedPolicy",
     "Policy",
@@ -121,15 +120,15 @@ def hold(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
     return _joint_robot(env).body_data.target_qpos[:, env.active_joint_ids]
 
 
-POLICIES: dict[str, Callable[..., Any]] = {
+POLICIES: dict[str, Callable[..., Any] | str] = {
+    "expert": "embodichain.lab.gym.expert.policy:Expert",
     "hold": hold,
     "random": random,
     "random_around_home": random_around_home,
+    "teleop": "embodichain.lab.gym.teleop:Teleop",
     "zero": zero,
 }
-"""The policies without state that a config names."""
-EXPERT = "expert"
-"""The name of the policy that performs the steps in the task's section `expert`."""
+"""The policies that a config names; strings are imported when one is used."""
 
 
 def resolve_policy(
@@ -173,27 +172,23 @@ def resolve_policy(
 
 
 def _is_path(text: str) -> bool:
-    if text in POLICIES or text == EXPERT or ":" in text:
+    if text in POLICIES or ":" in text:
         return False
     return text == "last" or "/" in text or text.endswith(".zip") or Path(text).exists()
 
 
 def _named(name: str) -> Any:
-    if name in POLICIES:
-        return POLICIES[name]
-    if name == EXPERT:
-        from embodichain.lab.gym.expert.policy import Expert  # imports the actions
-
-        return Expert
-    if ":" in name:
+    found = POLICIES.get(name, name)
+    if not isinstance(found, str):
+        return found
+    if ":" in found:
         try:
-            return import_object(name)
+            return import_object(found)
         except ConfigError as error:
             raise ConfigError([Problem("policy", str(error))]) from error
-    names = [EXPERT, *POLICIES]
-    allowed = ", ".join(names)
+    allowed = ", ".join(POLICIES)
     message = f"unknown policy {name!r}; allowed: {allowed}, package.module:function, or a path"
-    raise ConfigError([Problem("policy", message, did_you_mean(name, names).strip())])
+    raise ConfigError([Problem("policy", message, did_you_mean(name, POLICIES).strip())])
 
 
 def _bound(func: Callable[..., Any], params: dict[str, Any]) -> Policy:

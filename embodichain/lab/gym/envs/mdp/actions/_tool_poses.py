@@ -29,11 +29,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
-__all__ = [
-    "AbsolutePose",
-    "MotionColumns",
-    "RelativePose",
-]
+__all__ = ["AbsolutePose", "MotionColumns", "RelativePose", "in_axes", "motion_between"]
 
 _QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
 
@@ -121,6 +117,16 @@ class AbsolutePose:
             quat = _normalized(turned, orientation)
         return pos, quat
 
+    def action_for(self, pos: F64, quat: F64, shift: F64, turn: F64) -> F64:
+        """(n, A) the actions for poses of the environment's frame after motions in its axes.
+
+        Args:
+            pos, quat: (n, 3), (n, 4) poses.
+            shift, turn: (n, 3) metres and (n, 3) rotation vectors.
+        """
+        moved = self.in_frame(pos + shift, quat_multiply(rotvec_to_quat(turn), quat))
+        return self.action_at(*moved)
+
     def in_world(self, pos: F64, quat: F64 | None) -> tuple[F64, F64 | None]:
         """Poses (N, 3), (N, 4) of `frame` in the environment's frame."""
         if self._world:
@@ -147,6 +153,32 @@ def _normalized(quat: F64, orientation: Callable[[], F64]) -> F64:
     if void.any():
         unit[void] = orientation()[void]
     return unit
+
+
+def in_axes(
+    solver: ArmSolver,
+    frame: Literal["base", "world", "tool"],
+    quat: F64,
+    shift: F64,
+    turn: F64,
+) -> tuple[F64, F64]:
+    """Motions (n, 3), (n, 3) along the environment's axes in those of a frame.
+
+    Args:
+        solver: The kinematics of the tool.
+        frame: As of `eef_delta_pose`.
+        quat: (n, 4) orientation of the tool.
+        shift, turn: The motions.
+    """
+    if frame == "world":
+        return shift, turn
+    back = quat_conjugate(solver.root_pose()[1] if frame == "base" else quat)
+    return quat_rotate(back, shift), quat_rotate(back, turn)
+
+
+def motion_between(start: tuple[F64, F64], pos: F64, quat: F64) -> tuple[F64, F64]:
+    """Translation (n, 3) and rotation vector (n, 3) from a pose to another, in their frame."""
+    return pos - start[0], quat_to_rotvec(quat_multiply(quat, quat_conjugate(start[1])))
 
 
 class MotionColumns:
@@ -176,13 +208,18 @@ class MotionColumns:
             scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
         affine = Affine(self.names, num_envs, scale, 0.0, clip or [-1.0, 1.0], what="column")
         self.low, self.high = affine.low, affine.high
-        self.value, self.action_for = affine.value, affine.action_for
+        self.value = affine.value
+        self._action_for = affine.action_for
         ends = np.abs([affine.value_of(self.low), affine.value_of(self.high)]).min(axis=0)
         self._largest = ends[:3].min(), ends[3:].min(initial=np.inf)
 
     def largest(self, rate: float) -> tuple[float, float]:
         """The longest translation and rotation along each column, m and rad, times a rate."""
         return float(self._largest[0]) * rate, float(self._largest[1]) * rate
+
+    def action_for(self, shift: F64, turn: F64) -> F64:
+        """(n, A) the actions nearest to motions, (n, 3) metres and (n, 3) rotation vectors."""
+        return self._action_for(np.concatenate([shift, turn], axis=1)[:, : len(self.names)])
 
 
 class RelativePose(MotionColumns):
@@ -209,20 +246,15 @@ class RelativePose(MotionColumns):
         super().__init__(num_envs, rotation, scale, clip)
         self._solver, self._frame, self._rotation = solver, frame, rotation
 
-    def action_between(self, pos: F64, quat: F64, to_pos: F64, to_quat: F64) -> F64:
-        """(N, A) the action that asks for poses (N, 3), (N, 4) from others."""
-        shift = to_pos - pos
-        if self._frame == "tool":
-            back = quat_conjugate(quat)
-            shift, turn = quat_rotate(back, shift), quat_multiply(back, to_quat)
-        else:
-            turn = quat_multiply(to_quat, quat_conjugate(quat))
-            if self._frame == "base":
-                back = quat_conjugate(self._solver.root_pose()[1])
-                shift = quat_rotate(back, shift)
-                turn = quat_multiply(quat_multiply(back, turn), quat_conjugate(back))
-        motion = np.concatenate([shift, quat_to_rotvec(turn)], axis=1)
-        return self.action_for(motion[:, : len(self.names)])
+    def motion_for(self, quat: F64, shift: F64, turn: F64) -> F64:
+        """(n, A) the actions nearest to motions in the environment's axes.
+
+        Args:
+            quat: (n, 4) orientation of the tool.
+            shift, turn: (n, 3) metres and (n, 3) rotation vectors.
+        """
+        shift, turn = in_axes(self._solver, self._frame, quat, shift, turn)
+        return self.action_for(shift, turn)
 
     def asked(self, action: torch.Tensor, pos: F64, quat: F64) -> tuple[F64, F64 | None]:
         """The poses that actions (N, A) ask for, from poses (N, 3), (N, 4).

@@ -24,6 +24,8 @@ from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint,
 from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
     AbsolutePose,
     MotionColumns,
+    in_axes,
+    motion_between,
 )
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.lab.sim.solvers.chain import matmul
@@ -109,9 +111,13 @@ class EefTerm(JointTerm):
         if len(error) == 3:
             del self._measures["rotation_error"]
 
-    def metrics(self) -> Mapping[str, F64]:
-        """Errors in m and rad that the last step leaves, and whether the pose is out of reach."""
-        return self._measures
+    def tool_pose(self) -> tuple[F64, F64]:
+        """Measured position (N, 3) and orientation (N, 4) of the tool, in the environment."""
+        return self._solver.forward(self._asset.read_qpos())
+
+    def target_pose(self) -> tuple[F64, F64]:
+        """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
+        return self._solver.forward(self._commanded())
 
     @property
     def solver(self) -> ArmSolver:
@@ -123,6 +129,23 @@ class EefTerm(JointTerm):
         """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
         speeds: F64 = self._largest / self._period
         return speeds
+
+    def action_for(self, shift: F64, turn: F64) -> F64:
+        """(N, A) the actions that move the tool, as far as their bounds allow.
+
+        Args:
+            shift: (N, 3) metres from `target_pose`, in the environment's axes.
+            turn: (N, 3) rotation vectors, likewise.
+        """
+        raise NotImplementedError
+
+    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+        """(N, A) the action that moves the tool to a pose; see `MovesTool`."""
+        return self.action_for(*motion_between(self.target_pose(), pos, quat))
+
+    def metrics(self) -> Mapping[str, F64]:
+        """Errors in m and rad that the last step leaves, and whether the pose is out of reach."""
+        return self._measures
 
 
 @register_term("action", name="eef_pose")
@@ -180,6 +203,10 @@ class EefPose(EefTerm):
         frames = self._solver.frames(commanded)
         self._follow(commanded, frames, pose_error(frames, target))
 
+    def action_for(self, shift: F64, turn: F64) -> F64:
+        """(N, A) the actions that move the tool; arguments as of `EefTerm.action_for`."""
+        return self._poses.action_for(*self.target_pose(), shift, turn)
+
     def _pose(self, qpos: F64) -> tuple[F64, F64]:
         """The tool's pose in `frame`."""
         return self._solver.forward(qpos) if self._world else self._solver.forward_in_root(qpos)
@@ -191,10 +218,6 @@ class EefPose(EefTerm):
     def hold(self) -> F64:
         """(N, A) the action that keeps the present targets."""
         return self._poses.action_at(*self._pose(self._commanded()))
-
-    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
-        """(N, A) the action for a pose of the tool; see `MovesTool`."""
-        return self._poses.action_at(*self._poses.in_frame(pos, quat))
 
 
 @register_term("action", name="eef_delta_pose")
@@ -243,13 +266,22 @@ class EefDeltaPose(EefTerm):
         self._measured = reference == "qpos"
         columns = MotionColumns(self._count, rotation, scale, clip)
         self.names, self.low, self.high = columns.names, columns.low, columns.high
-        self._value, self._action_for = columns.value, columns.action_for
-        self.orientation = tool_orientation(rotation)
+        self._columns, self.orientation = columns, tool_orientation(rotation)
         self.tool_speeds = columns.largest(1.0 / env.step_dt)
+
+    def target_pose(self) -> tuple[F64, F64]:
+        """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
+        return self.tool_pose() if self._measured else super().target_pose()
+
+    def action_for(self, shift: F64, turn: F64) -> F64:
+        """(N, A) the actions that move the tool; see `EefTerm.action_for`."""
+        quat = self.target_pose()[1]
+        shift, turn = in_axes(self._solver, self._frame, quat, shift, turn)
+        return self._columns.action_for(shift, turn)
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets by (N, A) actions."""
-        value = np.ascontiguousarray(self._value(action).T, np.float64)
+        value = np.ascontiguousarray(self._columns.value(action).T, np.float64)
         commanded = self._commanded()
         frames = self._solver.frames(commanded)
         start = self._solver.frames(self._asset.read_qpos()) if self._measured else frames
@@ -262,23 +294,14 @@ class EefDeltaPose(EefTerm):
             error = motion.reshape(-1, self._count)
         self._follow(commanded, frames, error)
 
-    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
-        """(N, A) the action that moves the tool to a pose; see `MovesTool`."""
-        qpos = self._asset.read_qpos() if self._measured else self._commanded()
-        start = self._solver.frames(qpos)
-        error = pose_error(start, self._solver.to_root(pos, quat))
-        motion = self._in_root(error.reshape(2, 3, self._count), start, reverse=True)
-        return self._action_for(motion.reshape(6, self._count)[: len(self.names)].T)
-
-    def _in_root(self, vectors: F64, start: Frames, reverse: bool = False) -> F64:
-        """Vectors (v, 3, N) of `frame` in the axes of the root, or the reverse."""
+    def _in_root(self, vectors: F64, start: Frames) -> F64:
+        """Vectors (v, 3, N) of `frame` in the axes of the root."""
         if self._frame == "base":
             return vectors
         axes = start.rotation
         if self._frame == "world":
             back = quat_conjugate(self._solver.root_pose()[1])
             axes = np.moveaxis(quat_to_matrix(back), 0, -1)
-        axes = np.swapaxes(axes, 0, 1) if reverse else axes
         return np.stack([matmul(axes, vector) for vector in vectors])
 
 

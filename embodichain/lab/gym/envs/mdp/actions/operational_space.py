@@ -20,6 +20,7 @@ from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint,
 from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
     AbsolutePose,
     RelativePose,
+    motion_between,
 )
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Efforts, JointTerm
 from embodichain.lab.sim.solvers.arm_dynamics import ArmDynamics
@@ -176,12 +177,8 @@ class OperationalSpace(JointTerm):
         return usual_speeds(self._asset, self._ids, self._solver)
 
     def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
-        """(N, A) the action for a pose of the tool; see `MovesTool`."""
-        poses = self._poses
-        if isinstance(poses, AbsolutePose):
-            return poses.action_at(*poses.in_frame(pos, quat))
-        now, asked = self._poses_now()
-        return poses.action_between(*(now if self._measured else asked), pos, quat)
+        """(N, A) the action that moves the tool to a pose; see `MovesTool`."""
+        return self.action_for(*motion_between(self.target_pose(), pos, quat))
 
     def _refuse_drives(self) -> None:
         """Refuse joints with a drive that pulls or damps."""
@@ -222,6 +219,23 @@ class OperationalSpace(JointTerm):
         pose, new = self._dynamics.pose(), self._begins[:, None]
         pos, quat = pose[:, :3], pose[:, 3:]
         return (pos, quat), (np.where(new, pos, self._pos), np.where(new, quat, self._quat))
+
+    def tool_pose(self) -> tuple[F64, F64]:
+        """Measured position (N, 3) and orientation (N, 4) of the tool, in the environment."""
+        return self._poses_now()[0]
+
+    def target_pose(self) -> tuple[F64, F64]:
+        """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
+        now, asked = self._poses_now()
+        measured = self._measured and not isinstance(self._poses, AbsolutePose)
+        return now if measured else asked
+
+    def action_for(self, shift: F64, turn: F64) -> F64:
+        """(N, A) the actions that move the tool; arguments as of `EefTerm.action_for`."""
+        poses, (pos, quat) = self._poses, self.target_pose()
+        if isinstance(poses, AbsolutePose):
+            return poses.action_for(pos, quat, shift, turn)
+        return poses.motion_for(quat, shift, turn)
 
     def before_physics(self) -> None:
         """Apply the efforts for the current state."""
