@@ -17,7 +17,9 @@ LOOSE = "task.robot.drive_pros={stiffness: 0, damping: 0}"
 class Performance:
     """One episode of an expert in all environments."""
 
-    def __init__(self, task, num_envs=16, overrides=(), steps=None, change=None, policy=None):
+    def __init__(
+        self, task, num_envs=16, overrides=(), steps=None, change=None, policy=None, tool=None
+    ):
         env = embodichain.make(task, num_envs=num_envs, overrides=["seed=3", *overrides])
         self.policy = policy = policy or (Expert(steps) if steps else resolve_policy("expert"))
         assert isinstance(policy, PlannedPolicy)
@@ -35,9 +37,8 @@ class Performance:
                 self.success = info["metrics"]["success"].numpy() > 0
                 if policy.done.all() and (self.success.all() or any(policy.failures) or steps):
                     break
-            self.tool = env.sim.robots[next(iter(env.sim.robots))].get_link_pose(
-                "gripper/tcp" if task != "lift_cube" else "panda_hand_tcp"
-            )
+            link = tool or ("panda_hand_tcp" if task == "lift_cube" else "gripper/tcp")
+            self.tool = next(iter(env.sim.robots.values())).get_link_pose(link)
         finally:
             env.close()
         taken = np.stack(self.actions)
@@ -278,3 +279,50 @@ def test_an_action_that_does_not_turn_the_tool(rotation):
     term = f"{{func: eef_pose, params: {{{TOOL}, rotation: {rotation}}}}}"
     pos, _, (cube,) = rested([{"move_to": {"to": "cube", **AT}}], overrides=of_tool(term))
     assert pos == pytest.approx(cube[:, :3, 3] + AT["offset"], abs=0.0025)
+
+
+# -- steps that no shipped task has ----------------------------------------------------------------
+
+
+def test_an_object_is_pushed_onto_a_disc():
+    """The pusher of `push_cube` ends 8 cm above the middle of the cube."""
+    step = {"of": "cube", "to": "goal", "behind": 0.075, "height": 0.08, "above": 0.12}
+    faster = ["task.actions.arm.params.scale=0.03", "task.max_episode_steps=300"]
+    run = Performance("push_cube", 8, faster, steps=[{"push": step}], tool="pusher")
+    assert run.failures == [None] * 8
+    assert run.success.sum() >= 6
+
+
+def test_what_is_held_is_turned_to_a_target():
+    """A cube in the air is aligned with another one and held above it."""
+    above = {"to": "base", "offset": [0.0, 0.0, 0.15], "align": "base", "held": True}
+    steps = [{"grasp": "cube"}, {"lift": 0.1}, {"move_to": {**above, "tolerance": 0.002}}]
+    poses = []
+
+    class Watched(Expert):
+        def __call__(self, obs, env):
+            objects = (env.sim.get_rigid_object(uid) for uid in ("cube", "base"))
+            poses.append([one.get_local_pose(to_matrix=True).numpy() for one in objects])
+            return super().__call__(obs, env)
+
+    run = Performance("stack_cubes", 4, policy=Watched(steps))
+    assert run.failures == [None] * 4
+    cube, base = poses[-1]
+    assert cube[:, :3, 3] == pytest.approx(base[:, :3, 3] + [0.0, 0.0, 0.15], abs=0.004)
+    turns = [np.arctan2(pose[:, 1, 0], pose[:, 0, 0]) for pose in (cube, base)]
+    off = (turns[0] - turns[1] + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    assert np.abs(off).max() < 0.05
+
+
+def test_a_slower_step_takes_longer():
+    fast, slow = (
+        Performance("press_button", 2, steps=[{"lift": {"by": 0.2, "speed": speed}}])
+        for speed in (1.0, 0.3)
+    )
+    assert len(slow.actions) > 1.7 * len(fast.actions)
+
+
+def test_nothing_is_placed_where_nothing_is_held():
+    run = Performance("pick_place", 2, steps=[{"place": "stand"}])
+    assert run.failures == ["step 1, place stand: the gripper holds nothing"] * 2
+    assert len(run.actions) == 1
