@@ -131,6 +131,8 @@ def function_of(cfg: TermCfg) -> tuple[Callable[..., Any], dict[str, Any]]:
     """
     try:
         function = import_object(cfg.func) if isinstance(cfg.func, str) else cfg.func
+        if not callable(function):
+            raise ValueError(f"{cfg.func!r} is not a function")
         spec = describe_term("step", function)
     except (ConfigError, ValueError) as error:
         raise ConfigError([Problem("expert.func", str(error))]) from error

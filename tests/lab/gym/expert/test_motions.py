@@ -271,3 +271,92 @@ def test_a_target_is_checked(target, message):
     assert len(found) == (message is not None)
     if message is not None:
         assert message in found[0]
+
+
+# -- other robots and actions ----------------------------------------------------------------------
+
+PANDA = "{uid: panda, control_parts: [gripper]}"
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        f"{{of: {PANDA}, command_mode: binary, open_command: 0.04, close_command: 0.0}}",
+        f"{{of: {PANDA}}}",
+        f"{{of: {PANDA}, lower_command: 0.0, upper_command: 0.04}}",
+        f"{{of: {PANDA}, width: [0.0, 0.08]}}",
+    ],
+)
+def test_the_opening_of_fingers_with_joints(built, params):
+    grip = f"+task.actions.fingers={{func: parallel_gripper, params: {params}}}"
+    env = built("lift_cube", "~task.actions.gripper", grip, "~task.expert", num_envs=1)
+    ((declared, arm),) = arms_of(env)
+    assert (declared.name, declared.gripper) == ("arm", "fingers")
+    assert arm.gripper.opening() == pytest.approx(1.0, abs=0.01)  # at 4 cm
+    qpos = env.robot.get_qpos()
+    qpos[:, -2:] = 0.01
+    env.robot.set_qpos(qpos)
+    env.robot.set_qpos(qpos, target=False)
+    assert arm.gripper.opening() == pytest.approx(0.25, abs=0.01)
+
+
+def test_a_redundant_arm_follows_a_line_without_leaps(built):
+    env = built("lift_cube", num_envs=N)
+    ((_, arm),) = arms_of(env)
+    path = ToolPath(arm, N, env.step_dt)
+    path.measure()
+    rows = np.arange(N)
+    path.rest(rows)
+    shifts = np.array([[0.1, 0.2, -0.1], [-0.1, -0.2, 0.1], [0.0, 0.25, 0.2]])
+    start = path.pos.copy()
+    assert path.plan(rows, start + shifts, path.quat, 1.0).all()
+    before = env.robot.read_qpos()[:, :7].copy()
+    for _ in range(int(path.steps.max())):
+        path.measure()
+        action = env.action_manager.hold()
+        action[:, arm.columns] = path.action(np.zeros(N, np.bool_))
+        env.step(torch.from_numpy(action.astype(np.float32)))
+        now = env.robot.drives.read_target_qpos()[:, :7]
+        assert (np.abs(now - before) <= arm.term.joint_speeds * env.step_dt + 1e-6).all()
+        before = now.copy()
+        way = path.path_pos - start
+        share = (way * shifts).sum(axis=1) / (shifts * shifts).sum(axis=1)
+        assert way == pytest.approx(share[:, None] * shifts, abs=1e-3)
+    assert path.path_pos == pytest.approx(start + shifts, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("params", "linear"),
+    [
+        ("command: pose", 0.1 * np.sqrt(150) / 2),
+        ("command: pose, stiffness: 600, damping_ratio: 2", 0.1 * np.sqrt(600) / 4),
+        ("scale: 0.05", 0.05 * np.sqrt(150) / 2),
+        ("scale: 0.5", 0.1 * np.sqrt(150) / 2),
+    ],
+)
+def test_a_spring_pulls_a_tool_no_faster_than_its_damper_lets_it(built, params, linear):
+    term = f"{{func: operational_space, params: {{{TOOL}, {params}}}}}"
+    loose = "task.robot.drive_pros={stiffness: 0, damping: 0}"
+    env = built("pick_place", *with_tool(term), loose, num_envs=1)
+    ((_, arm),) = arms_of(env)
+    assert arm.term.tool_speeds[0] == pytest.approx(linear)
+    assert (arm.term.joint_speeds > 2.0).all()
+
+
+def test_planning_does_not_depend_on_the_number_of_environments(built):
+    found = []
+    for count in (5, 2):
+        env = built(num_envs=count)
+        ((_, arm),) = arms_of(env)
+        path = ToolPath(arm, count, env.step_dt)
+        path.measure()
+        rows = np.arange(count)
+        path.rest(rows)
+        shifts = np.random.default_rng(0).uniform(-0.1, 0.1, (5, 3))[:count]
+        assert path.plan(rows, path.pos + shifts, path.quat, 1.0).all()
+        for _ in range(10):
+            path.measure()
+            action = path.action(np.zeros(count, np.bool_))
+        found.append((path.steps[:2].copy(), action[:2], path.path_pos[:2]))
+    for many, few in zip(*found, strict=True):
+        assert np.array_equal(many, few)
