@@ -47,6 +47,7 @@ __all__ = [
     "SimulationManagerCfg",
     "SolverCfg",
     "URDFCfg",
+    "VariantCfg",
     "Vec3",
     "WindowRecordCfg",
 ]
@@ -372,8 +373,33 @@ class RobotCfg(ArticulationCfg):
 
 
 @configclass
+class VariantCfg:
+    """One of the shapes that an object may have in an environment; see `RigidObjectCfg.any_of`."""
+
+    shape: AnyShapeCfg = CubeCfg()
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    """Metres: the shape's origin in the object's frame."""
+    rot: Vec3 = (0.0, 0.0, 0.0)
+    """Euler angles in degrees, intrinsic XYZ, in the object's frame."""
+    quat: Quat | None = None
+    """wxyz; overrides `rot`."""
+    mass: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    """kg; 0 computes it from the density; None is that of the object's `attrs`."""
+    density: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    """kg/m^3; None is that of the object's `attrs`."""
+    dynamic_friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    """None is that of the object's `attrs`."""
+    body_scale: Vec3 = (1.0, 1.0, 1.0)
+    """As of an object."""
+    max_convex_hull_num: int = 1
+    """As of an object."""
+    collision: Literal["hull", "decompose"] = "hull"
+    """As of an object."""
+
+
+@configclass
 class RigidObjectCfg(ObjectBaseCfg):
-    """One rigid body with one shape."""
+    """One rigid body with one shape, or in each environment one of several."""
 
     shape: AnyShapeCfg = CubeCfg()
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
@@ -391,6 +417,9 @@ class RigidObjectCfg(ObjectBaseCfg):
     # ours
     collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
     """Collision geometry of a mesh: its convex hull, or as many convex parts as needed."""
+    any_of: dict[str, VariantCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Name -> a shape, in place of `shape`. An environment has the first until the event
+    `randomize_shape` draws another one."""
 
 
 @configclass

@@ -113,6 +113,14 @@ class CpuEngine(Engine):
         self._all_dirty = True
         self._divergence = _Divergence(self._batch)
 
+    def close(self) -> None:
+        self.__dict__.clear()  # terms of the environment may refer to the engine until it is freed
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(
+            f"no attribute {name!r}" if self.__dict__ else "the simulation was destroyed"
+        )
+
     # -- reads ---------------------------------------------------------------------------------
 
     @property
