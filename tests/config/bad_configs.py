@@ -631,7 +631,7 @@ BAD = {
         "conf/task/mine.yaml:9: task.objects.ball.any_of.can.quat: a quaternion is zero or not "
         "finite; wxyz with unit length is wanted, got [0.0, 0.0, 0.0, 0.0]",
         "conf/task/mine.yaml:9: task.objects.ball.any_of.can.shape.radius: must be positive "
-        "metres, got 0",
+        "metres, got 0.0",
         "conf/task/mine.yaml:9: task.objects.ball.any_of.a/b: uid 'a/b' must not contain '/', "
         "which separates it from its parts",
         old="shape: {shape_type: Sphere, radius: 0.05}",
