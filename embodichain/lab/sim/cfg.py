@@ -281,7 +281,7 @@ class ArticulationCfg(ObjectBaseCfg):
     """Compensated share of the links' weight (MuJoCo's gravcomp): 1 for an arm with a controller
     that compensates gravity. None keeps the file's."""
     collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
-    """Collision geometry of a URDF's meshes: their convex hull, or convex parts
+    """Collision geometry of the file's meshes: their convex hull, or convex parts
     (`embodichain[decompose]`)."""
 
 
@@ -346,7 +346,7 @@ class AttachedFileCfg:
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
     """Friction and collision of its links, as `ArticulationCfg.attrs`."""
     collision: Literal["hull", "decompose"] = "hull"
-    """Collision geometry of a URDF's meshes."""
+    """Collision geometry of the file's meshes."""
 
 
 def _by_part(value: Any) -> Any:

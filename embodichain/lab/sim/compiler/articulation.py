@@ -210,7 +210,7 @@ def parse_with_problems(
             p if p.path.startswith("urdf_cfg") else Problem("fpath", str(p), "")
             for p in error.problems
         ]
-    problems = [*_unsupported(cfg, file), *check_pose(cfg)]
+    problems = [*_unsupported(cfg), *check_pose(cfg)]
     attached, init_qpos = getattr(cfg, "attach", {}), cfg.init_qpos
     try:
         robot = prepare_file(file, cfg.attrs)
@@ -372,15 +372,12 @@ def read_robot(cfg: ArticulationCfg) -> ModelFile:
     return file
 
 
-def _unsupported(cfg: ArticulationCfg, file: ModelFile) -> list[Problem]:
+def _unsupported(cfg: ArticulationCfg) -> list[Problem]:
     problems = []
     scale = tuple(float(s) for s in cfg.body_scale)
     if scale != (1.0, 1.0, 1.0):
         message = f"articulations cannot be scaled yet, got {list(scale)}"
         problems.append(Problem("body_scale", message))
-    if cfg.collision == "decompose" and not file.is_urdf:
-        message = "only of a URDF: an MJCF file says itself which shapes collide; leave it out"
-        problems.append(Problem("collision", message))
     return problems
 
 
