@@ -14,8 +14,10 @@ from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = ["convert_meshes", "make_absolute", "missing_files", "split_meshes"]
 
-_CONTACT = ("contype", "conaffinity", "condim", "priority", "friction", "solref", "solimp")
-_CONTACT += ("solmix", "margin", "gap")
+_CONTACT = (
+    *("contype", "conaffinity", "condim", "priority", "friction", "solref", "solimp", "solmix"),
+    *("margin", "gap"),
+)
 _TURN = ("type", "axisangle", "xyaxes", "zaxis", "euler")
 
 
@@ -63,7 +65,7 @@ def missing_files(spec: mujoco.MjSpec, path: Path) -> list[Problem]:
         line = next((i for i, text in enumerate(lines, 1) if Path(asset.file).name in text), None)
         where = f"{path}:{line}" if line else str(path)
         message = f"{where}: {kind} {asset.name!r}: no file {file.name!r} in {file.parent}; {what}"
-        found[str(file)] = Problem("", message, did_you_mean(file.name, there or ()).strip())
+        found[str(file)] = Problem("", f"{message}.{did_you_mean(file.name, there or ())}")
     return list(found.values())
 
 
