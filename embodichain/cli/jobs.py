@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.cli.app import command_line, split_overrides
 from embodichain.cli.process import Interrupted, StopFlag
 from embodichain.cli.reporting import ProgressDisplay, log_to, warn_if_public
+from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils.errors import ConfigError
 
@@ -40,6 +41,7 @@ __all__ = [
     "film_progress",
     "job_options",
     "pinned",
+    "policy_name",
     "policy_of",
     "resolved_job",
     "start",
@@ -91,37 +93,58 @@ class Job:
         images = self.root.record.images
         return None if images is None else ImageOptions(**vars(images))
 
-    def attach_log(self, env: BaseEnv) -> McapRecorder | None:
-        """Attach the log unless `record.format` is ``none``; closing the environment closes it."""
+    def attach_log(self, env: BaseEnv, name: str = LOG) -> McapRecorder | None:
+        """Attach the log unless `record.format` is ``none``; closing the environment closes it.
+
+        Args:
+            env: The environment.
+            name: File name in the folder.
+        """
         if self.root.record.format == "none":
             return None
         from embodichain.config.resolved import dump_yaml
-        from embodichain.config.run_folder import LOG
         from embodichain.recording import McapRecorder, RecordOptions
 
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         options["images"] = self.images
         recorder = McapRecorder(
-            self.folder / LOG,
+            self.folder / name,
             env,
             config=dump_yaml(self.resolved.tree),
             overrides=dump_yaml(list(self.resolved.overrides)),
             options=RecordOptions(**options),
             task=self.resolved.task_name,
+            policy=policy_name(self.root),
         )
         env.add_observer(recorder)
         return recorder
 
-    def attach_viewer(self, env: BaseEnv, *, realtime: bool = True, resets: bool = True) -> None:
+    def attach_viewer(
+        self,
+        env: BaseEnv,
+        policy: Policy | None = None,
+        *,
+        realtime: bool = True,
+        resets: bool = True,
+    ) -> None:
         """Attach the viewer that the config names; closing the environment closes it.
 
         Args:
             env: The environment.
+            policy: The policy that acts in it; a person who teleoperates does it at the viewer.
             realtime: Whether the run starts in real time while a viewer is connected.
             resets: Whether the viewer may end an episode.
         """
         cfg = self.root.viewer
+        teleop = None
+        if policy_name(self.root) == "teleop":
+            from embodichain.lab.gym.teleop import Teleop
+
+            if isinstance(policy, Teleop):
+                teleop = policy
+                teleop.bind(env)
+                realtime = True
         if cfg.name == "foxglove":
             from embodichain.recording.viewers.foxglove import FoxgloveView
 
@@ -137,10 +160,14 @@ class Job:
             from embodichain.recording.viewers.web import PageOptions, WebView
 
             page = PageOptions(cfg.host, cfg.port, cfg.env, realtime, resets)
-            view = WebView(env, page, stopped=self.stop.is_stopped)
+            view = WebView(env, page, stopped=self.stop.is_stopped, teleop=teleop)
             env.add_observer(view)
             url = where = view.url
         else:
+            if teleop is not None and cfg.name == "native":
+                from embodichain.recording.viewers.native_operator import NativeOperator
+
+                teleop.operator = NativeOperator(env, teleop, self.stop.is_stopped)
             return
         _log.info("viewer: %s", where)
         if not self.quiet:
@@ -194,7 +221,7 @@ def start(verb: Verb, body: Body, options: Any) -> None:
     The config of every job is checked before the first starts.
 
     Args:
-        verb: The verb, ``run`` or ``train``.
+        verb: The verb with the root config of its name.
         body: The work of a job.
         options: Options of the command line.
 
@@ -253,7 +280,12 @@ def resolved_job(composed: Composed, verb: Verb) -> Resolved:
 
 
 def execute(
-    resolved: Resolved, body: Body, command: Sequence[str], folder: Path | None = None
+    resolved: Resolved,
+    body: Body,
+    command: Sequence[str],
+    folder: Path | None = None,
+    *,
+    goes_on: bool = False,
 ) -> float | None:
     """Run a job in its folder, with a log file.
 
@@ -262,6 +294,7 @@ def execute(
         body: The work of the job.
         command: The command line, as typed.
         folder: The run folder; None claims a new one.
+        goes_on: Whether the folder belongs to this job already; its config stays.
 
     Raises:
         ConfigError: The folder cannot be made.
@@ -274,7 +307,8 @@ def execute(
     resolved = pinned(resolved)
     if folder is None:
         folder = claim(resolved.root.output_dir, resolved.task_name)
-    write_record(folder, resolved, command)
+    if not goes_on:
+        write_record(folder, resolved, command)
     with log_to(folder / LOG_FILE) as log, StopFlag() as stop:
         log.info("command: %s", shlex.join(command))
         for note in resolved.notes:
@@ -331,6 +365,12 @@ def check_extras(root: RootCfg) -> None:
         from embodichain.recording.viewers.foxglove import need_sdk
 
         need_sdk()
+
+
+def policy_name(root: RootCfg) -> str:
+    """Return the name, import path or path of the policy that a config chooses."""
+    chosen = root.policy or "random"
+    return chosen if isinstance(chosen, str) else chosen.func
 
 
 def policy_of(
