@@ -7,6 +7,7 @@ import yaml
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 import embodichain
+from embodichain.lab.sim.physics_values import physics_values
 from embodichain.recording import McapRecorder, verify
 from embodichain.recording import open as open_log
 from embodichain.recording.views.scene import Scenes
@@ -214,6 +215,15 @@ def test_a_log_repeats_and_restores_the_shapes(make, tmp_path):
     other.load_state_dict(saved)
     assert (thing(other).get_shape() == drawn).all()
     assert (path(other, 10) == later).all()
+
+
+def test_a_shape_that_is_not_the_first_is_part_of_the_physics(make, tmp_path):
+    here = physics_values(make().sim.engine.model)
+    other = shapes(tmp_path)
+    other["can"]["shape"]["radius"] = 0.031
+    there = physics_values(make(any_of=other).sim.engine.model)
+    (changed,) = (element for element in here if here[element] != there[element])
+    assert changed.startswith("geom") and here.keys() == there.keys()
 
 
 def test_randomizers_act_on_the_present_shape(make):
