@@ -24,7 +24,7 @@ from embodichain.lab.sim.scene_cfg import (
     Vec3,
     ViewCfg,
 )
-from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg
+from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg, VariantCfg
 from embodichain.lab.sim.urdf_cfg import URDFCfg
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
@@ -391,31 +391,6 @@ class RobotCfg(ArticulationCfg):
     # ours
     attach: dict[str, AttachedFileCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     """Name -> a file fixed on one of its links, in this order; a robot has one handle."""
-
-
-@configclass
-class VariantCfg:
-    """One of the shapes that an object may have in an environment; see `RigidObjectCfg.any_of`."""
-
-    shape: AnyShapeCfg = CubeCfg()
-    pos: Vec3 = (0.0, 0.0, 0.0)
-    """Metres: the shape's origin in the object's frame."""
-    rot: Vec3 = (0.0, 0.0, 0.0)
-    """Euler angles in degrees, intrinsic XYZ, in the object's frame."""
-    quat: Quat | None = None
-    """wxyz; overrides `rot`."""
-    mass: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
-    """kg; 0 computes it from the density; None is that of the object's `attrs`."""
-    density: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    """kg/m^3; None is that of the object's `attrs`."""
-    dynamic_friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
-    """None is that of the object's `attrs`."""
-    body_scale: Vec3 = (1.0, 1.0, 1.0)
-    """As of an object."""
-    max_convex_hull_num: int = 1
-    """As of an object."""
-    collision: Literal["hull", "decompose"] = "hull"
-    """As of an object."""
 
 
 @configclass

@@ -126,9 +126,7 @@ class HostEngine(Engine):
         self.__dict__.clear()  # terms of the environment may refer to the engine until it is freed
 
     def __getattr__(self, name: str) -> Any:
-        raise AttributeError(
-            f"no attribute {name!r}" if self.__dict__ else "the simulation was destroyed"
-        )
+        raise AttributeError(f"no {name!r}" if vars(self) else "the simulation was destroyed")
 
     # -- reads -------------------------------------------------------------------------------------
 
