@@ -19,7 +19,7 @@ from embodichain.cli.jobs import Job, execute, policy_of, start
 from embodichain.cli.output import print_facts, print_json, to_json
 from embodichain.cli.process import started
 from embodichain.cli.reporting import ProgressDisplay
-from embodichain.cli.resuming import changed, resumed_folder, resumption, with_changes
+from embodichain.cli.resuming import parsed_changes, resumed_folder, resumption, with_changes
 from embodichain.config.run_folder import CONFIG, LOG, SUMMARY, newest_run
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
@@ -76,7 +76,8 @@ def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
     from embodichain.config.resolved import resolve_tree
     from embodichain.recording.collection import SUCCESSES, read_collection
 
-    name, changes = changed(overrides, MAY_CHANGE, "collection")
+    changes = parsed_changes(overrides, MAY_CHANGE, "a resumed collection")
+    name = str(changes.pop("resume"))
     newest = newest_run(changes.get("output_dir", "outputs"), SUCCESSES)
     folder = resumed_folder(name, newest, "collection")
     done = len(read_collection(folder))
