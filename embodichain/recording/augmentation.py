@@ -108,6 +108,7 @@ class _Motions:
         targets: (E, k, T, 7).
         starts: (E, arms, S + 1) where each segment begins; the end of an episode for all others.
         of: (E, arms, S) target of each segment.
+        follows: (E, arms, S) whether it moves meanwhile.
     """
 
     def __init__(self, sources: Sequence[Source]) -> None:
@@ -126,10 +127,12 @@ class _Motions:
         shape = len(sources), self.tools.shape[1], most
         self.starts = np.broadcast_to(self.length[:, None, None], (*shape[:2], most + 1)).copy()
         self.of: Rows = np.zeros(shape, np.int64)
+        self.follows = np.zeros(shape, np.bool_)
         for e, source in enumerate(sources):
             for a, segments in enumerate(source.segments):
                 for s, segment in enumerate(segments):
                     self.starts[e, a, s], self.of[e, a, s] = segment.start, segment.target
+                    self.follows[e, a, s] = segment.follows
 
 
 class _Player:
@@ -145,9 +148,8 @@ class _Player:
         self.env, count = env, env.num_envs
         self._arms: list[Arm] = [arm for _, arm in arms_of(env)]
         self._names, poses = target_poses(env)
-        if not self._arms or not self._names:
-            what = "action that moves a tool" if not self._arms else "entity to act on"
-            raise ConfigError(f"augmentation needs a task with an {what}")
+        if not self._arms:
+            raise ConfigError("augmentation needs a task with an action that moves a tool")
         self._poses: TargetPoses = poses
         names, sources = read_sources(path, most)
         width, tools = sources[0].actions.shape[1], len(sources[0].tools)
@@ -183,15 +185,15 @@ class _Player:
 
     def act(self) -> F64:
         """(N, A) the next actions."""
-        tools = read_tools(self._arms)
+        tools, targets = read_tools(self._arms), self._targets()
         fresh = np.flatnonzero(self._fresh)
         self._advance(tools)
         if len(fresh):
-            self._begin(fresh, tools)
+            self._begin(fresh, tools, targets)
         motions, rows = self._motions, np.arange(self.env.num_envs)
         action: F64 = motions.actions[self._motion, self._clock].copy()
         for a, arm in enumerate(self._arms):
-            self._enter(a)
+            self._enter(a, targets)
             self._sent[a] = self._asked(a, np.minimum(self._clock + 1, self._last))
             pos, quat = (np.ascontiguousarray(self._sent[a][:, part]) for part in (_POS, _QUAT))
             solver, free = arm.term.solver, arm.term.orientation == "free"
@@ -204,10 +206,10 @@ class _Player:
     def _last(self) -> Rows:
         return self._motions.length[self._motion] - 1
 
-    def _begin(self, rows: Rows, tools: F64) -> None:
+    def _begin(self, rows: Rows, tools: F64, targets: F64) -> None:
         """Draw a motion for environments whose episode begins."""
         self._fresh[rows] = False
-        now = self._targets()[:, rows]
+        now = targets[:, rows]
         used = np.unique(self._motions.of)
         then = self._motions.targets[:, used, 0]  # (E, used, 7)
         apart = now[used].swapaxes(0, 1)[:, None] - then  # (n, E, used, 7)
@@ -247,27 +249,32 @@ class _Player:
             self.failures[row] = f"segment {segment + 1}, at {name}: the tool did not follow"
             self.done[row] = True
 
-    def _enter(self, a: int) -> None:
+    def _enter(self, a: int, targets: F64) -> None:
         """Begin the next segment of an arm where the clock has come to it."""
         starts = self._motions.starts[self._motion, a]
         segment = (self._clock[:, None] >= starts).sum(axis=1) - 1
         segment = np.minimum(segment, self._motions.of.shape[2] - 1)
-        rows = np.flatnonzero(segment != self._segment[a])
+        begins = segment != self._segment[a]
         self._segment[a] = segment
-        if not len(rows):
+        follows = self._motions.follows[self._motion, a, segment]
+        if (rows := np.flatnonzero(begins | follows)).size:
+            self._follow(a, rows, targets)
+        if not (rows := np.flatnonzero(begins)).size:
             return
-        motion = self._motion[rows]
-        target = self._motions.of[motion, a, segment[rows]]
-        now = self._targets()[target, rows]
-        then = self._motions.targets[motion, target, self._clock[rows]]
-        turn = quat_multiply(now[:, _QUAT], quat_conjugate(then[:, _QUAT]))
-        shift = now[:, _POS] - quat_rotate(turn, np.ascontiguousarray(then[:, _POS]))
-        self._moved[a, rows] = np.concatenate([shift, turn], axis=1)
         self._missing[a, rows] = 0.0
         wanted, sent = self._asked(a, self._clock)[rows], self._sent[a, rows]
         left = quat_multiply(sent[:, _QUAT], quat_conjugate(wanted[:, _QUAT]))
         missing = [sent[:, _POS] - wanted[:, _POS], quat_to_rotvec(left)]
         self._missing[a, rows] = np.concatenate(missing, axis=1)
+
+    def _follow(self, a: int, rows: Rows, targets: F64) -> None:
+        """Find how the target of an arm has moved since it was recorded, at this clock."""
+        motion = self._motion[rows]
+        target = self._motions.of[motion, a, self._segment[a, rows]]
+        now, then = targets[target, rows], self._motions.targets[motion, target, self._clock[rows]]
+        turn = quat_multiply(now[:, _QUAT], quat_conjugate(then[:, _QUAT]))
+        shift = now[:, _POS] - quat_rotate(turn, np.ascontiguousarray(then[:, _POS]))
+        self._moved[a, rows] = np.concatenate([shift, turn], axis=1)
 
     def _asked(self, a: int, clock: Rows) -> F64:
         """(N, 7) pose of a tool at a time of its motion, in the present segment."""

@@ -3,13 +3,13 @@
 A segment is a part of an episode in which an arm acts on one target: an entity, a link of an
 articulation, or the pose of a command. Segments end where the gripper has closed or opened and the
 tool moves on. Their target is what the tool is nearest to at that moment, and in the last one,
-where it comes nearest.
+where it comes nearest, other than what it holds. If there is nothing else, it is the world.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.expert.arms import Arm, arms_of
-from embodichain.lab.gym.expert.targets import TargetPoses
+from embodichain.lab.gym.expert.targets import WORLD, TargetPoses
 from embodichain.recording.collection import is_collection, read_collection
 from embodichain.recording.recorded_log import RecordedLog
 from embodichain.recording.reenactment import Reenactment
@@ -35,11 +35,19 @@ _MOVED = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Control steps `start` to `stop` (not included) of one arm, relative to a target."""
+    """A part of the motion of one arm.
+
+    Attributes:
+        start: Its first control step.
+        stop: Its last one plus 1.
+        target: Index of what it acts on.
+        follows: Whether another arm holds the target, which therefore moves.
+    """
 
     start: int
     stop: int
     target: int
+    follows: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +68,10 @@ class Source:
 
 
 def target_poses(env: BaseEnv) -> tuple[list[str], TargetPoses]:
-    """The names of all possible targets in an environment, and what reads their poses."""
+    """The names of all possible targets in an environment, the first the world; their poses."""
     poses, names = TargetPoses(env), []
     links = [f"{uid}/{link}" for uid, a in env.sim.articulations.items() for link in a.link_names]
-    for name in (*env.sim.rigid_objects, *links, *env.command_manager.terms):
+    for name in (WORLD, *env.sim.rigid_objects, *links, *env.command_manager.terms):
         try:
             poses.add(name, "")
         except ConfigError:  # a command that is no pose
@@ -153,11 +161,22 @@ def _read(
 def _source(parts: Sequence[tuple[F64, F64, F64]], arms: Sequence[Arm]) -> Source:
     actions, tools, targets = (np.array(column) for column in zip(*parts, strict=True))
     tools, targets = np.moveaxis(tools, 1, 0), np.moveaxis(targets, 1, 0)
-    segments = tuple(
+    split = [
         _segments(tool, targets, _closed(arm, actions))
         for arm, tool in zip(arms, tools, strict=True)
-    )
-    return Source(actions, tools, targets, segments)
+    ]
+    for a, (segments, _) in enumerate(split):
+        others = [hold for b, (_, holds) in enumerate(split) if b != a for hold in holds]
+        for i, one in enumerate(segments):
+            segments[i] = replace(one, follows=any(_is_held(one, hold) for hold in others))
+    followed = tuple(tuple(segments) for segments, _ in split)
+    return Source(actions, tools, targets, followed)
+
+
+def _is_held(segment: Segment, hold: Segment) -> bool:
+    """Whether the target of a segment is what another arm holds meanwhile."""
+    together = hold.start < segment.stop and segment.start < hold.stop
+    return segment.target == hold.target and together
 
 
 def _closed(arm: Arm, actions: F64) -> NDArray[np.bool_]:
@@ -168,24 +187,33 @@ def _closed(arm: Arm, actions: F64) -> NDArray[np.bool_]:
     return np.asarray((actions[:, arm.fingers] < middle).all(axis=1))
 
 
-def _segments(tool: F64, targets: F64, closed: NDArray[np.bool_]) -> tuple[Segment, ...]:
-    """Split the motion (T, 7) of a tool; see the module."""
-    distances = np.linalg.norm(targets[..., :3] - tool[:, :3], axis=-1)  # (k, T)
-    everything = set(range(len(targets)))
-    held: set[int] = set()
+def _segments(
+    tool: F64, targets: F64, closed: NDArray[np.bool_]
+) -> tuple[list[Segment], list[Segment]]:
+    """Split the motion (T, 7) of a tool; also returns when it holds what."""
+    distances = np.linalg.norm(targets[1:, :, :3] - tool[:, :3], axis=-1)  # without the world
     found: list[Segment] = []
-    start = 0
+    holds: list[Segment] = []
+    start, held = 0, -1
+
+    def nearest(first: int, last: int) -> int:
+        """The target that the tool comes nearest to; 0 if there is only what it holds."""
+        near = distances[:, first:last].min(axis=1)
+        near[held - 1 :][: held > 0] = np.inf
+        return 0 if np.isinf(near).all() else 1 + int(near.argmin())
+
     for event in (np.flatnonzero(closed[1:] != closed[:-1]) + 1).tolist():
-        free = sorted(everything - held) or sorted(everything)
-        target = free[int(distances[free, event].argmin())]
+        target = nearest(event, event + 1)
         away = np.linalg.norm(tool[event:, :3] - tool[event, :3], axis=1) > _MOVED
         stop = event + int(away.argmax()) if away.any() else len(tool)
         if stop > start:
             found.append(Segment(start, stop, target))
-        held = {target} if closed[event] else set()
+        if held > 0:
+            holds[-1] = replace(holds[-1], stop=event)
+        held = target if closed[event] else -1
+        if held > 0:
+            holds.append(Segment(event, len(tool), held))
         start = max(start, stop)
     if start < len(tool):
-        free = sorted(everything - held) or sorted(everything)
-        nearest = distances[free, start:].min(axis=1)
-        found.append(Segment(start, len(tool), free[int(nearest.argmin())]))
-    return tuple(found)
+        found.append(Segment(start, len(tool), nearest(start, len(tool))))
+    return found, holds
