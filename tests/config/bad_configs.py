@@ -651,6 +651,32 @@ BAD = {
         old="radius: 0.05",
         new="radius: -0.05",
     ),
+    "a shape beside any_of": bad(
+        "conf/task/mine.yaml:11: task.objects.box.shape: the object has any_of: give each of its "
+        "shapes there",
+        overrides=("+task.objects.box.any_of.can.shape={shape_type: Cylinder}",),
+    ),
+    "shapes of any_of": bad(
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.plate.shape.fpath: a Mesh needs a file",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.floor.body_type: a Plane must be static, "
+        "got 'kinematic'",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.quat: a quaternion is zero or not "
+        "finite; wxyz with unit length is wanted, got [0.0, 0.0, 0.0, 0.0]",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.shape.radius: must be positive "
+        "metres, got 0.0",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.a/b: uid 'a/b' must not contain '/', "
+        "which separates it from its parts",
+        old="shape: {shape_type: Sphere, radius: 0.05}",
+        new="any_of: {plate: {shape: {shape_type: Mesh}}, floor: {shape: {shape_type: Plane}}, "
+        "can: {quat: [0, 0, 0, 0], shape: {shape_type: Cylinder, radius: 0}}, a/b: {}}",
+    ),
+    "unknown key of a shape of any_of": bad(
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.masss: unknown key; allowed: shape, "
+        "pos, rot, quat, mass, density, dynamic_friction, body_scale, max_convex_hull_num, "
+        "collision. Did you mean 'mass'?",
+        old="shape: {shape_type: Sphere, radius: 0.05}",
+        new="any_of: {can: {masss: 1}}",
+    ),
     "negative mass": bad(
         "command line: task.objects.box.attrs.mass: must be finite and not negative, got -1.0",
         overrides=("task.objects.box.attrs.mass=-1",),
