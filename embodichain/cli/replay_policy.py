@@ -54,11 +54,12 @@ def rerun(path: Path, options: SimpleNamespace) -> int:
     """Repeat recorded episodes with another policy, and compare returns."""
     from embodichain.config.factory import make_env
     from embodichain.recording.api import Log
+    from embodichain.recording.reenactment import config_of
 
     target = find_target(options.policy)
     with Log(path) as log:
         wanted = _wanted(log, options)
-        resolved = _resolved(log)
+        resolved = config_of(log)
         names = [name for name in _STATE if name in log.columns]
         starts = {name: log.read(name, start=0, stop=1)[name][0] for name in names}
         warnings = list(log.warnings)
@@ -100,19 +101,6 @@ def _wanted(log: Log, options: SimpleNamespace) -> dict[tuple[int, int], LogEpis
     if not found:
         raise ConfigError(f"{log.path} has no such episode: there is nothing to compare")
     return found
-
-
-def _resolved(log: Log) -> Resolved:
-    """The log's config without recording and viewer; no module that it names is imported."""
-    from embodichain.config.resolved import resolve_tree
-
-    tree = log.config
-    if "task" not in tree:
-        raise ConfigError(f"{log.path} contains no config: it was not recorded by `run`")
-    own = {"seed": log.seed, "num_envs": log.num_envs, "policy": None}
-    here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
-    changed = {**tree, **own, **{name: value for name, value in here.items() if name in tree}}
-    return resolve_tree(changed, f"{log.path}: config.yaml", "run", task_name=log.task)
 
 
 def _play(

@@ -9,6 +9,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "api": ["Log", "open"],
+        "demonstrations": ["Episode", "read_episodes"],
         "log_diff": ["DiffReport", "LogDifference", "diff"],
         "options": ["ImageOptions", "RecordOptions"],
         "recorder": ["McapRecorder"],

@@ -181,6 +181,14 @@ class LogEpisode:
     metrics: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def succeeded(self) -> bool | None:
+        """Whether it was a success by the task's metric `success` if it has one, else `success`.
+
+        None if the task does not define success, or the log ended first.
+        """
+        return self.metrics["success"] > 0 if "success" in self.metrics else self.success
+
+    @property
     def steps(self) -> int:
         """Number of control steps."""
         return self.last_step - self.first_step + 1
