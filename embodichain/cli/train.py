@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.app import command_line, job_arguments, split_overrides, verb
+from embodichain.cli.demonstrations import read_dataset
 from embodichain.cli.eval import Asked, brief_rows, evaluate_job, evaluation_config
 from embodichain.cli.jobs import Job, execute, job_options, start
 from embodichain.cli.output import print_facts, print_json
@@ -106,7 +107,10 @@ def _learn(job: Job) -> dict[str, Any]:
             train(
                 *(job.resolved, job.folder, progress),
                 lambda env: job.attach_viewer(env, realtime=False),
+                lambda env: read_dataset(job, env),
             )
+    if not (job.folder / SUMMARY).is_file():
+        raise Interrupted(f"interrupted ({job.stop.stopped}) before the first update")
     summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
     return {**summary, "folder": str(job.folder)}
 

@@ -135,13 +135,19 @@ class ChunkPolicy(BasePolicy):
         """
         if not self.has_memory:
             return super().predict(observation, state, episode_start, deterministic)
-        self.set_training_mode(False)
-        batch, vectorized = self.obs_to_tensor(observation)
-        with torch.no_grad():
-            chunks = self.chunks(batch).clamp(-1.0, 1.0).cpu().numpy()
         memory: Any = state
+        chunks = self.plan(observation)
         actions, memory = blend(chunks, memory, episode_start, self.ensemble_decay)
+        vectorized = self.is_vectorized_observation(observation)
         return (actions if vectorized else actions[0]), memory
+
+    def plan(self, observation: Any) -> NDArray[np.float32]:
+        """Return (N, H, A) actions in [-1, 1] for this step and the next ones."""
+        self.set_training_mode(False)
+        batch, _ = self.obs_to_tensor(observation)
+        with torch.no_grad():
+            found: NDArray[np.float32] = self.chunks(batch).clamp(-1.0, 1.0).cpu().numpy()
+        return found
 
 
 class CnnChunkPolicy(ChunkPolicy):
