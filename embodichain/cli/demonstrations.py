@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,10 +12,11 @@ from embodichain.cli.reporting import ProgressDisplay
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
+    from embodichain.config.schema import RootCfg
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.recording.demonstrations import Episode
 
-__all__ = ["read_dataset"]
+__all__ = ["first_episode", "read_dataset"]
 
 
 def read_dataset(job: Job, env: BaseEnv) -> Iterator[Episode]:
@@ -30,30 +31,48 @@ def read_dataset(job: Job, env: BaseEnv) -> Iterator[Episode]:
             be read, or has no successful episode.
         Interrupted: A signal came.
     """
+    with ProgressDisplay("demonstrations", None, "episodes", quiet=job.quiet) as display:
+
+        def progress(read: int, total: int) -> None:
+            display.total = total
+            if display.due or read == total:
+                display.show(read, {})
+            if job.stop.is_stopped():
+                raise Interrupted(f"interrupted ({job.stop.stopped}): nothing was learned yet")
+
+        yield from _episodes(job.root, env, progress)
+
+
+def first_episode(root: RootCfg, env: BaseEnv) -> Episode:
+    """Check the data set of a training, and return its first episode.
+
+    Args:
+        root: The config of the training.
+        env: Its environment.
+
+    Raises:
+        ConfigError: As of `read_dataset`.
+    """
+    return next(_episodes(root, env, None))
+
+
+def _episodes(
+    root: RootCfg, env: BaseEnv, progress: Callable[[int, int], None] | None
+) -> Iterator[Episode]:
     from embodichain.recording.demonstrations import logs_of, read_episodes
     from embodichain.recording.log_error import LogError
 
-    given = job.root.dataset or []
+    given = root.dataset or []
     paths = [Path(path) for path in ([given] if isinstance(given, str) else given)]
     try:
         for path in paths:
-            _check_task(logs_of(path)[0], env, allow=job.root.allow_changed)
-        with ProgressDisplay("demonstrations", None, "episodes", quiet=job.quiet) as display:
-
-            def progress(read: int, total: int) -> None:
-                display.total = total
-                if display.due or read == total:
-                    display.show(read, {})
-                if job.stop.is_stopped():
-                    raise Interrupted(f"interrupted ({job.stop.stopped}): nothing was learned yet")
-
-            yield from read_episodes(paths, progress=progress)
+            _check_task(logs_of(path)[0], env, allow=root.allow_changed)
+        yield from read_episodes(paths, progress=progress)
     except LogError as error:
         raise ConfigError([Problem("dataset", str(error))]) from error
     except ConfigError as error:
-        raise ConfigError(
-            [Problem("dataset", str(p)) if not p.path else p for p in error.problems]
-        ) from error
+        found = [p if p.path else Problem("dataset", p.message) for p in error.problems]
+        raise ConfigError(found) from error
 
 
 def _check_task(log: Path, env: BaseEnv, *, allow: bool) -> None:

@@ -295,6 +295,10 @@ def pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder they refer to now, since later runs change it."""
     from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 
+    data = resolved.tree["dataset"]
+    if data is not None:
+        paths = [data] if isinstance(data, str) else data
+        resolved = resolved.changed(dataset=[str(Path(path).resolve()) for path in paths])
     policy = resolved.tree["policy"]
     last = policy == "last"
     if not isinstance(policy, str) or not (last or named_checkpoint(policy).exists()):

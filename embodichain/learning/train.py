@@ -44,6 +44,7 @@ __all__ = [
     "TrainSummary",
     "add_evaluation",
     "check_algorithm",
+    "check_episode",
     "check_training",
     "train",
 ]
@@ -190,6 +191,20 @@ def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
     """
     algorithm = _checked_algorithm(resolved)
     algorithm.build(_vec_env(env, algorithm), resolved.root.seed)
+
+
+def check_episode(resolved: Resolved, env: BaseEnv, episode: Demonstration) -> None:
+    """Check that a training can learn from an episode of its data set.
+
+    Args:
+        resolved: A config of the verb `train`.
+        env: Its environment.
+        episode: The episode.
+
+    Raises:
+        ConfigError: If the episode's observations or actions are not the task's.
+    """
+    Demonstrations.of([episode], _vec_env(env, _checked_algorithm(resolved)))
 
 
 def _vec_env(env: BaseEnv, algorithm: Algorithm) -> SB3VecEnv:
