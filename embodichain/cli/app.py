@@ -44,6 +44,7 @@ VERBS = {
     "run": "Run a task: simulate, show progress, write a log.",
     "train": "Train a policy with Stable-Baselines3.",
     "eval": "Play a policy for exactly N episodes; print results with confidence intervals.",
+    "collect": "Record episodes until enough of them succeeded; resumable.",
     "play": "Show a trained policy in a window.",
     "compare": "Put trainings side by side: a table, and curves with intervals over seeds.",
     "report": "Write one HTML page about a run: results, film, curves, config, how to repeat it.",
@@ -370,7 +371,7 @@ def overrides(metavar: str = "[KEY=VALUE]...", *words: str, config: str = "run")
     Args:
         metavar: Its name in the help text.
         *words: Names that are completed besides keys.
-        config: The root config whose keys are completed, ``run`` or ``train``.
+        config: The root config whose keys are completed: ``run``, ``train`` or ``collect``.
     """
     complete = partial(_complete, config=config, names=words)
     return click.argument("words", nargs=-1, metavar=metavar, shell_complete=complete)
@@ -395,10 +396,10 @@ def _complete(
 
 
 def job_arguments(config: str) -> Decorator:
-    """Add the arguments of `run` and `train`: overrides and Hydra's flags.
+    """Add the arguments of jobs: overrides and Hydra's flags.
 
     Args:
-        config: The root config, ``run`` or ``train``.
+        config: The root config: ``run``, ``train`` or ``collect``.
     """
 
     def add(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.cli.app import command_line, split_overrides
 from embodichain.cli.process import Interrupted, StopFlag
 from embodichain.cli.reporting import ProgressDisplay, log_to, warn_if_public
+from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils.errors import ConfigError
 
@@ -91,19 +92,23 @@ class Job:
         images = self.root.record.images
         return None if images is None else ImageOptions(**vars(images))
 
-    def attach_log(self, env: BaseEnv) -> McapRecorder | None:
-        """Attach the log unless `record.format` is ``none``; closing the environment closes it."""
+    def attach_log(self, env: BaseEnv, name: str = LOG) -> McapRecorder | None:
+        """Attach the log unless `record.format` is ``none``; closing the environment closes it.
+
+        Args:
+            env: The environment.
+            name: File name in the folder.
+        """
         if self.root.record.format == "none":
             return None
         from embodichain.config.resolved import dump_yaml
-        from embodichain.config.run_folder import LOG
         from embodichain.recording import McapRecorder, RecordOptions
 
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         options["images"] = self.images
         recorder = McapRecorder(
-            self.folder / LOG,
+            self.folder / name,
             env,
             config=dump_yaml(self.resolved.tree),
             overrides=dump_yaml(list(self.resolved.overrides)),
@@ -194,7 +199,7 @@ def start(verb: Verb, body: Body, options: Any) -> None:
     The config of every job is checked before the first starts.
 
     Args:
-        verb: The verb, ``run`` or ``train``.
+        verb: The verb with the root config of its name.
         body: The work of a job.
         options: Options of the command line.
 
@@ -253,7 +258,12 @@ def resolved_job(composed: Composed, verb: Verb) -> Resolved:
 
 
 def execute(
-    resolved: Resolved, body: Body, command: Sequence[str], folder: Path | None = None
+    resolved: Resolved,
+    body: Body,
+    command: Sequence[str],
+    folder: Path | None = None,
+    *,
+    goes_on: bool = False,
 ) -> float | None:
     """Run a job in its folder, with a log file.
 
@@ -262,6 +272,7 @@ def execute(
         body: The work of the job.
         command: The command line, as typed.
         folder: The run folder; None claims a new one.
+        goes_on: Whether the folder belongs to this job already; its config stays.
 
     Raises:
         ConfigError: The folder cannot be made.
@@ -274,7 +285,8 @@ def execute(
     resolved = pinned(resolved)
     if folder is None:
         folder = claim(resolved.root.output_dir, resolved.task_name)
-    write_record(folder, resolved, command)
+    if not goes_on:
+        write_record(folder, resolved, command)
     with log_to(folder / LOG_FILE) as log, StopFlag() as stop:
         log.info("command: %s", shlex.join(command))
         for note in resolved.notes:

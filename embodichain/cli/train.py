@@ -10,16 +10,16 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.app import command_line, job_arguments, split_overrides, verb
+from embodichain.cli.app import command_line, job_arguments, verb
 from embodichain.cli.demonstrations import read_dataset
 from embodichain.cli.eval import Asked, brief_rows, evaluate_job, evaluation_config
-from embodichain.cli.jobs import Job, execute, job_options, start
+from embodichain.cli.jobs import Job, execute, start
 from embodichain.cli.output import print_facts, print_json
 from embodichain.cli.process import Interrupted, started
+from embodichain.cli.resuming import changed, resumed_folder, resumption, with_changes
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -28,11 +28,9 @@ if TYPE_CHECKING:
 
 __all__ = ["command", "summary_rows", "train_job"]
 
-MAY_CHANGE = (
-    *("total_timesteps", "checkpoint", "eval", "record", "video", "sim", "output_dir"),
-    *("wandb", "allow_changed", "quiet", "json", "traceback"),
-)
-"""Keys (and what is below them) that may differ from those of the run that is resumed."""
+MAY_CHANGE = ("total_timesteps", "checkpoint", "eval", "video", "wandb")
+"""Keys (and what is below them) that may differ from those of the run that is resumed, besides
+those that may always."""
 
 
 @verb(
@@ -51,17 +49,11 @@ MAY_CHANGE = (
 def command(**kwargs: Any) -> None:
     """Train once, or once for each point of a sweep."""
     options = SimpleNamespace(**kwargs)
-    words = options.words
-    if not any(line.lstrip("+").startswith("resume=") for line in words):
+    lines = resumption(options)
+    if lines is None:
         start("train", train_job, options)
-        return
-    hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in words)
-    flags = options.cfg, options.info, options.gym_config
-    if options.multirun or hydras or any(flag is not None for flag in flags):
-        only = "no --multirun, no --gym-config, no key of Hydra's"
-        raise ConfigError(f"resume continues one training: {only}")
-    lines = [*split_overrides(words), *job_options(options)]
-    execute(_resumed(lines), train_job, command_line())
+    else:
+        execute(_resumed(lines), train_job, command_line())
 
 
 def train_job(job: Job) -> float | None:
@@ -148,33 +140,18 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
     """
     from embodichain.config.rerun import read_config
     from embodichain.config.resolved import resolve_tree
-    from embodichain.config.run_folder import CONFIG
+    from embodichain.config.run_folder import CONFIG, newest_run
     from embodichain.learning.checkpoint import read_note
     from embodichain.learning.keeper import find_resumable
     from embodichain.learning.train import check_training
 
-    changes = _parsed(overrides)
-    folder = _folder(changes.pop("resume"), changes.get("output_dir", "outputs"))
-    allowed = ", ".join(MAY_CHANGE)
-    problems = [
-        Problem(key, f"a resumed training keeps its config; what may change: {allowed}")
-        for key in changes
-        if key.partition(".")[0] not in MAY_CHANGE
-    ]
-    if problems:
-        raise ConfigError(problems)
+    name, changes = changed(overrides, MAY_CHANGE, "training")
+    output_dir = changes.get("output_dir", "outputs")
+    folder = resumed_folder(name, newest_run(output_dir, "checkpoints/*.zip"), "training")
     checkpoint, state = find_resumable(folder)
     fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False}
     fresh |= {"allow_changed": False, "resume": str(folder)}
-    tree = {**read_config(folder / CONFIG), **fresh}
-    for key, value in changes.items():
-        # An option of the group `record` sets the format only; other keys keep the run's values.
-        path = "record.format" if key == "record" and isinstance(value, str) else key
-        *parents, last = path.split(".")
-        node = tree
-        for parent in parents:
-            node = node.setdefault(parent, {})
-        node[last] = value
+    tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
     task = str(read_note(checkpoint).get("task", "task"))
     source = str(folder / CONFIG)
     found = resolve_tree(tree, source, "train", task_name=task, allow_import=True)
@@ -184,32 +161,3 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
         message = f"{checkpoint} has {done} steps already: give more, total_timesteps=N"
         raise ConfigError([Problem("total_timesteps", message)])
     return dataclasses.replace(found, overrides=tuple(overrides))
-
-
-def _parsed(overrides: Sequence[str]) -> dict[str, Any]:
-    """Key and value of each override, in Hydra's grammar."""
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.errors import OverrideParseException
-
-    try:
-        parsed = OverridesParser.create().parse_overrides(list(overrides))
-    except OverrideParseException as error:
-        raise ConfigError(str(error)) from error
-    wrong = [o.input_line or "" for o in parsed if o.is_delete() or o.is_sweep_override()]
-    if wrong:
-        raise ConfigError([Problem("resume", f"takes no {line!r} beside it") for line in wrong])
-    return {o.key_or_group: o.value() for o in parsed}
-
-
-def _folder(name: Any, output_dir: Any) -> Path:
-    """The run's folder; ``last`` is the newest training that has a checkpoint."""
-    from embodichain.config.run_folder import CONFIG, newest_run
-
-    found = newest_run(output_dir, "checkpoints/*.zip") if name == "last" else Path(str(name))
-    if found is None:
-        message = f"there is no training in {output_dir} yet: embodichain train task=NAME"
-        raise ConfigError([Problem("resume", message)])
-    if not (found / CONFIG).is_file():
-        message = f"{str(name)!r} is no training's folder: it has no {CONFIG}"
-        raise ConfigError([Problem("resume", message)])
-    return found.resolve()

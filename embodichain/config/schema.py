@@ -20,6 +20,7 @@ __all__ = [
     "SUGGESTED_KEYS",
     "VERBS",
     "CheckpointCfg",
+    "CollectCfg",
     "EvalCfg",
     "PolicyCfg",
     "RecordCfg",
@@ -38,8 +39,8 @@ ROOT_INSTEAD = {
 }
 """Fields of `EnvCfg` that a task file must not set -> what to use instead."""
 
-Verb = Literal["run", "train"]
-VERBS: tuple[Verb, ...] = ("run", "train")
+Verb = Literal["run", "train", "collect"]
+VERBS: tuple[Verb, ...] = ("run", "train", "collect")
 
 LARGEST_TRAINING_SEED = 2**32 - 1
 """Largest seed of numpy's global generator, which Stable-Baselines3 seeds."""
@@ -161,6 +162,20 @@ class EvalCfg:
 
 
 @configclass
+class CollectCfg:
+    """When `collect` ends an episode, and when it gives up."""
+
+    success_steps: PositiveInt = 10
+    """Control steps in a row with success after which an episode ends, as a success if the next
+    step is one too."""
+    wait_steps: Annotated[int, Field(ge=0)] = 25
+    """Control steps after a policy with an end is done; without success by then, the episode is a
+    failure."""
+    give_up_after: PositiveInt | None = 500
+    """Failures in a row; null is never."""
+
+
+@configclass
 class WandbCfg:
     """Logging of a training to Weights & Biases (extra `wandb`)."""
 
@@ -188,7 +203,7 @@ class RootCfg:
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
     device: str | None = None
     episodes: PositiveInt | None = None
-    """Episodes of each environment."""
+    """Episodes of each environment; for `collect`, successful episodes of all environments."""
     max_steps: PositiveInt | None = None
     """Control steps; None is no limit."""
     total_timesteps: PositiveInt | None = None
@@ -199,7 +214,8 @@ class RootCfg:
     dataset: str | Annotated[list[str], Field(min_length=1)] | None = None
     """Demonstrations for a training: a collection's folder or a log, or several."""
     resume: str | None = None
-    """A training run's folder, or ``last``."""
+    """The folder of a training or a collection, or ``last``."""
+    collect: CollectCfg = CollectCfg()
     checkpoint: CheckpointCfg = CheckpointCfg()
     eval: EvalCfg = EvalCfg()
     wandb: WandbCfg = WandbCfg()
@@ -225,4 +241,4 @@ SUGGESTED_KEYS = (
     "policy",
     "video",
 )
-"""Root keys that `task.suggested.run` and `.train` may fill (`.train` has `algo` too)."""
+"""Root keys that `task.suggested.VERB` may fill (`.train` has `algo` too)."""

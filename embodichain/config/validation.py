@@ -135,6 +135,8 @@ def _check_meaning(
     problems += _check_task(root.task, allow_import)
     if verb == "train":
         problems += check_training_keys(root)
+    if verb == "collect":
+        problems += _check_collecting(root)
     known = {p.path for p in problems}
     whole = not any(_below(path, ["record.images"]) for path in missing)
     images = root.record.images if whole else None
@@ -269,7 +271,7 @@ def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
 
 
 def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
-    """Check `task.suggested.run` and `.train` as values of root keys."""
+    """Check `task.suggested.VERB` as values of root keys."""
     problems: list[Problem] = []
     for verb in VERBS:
         values = _suggested(tree, verb)
@@ -282,6 +284,24 @@ def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
         if known:
             found = check_types({"task": {}, **known}).problems
             problems += [replace(p, path=f"{path}.{p.path}") for p in found]
+    return problems
+
+
+def _check_collecting(root: RootCfg) -> list[Problem]:
+    """Check that a collection has a whole log, and a task that says what success is."""
+    problems = []
+    record, task = root.record, root.task
+    if record.format == "none":
+        problems.append(Problem("record.format", "a collection is a log: must not be none"))
+    elif record.state == "none":
+        problems.append(Problem("record.state", "must be all or keyframes for a collection"))
+    if record.every != 1:
+        message = f"a collection has every episode: must be 1, got {record.every}"
+        problems.append(Problem("record.every", message))
+    ends = [term.kind for term in task.terminations.values()]
+    if task.id is None and "success" not in task.metrics and "success" not in ends:
+        message = "collect needs a task that says what success is: the metric `success`"
+        problems.append(Problem("task.metrics", message))
     return problems
 
 

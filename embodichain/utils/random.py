@@ -116,6 +116,7 @@ class RandomStreams:
     def __init__(self, seed: int, num_envs: int) -> None:
         self.seed = int(seed)
         self.num_envs = num_envs
+        self._numbers = np.arange(num_envs, dtype=np.uint64)
         self._keys: dict[str, U64] = {}
         self._counters: dict[str, U64] = {}
         self._steps: dict[int, U64] = {}
@@ -124,12 +125,32 @@ class RandomStreams:
     def _stream(self, name: str) -> tuple[U64, U64]:
         keys = self._keys.get(name)
         if keys is None:
-            digest = hashlib.blake2b(f"{self.seed}\0{name}".encode(), digest_size=8).digest()
-            base = np.uint64(int.from_bytes(digest, "little"))
-            index = np.arange(1, self.num_envs + 1, dtype=np.uint64) * GAMMA
-            keys = self._keys[name] = splitmix64(splitmix64(index) + base)
+            keys = self._keys[name] = self._key(name, self._numbers)
             self._counters[name] = np.zeros(self.num_envs, np.uint64)
         return keys, self._counters[name]
+
+    def _key(self, name: str, numbers: U64) -> U64:
+        """(n,) keys of a stream for environments with these numbers."""
+        digest = hashlib.blake2b(f"{self.seed}\0{name}".encode(), digest_size=8).digest()
+        base = np.uint64(int.from_bytes(digest, "little"))
+        return splitmix64(splitmix64((numbers + np.uint64(1)) * GAMMA) + base)
+
+    def renumber(self, env_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
+        """Let environments draw from now on what others would draw at their start.
+
+        Environment *i* draws as environment *i* of any batch with this seed, unless it gets
+        another number.
+
+        Args:
+            env_ids: (n,) environments.
+            numbers: (n,) their new numbers, from 0; they may be larger than N.
+        """
+        for name in list(self._blocks):
+            self._settle(name)
+        self._numbers[env_ids] = numbers.astype(np.uint64)
+        for name, keys in self._keys.items():
+            keys[env_ids] = self._key(name, self._numbers[env_ids])
+            self._counters[name][env_ids] = 0
 
     def bits(self, name: str, width: int, env_ids: NDArray[np.int64] | None = None) -> U64:
         """Return (n, width) random 64-bit words and advance the environments' counters."""
@@ -216,15 +237,18 @@ class RandomStreams:
         return (radius * angle).reshape(len(unit), *shape)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the seed and every stream's counters (copies)."""
+        """Return the seed, the environments' numbers and every stream's counters (copies)."""
         counters = {name: values.copy() for name, values in self._counters.items()}
         for name, block in self._blocks.items():
             counters[name] += np.uint64(block.used * block.width)
-        return {"seed": self.seed, "counters": counters}
+        return {"seed": self.seed, "numbers": self._numbers.copy(), "counters": counters}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken."""
         self.seed = int(state["seed"])
+        self._numbers = np.arange(self.num_envs, dtype=np.uint64)
+        if "numbers" in state:  # absent from older training states
+            self._numbers[:] = state["numbers"]
         self._keys.clear()
         self._counters.clear()
         self._blocks.clear()

@@ -72,7 +72,7 @@ BAD = {
     "unknown key at the root": bad(
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, resume, checkpoint, eval, wandb, video, scene_png, gym_config, "
+        "allow_changed, resume, collect, checkpoint, eval, wandb, video, scene_png, gym_config, "
         "output_dir, quiet, json, traceback. Did "
         "you mean 'num_envs'?",
         overrides=("num_env=4",),
@@ -80,7 +80,7 @@ BAD = {
     "a task's key at the root": bad(
         "command line: rewards: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, resume, checkpoint, eval, wandb, video, scene_png, gym_config, "
+        "allow_changed, resume, collect, checkpoint, eval, wandb, video, scene_png, gym_config, "
         "output_dir, quiet, json, traceback. Did "
         "you mean 'task.rewards'?",
         overrides=("rewards.near.weight=2",),
@@ -369,7 +369,7 @@ BAD = {
         "command line: seed: expected an integer, got 'x'",
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, resume, checkpoint, eval, wandb, video, scene_png, gym_config, "
+        "allow_changed, resume, collect, checkpoint, eval, wandb, video, scene_png, gym_config, "
         "output_dir, quiet, json, traceback. Did "
         "you mean 'num_envs'?",
         task="mein",

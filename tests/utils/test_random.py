@@ -90,3 +90,18 @@ def test_numbers_computed_ahead_are_the_same_numbers():
             ahead.load_state_dict(ahead.state_dict())
             continue
         assert got.tobytes() == want.tobytes()
+
+
+def test_an_environment_with_another_number_draws_what_that_one_draws():
+    batch, few = RandomStreams(9, 6), RandomStreams(9, 2)
+    few.uniform("a", (2,)), few.uniform("c", (2,), env_ids=np.array([1]))
+    few.renumber(np.array([1]), np.array([5]))
+    wanted = {name: batch.uniform(name, (2,)) for name in ("a", "b", "c")}
+    for name, values in wanted.items():
+        np.testing.assert_array_equal(few.uniform(name, (2,))[1], values[5])
+    other = RandomStreams(0, 2)
+    other.load_state_dict(few.state_dict())
+    assert other.uniform("d", (2,)).tobytes() == few.uniform("d", (2,)).tobytes()
+    np.testing.assert_array_equal(few.uniform("a", (2,))[1], batch.uniform("a", (2,))[5])
+    few.reseed(9)
+    np.testing.assert_array_equal(few.uniform("a", (2,)), wanted["a"][:2])

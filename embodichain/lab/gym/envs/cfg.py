@@ -223,10 +223,11 @@ class PhysicsTaskCfg:
 
 @configclass
 class SuggestedCfg:
-    """Values for root keys that the user left at null, used by `run` and `train`."""
+    """Values for root keys that the user left at null, by verb."""
 
     run: dict[str, Any] = {}
     train: dict[str, Any] = {}
+    collect: dict[str, Any] = {}
 
 
 @configclass

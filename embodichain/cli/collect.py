@@ -1,0 +1,266 @@
+"""`embodichain collect`: record episodes of a policy until enough of them succeeded.
+
+``resume=FOLDER`` adds to a collection in its own folder, with its own config.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from embodichain.cli.app import command_line, job_arguments, verb
+from embodichain.cli.jobs import Job, execute, policy_of, start
+from embodichain.cli.output import print_facts, print_json, to_json
+from embodichain.cli.process import started
+from embodichain.cli.reporting import ProgressDisplay
+from embodichain.cli.resuming import changed, resumed_folder, resumption, with_changes
+from embodichain.config.run_folder import CONFIG, LOG, SUMMARY, newest_run
+from embodichain.utils.atomic import write_text
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.config.resolved import Resolved
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.policies import Policy
+    from embodichain.recording import McapRecorder
+    from embodichain.recording.collecting import Collected, Collector
+
+__all__ = ["CollectionError", "collect_job", "command", "summary_rows"]
+
+MAY_CHANGE = ("episodes", "num_envs", "max_steps", "collect", "viewer", "video", "device")
+"""Keys (and what is below them) that may differ from those of the collection that is resumed,
+besides those that may always."""
+_log = logging.getLogger(__name__)
+
+
+class CollectionError(Exception):
+    """A collection gave up."""
+
+
+@verb(
+    "collect",
+    ("collect task=pick_place episodes=1000", "1000 successes of the task's expert"),
+    ("collect task=reach policy=last episodes=50", "of a trained policy; any policy will do"),
+    ("collect resume=last", "go on after an interruption"),
+    ("collect resume=FOLDER episodes=2000", "more, into the same folder"),
+    ("collect task=pick_place num_envs=64 sim.num_threads=2", "64 environments at once"),
+    keys=True,
+    config_dir=True,
+    quiet=True,
+)
+@job_arguments("collect")
+def command(**kwargs: Any) -> None:
+    """Collect once, or once for each point of a sweep, or go on."""
+    options = SimpleNamespace(**kwargs)
+    lines = resumption(options)
+    if lines is None:
+        start("collect", collect_job, options)
+    else:
+        resolved, folder = _resumed(lines)
+        execute(resolved, collect_job, command_line(), folder, goes_on=True)
+
+
+def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
+    """The config of a collection that is resumed, and its folder.
+
+    Raises:
+        ConfigError: There is no such collection, it is complete, or a key may not change.
+    """
+    from embodichain.config.rerun import read_config, task_of
+    from embodichain.config.resolved import resolve_tree
+    from embodichain.recording.collection import SUCCESSES, read_collection
+
+    name, changes = changed(overrides, MAY_CHANGE, "collection")
+    newest = newest_run(changes.get("output_dir", "outputs"), SUCCESSES)
+    folder = resumed_folder(name, newest, "collection")
+    done = len(read_collection(folder))
+    fresh = {"quiet": False, "json": False, "traceback": False, "resume": str(folder)}
+    tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
+    source = str(folder / CONFIG)
+    found = resolve_tree(tree, source, "collect", task_name=task_of(folder), allow_import=True)
+    if done >= (found.root.episodes or 0):
+        message = f"{folder} has {done} successful episodes already: give more, episodes=N"
+        raise ConfigError([Problem("episodes", message)])
+    return dataclasses.replace(found, overrides=tuple(overrides)), folder
+
+
+def collect_job(
+    job: Job, make_policy: Callable[[BaseEnv], Policy] | None = None, **facts: Any
+) -> float | None:
+    """Collect into the job's folder, write `summary.json` and print the results.
+
+    Args:
+        job: A job with a config of the verb `collect`.
+        make_policy: Makes the policy for an environment; None makes that of the config.
+        **facts: More entries of the summary.
+
+    Returns:
+        The yield.
+
+    Raises:
+        CollectionError: Too many episodes failed in a row.
+    """
+    from embodichain.recording.collection import CollectionWriter
+
+    root = job.root
+    policy = root.policy if isinstance(root.policy, (str, type(None))) else root.policy.func
+    about = {"task": job.resolved.task_name, "folder": str(job.folder), "seed": root.seed}
+    about |= {"policy": policy, **facts}
+    make = make_policy or (lambda env: policy_of(root, env))
+    try:
+        with CollectionWriter(job.folder) as writer:
+            summary = about | _collect(job, writer, make)
+    except Exception as error:
+        try:
+            _write_summary(job.folder, {**about, "status": "failed", "error": repr(error)})
+        except OSError as second:  # a full disk fails here too; the first error is reported
+            _log.error("%s could not be written: %s", SUMMARY, second)
+        raise
+    _write_summary(job.folder, summary)
+    _log.info("summary: %s", json.dumps(summary, default=str))
+    summary |= job.film(summary["log"])
+    if root.json:
+        print_json(summary)
+    elif not root.quiet:
+        print_facts(str(summary["task"]), summary_rows(summary))
+    if summary["status"] == "gave_up":
+        most = next(iter(summary["failed_in"]))
+        count = root.collect.give_up_after
+        message = f"gave up after {count} failures in a row, most of all: {most}"
+        raise CollectionError(f"{message} (collect.give_up_after)")
+    share: float | None = summary["yield"]
+    return share
+
+
+def _collect(job: Job, writer: Any, make_policy: Callable[[BaseEnv], Policy]) -> dict[str, Any]:
+    """Build, collect and close; returns the summary."""
+    from embodichain.config.factory import make_env
+    from embodichain.recording.attempts import Attempts
+    from embodichain.recording.collecting import Collected, Collector, EndRules
+    from embodichain.recording.collection import new_log, read_collection
+
+    root, wanted = job.root, job.root.episodes or 1
+    before = read_collection(job.folder, failures=True)
+    collected = Collected()
+    for episode in before:
+        collected.add(episode)
+    collected.failures_in_a_row = 0
+    known = [[e.attempt for e in before if e.success is success] for success in (True, False)]
+    attempts = Attempts(wanted, *known)
+    count = min(root.num_envs or 1, wanted - collected.successes)
+    name = new_log(job.folder, LOG)
+    run_dir = job.folder if name == LOG else job.folder / Path(name).stem
+    resolved = job.resolved.changed(num_envs=count)
+    env = make_env(resolved, run_dir=run_dir, autoreset_mode="DISABLED")
+    try:
+        policy = make_policy(env)
+        recorder: McapRecorder | None = dataclasses.replace(job, resolved=resolved).attach_log(
+            env, name
+        )
+        job.attach_viewer(env, realtime=False)
+        if recorder is None:
+            raise ConfigError([Problem("record.format", "a collection is a log")])
+        rules = EndRules(root.collect.success_steps, root.collect.wait_steps)
+        collector = Collector(env, policy, recorder, writer, attempts, rules, collected)
+        started()
+        counted = _play(job, env, collector)
+    finally:
+        env.close()  # finishes the log too
+    log = recorder.stats.path
+    logs = sorted({e.log for e in before} | {log.name})
+    return counted | {"log": str(log), "logs": logs}
+
+
+def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
+    """Collect until the collection is complete, or something ends it; returns what was counted."""
+    root, stop, collected = job.root, job.stop, collector.collected
+    wanted, before = root.episodes or 1, (collected.successes, collected.steps)
+    limit = root.max_steps or float("inf")
+    patience = root.collect.give_up_after or float("inf")
+    status, steps, start = "finished", 0, time.perf_counter()
+    task = job.resolved.task_name
+
+    def rate() -> float:
+        """Successes per second since the start or the resumption."""
+        return (collected.successes - before[0]) / max(time.perf_counter() - start, 1e-9)
+
+    with ProgressDisplay(task, wanted, "successes", quiet=job.quiet) as display:
+        try:
+            for steps, _ in enumerate(collector.play(), 1):
+                if display.due:
+                    display.show(collected.successes, _facts(collected, wanted, rate()))
+                if collector.complete:
+                    break
+                if stop.is_stopped():
+                    status = "interrupted"
+                elif collected.failures_in_a_row >= patience:
+                    status = "gave_up"
+                elif steps >= limit:
+                    status = "max_steps"
+                if status != "finished":
+                    break
+        finally:
+            collector.write()
+        seconds = time.perf_counter() - start
+        display.show(collected.successes, _facts(collected, wanted, rate()))
+    return {
+        "status": status,
+        "signal": stop.stopped,
+        "num_envs": env.num_envs,
+        "successes": collected.successes,
+        "successes_wanted": wanted,
+        "failures": collected.failures,
+        "yield": collected.share,
+        "failed_in": dict(collected.failed_in.most_common()),
+        "episodes_per_minute": round(60 * rate(), 3),
+        "mean_length": collected.mean_length,
+        "control_steps": steps,
+        "env_steps": steps * env.num_envs,
+        "seconds": round(seconds, 6),
+        "fps": round(steps * env.num_envs / seconds, 3),
+    }
+
+
+def _facts(collected: Collected, wanted: int, rate: float) -> dict[str, str]:
+    """The numbers shown beside the progress bar."""
+    facts = {}
+    if collected.share is not None:
+        facts["yield"] = f"{collected.share:.1%}"
+    if rate > 0:
+        left = round((wanted - collected.successes) / rate)
+        facts |= {"per minute": f"{60 * rate:,.0f}", "left": f"{left // 60}:{left % 60:02}"}
+    return facts
+
+
+def _write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+    write_text(folder / SUMMARY, to_json(summary, indent=2) + "\n")
+
+
+def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return the table that a collection prints, from the content of its `summary.json`."""
+    ends = {
+        "finished": "complete",
+        "max_steps": "max_steps reached",
+        "gave_up": "gave up: too many failures in a row",
+        "interrupted": f"interrupted ({summary['signal']}); go on with resume={summary['folder']}",
+    }
+    share = summary["yield"]
+    rows: list[tuple[str, Any]] = [
+        ("ended", ends[summary["status"]]),
+        ("successes", f"{summary['successes']:,} of {summary['successes_wanted']:,}"),
+        ("failures", f"{summary['failures']:,}"),
+        ("yield", None if share is None else f"{share:.1%}"),
+        ("successes a minute", f"{summary['episodes_per_minute']:,.0f}"),
+        ("mean length", summary["mean_length"]),
+        ("control steps", f"{summary['control_steps']:,} in {summary['seconds']:.2f} s"),
+        ("FPS", f"{summary['fps']:,.0f} environment steps/s"),
+        *((f"failed in: {step}", count) for step, count in summary["failed_in"].items()),
+    ]
+    names = ("policy", "seed", "video", "folder")
+    return rows + [(name, summary[name]) for name in names if summary.get(name) is not None]

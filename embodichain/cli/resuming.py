@@ -1,0 +1,105 @@
+"""``resume=RUN``: the config of an earlier run, in which only few keys may change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from embodichain.cli.app import split_overrides
+from embodichain.cli.jobs import job_options
+from embodichain.utils.errors import ConfigError, Problem
+
+__all__ = ["changed", "resumed_folder", "resumption", "with_changes"]
+
+_ALWAYS = ("record", "sim", "output_dir", "allow_changed", "quiet", "json", "traceback")
+"""Keys that may change in every resumption."""
+
+
+def resumption(options: Any) -> list[str] | None:
+    """Return the overrides of a command that resumes a run, or None if it does not.
+
+    Raises:
+        ConfigError: It has flags that a resumption cannot have.
+    """
+    words = options.words
+    if not any(line.lstrip("+").startswith("resume=") for line in words):
+        return None
+    hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in words)
+    flags = options.cfg, options.info, options.gym_config
+    if options.multirun or hydras or any(flag is not None for flag in flags):
+        only = "no --multirun, no --gym-config, no key of Hydra's"
+        raise ConfigError(f"resume continues one run: {only}")
+    return [*split_overrides(words), *job_options(options)]
+
+
+def changed(
+    overrides: Sequence[str], may_change: Sequence[str], what: str
+) -> tuple[str, dict[str, Any]]:
+    """Return the run to resume as typed, and the keys to change.
+
+    Args:
+        overrides: As typed: ``resume=RUN`` and ``key=value``.
+        may_change: Keys that may change (and what is below them), besides those of any run.
+        what: The kind of run, for messages.
+
+    Raises:
+        ConfigError: An override is malformed, or sets a key that may not change.
+    """
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import OverrideParseException
+
+    try:
+        parsed = OverridesParser.create().parse_overrides(list(overrides))
+    except OverrideParseException as error:
+        raise ConfigError(str(error)) from error
+    wrong = [o.input_line or "" for o in parsed if o.is_delete() or o.is_sweep_override()]
+    if wrong:
+        raise ConfigError([Problem("resume", f"takes no {line!r} beside it") for line in wrong])
+    changes = {o.key_or_group: o.value() for o in parsed}
+    name = str(changes.pop("resume"))
+    keys = (*may_change, *_ALWAYS)
+    problems = [
+        Problem(key, f"a resumed {what} keeps its config; what may change: {', '.join(keys)}")
+        for key in changes
+        if key.partition(".")[0] not in keys
+    ]
+    if problems:
+        raise ConfigError(problems)
+    return name, changes
+
+
+def resumed_folder(name: str, newest: Path | None, what: str) -> Path:
+    """Return the folder of the run to resume.
+
+    Args:
+        name: As typed; ``last`` is `newest`.
+        newest: The newest run of this kind, or None.
+        what: The kind of run, for messages.
+
+    Raises:
+        ConfigError: There is none, or it has no config.
+    """
+    from embodichain.config.run_folder import CONFIG
+
+    found = newest if name == "last" else Path(name)
+    if found is None:
+        raise ConfigError([Problem("resume", f"there is no {what} to resume yet")])
+    if not (found / CONFIG).is_file():
+        message = f"{name!r} is no {what}'s folder: it has no {CONFIG}"
+        raise ConfigError([Problem("resume", message)])
+    return found.resolve()
+
+
+def with_changes(tree: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a run's config with changed keys; an option of the group `record` sets the format."""
+    found = dict(tree)
+    for key, value in changes.items():
+        path = "record.format" if key == "record" and isinstance(value, str) else key
+        *parents, last = path.split(".")
+        node = found
+        for parent in parents:
+            node[parent] = dict(node.get(parent) or {})
+            node = node[parent]
+        node[last] = value
+    return found
