@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["command", "summary_rows", "train_job"]
 
-MAY_CHANGE = ("total_timesteps", "checkpoint", "eval", "video", "wandb")
+MAY_CHANGE = ("total_timesteps", "dataset", "checkpoint", "eval", "video", "wandb")
 """Keys (and what is below them) that may differ from those of the run that is resumed, besides
 those that may always."""
 

@@ -81,12 +81,8 @@ def test_returns_of_several_steps_end_where_an_episode_was_cut():
     fill(model.replay_buffer, Demonstrations.of(episodes(), vec_env))
     rewards = [one.rewards for one in episodes()]
     batch = model.replay_buffer.sample(500)
-    for seen, later, total in zip(
-        batch.observations.numpy(),
-        batch.next_observations.numpy(),
-        batch.rewards.numpy(),
-        strict=True,
-    ):
+    parts = (batch.observations, batch.next_observations, batch.rewards)
+    for seen, later, total in zip(*(part.numpy() for part in parts), strict=True):
         episode, start, stop = int(seen[1]), int(seen[2]), int(later[2])
         assert later[1] == episode and 1 <= stop - start <= 3
         wanted = sum(0.5**k * r for k, r in enumerate(rewards[episode][start:stop]))
