@@ -59,15 +59,18 @@ def first_episode(root: RootCfg, env: BaseEnv) -> Episode:
 def _episodes(
     root: RootCfg, env: BaseEnv, progress: Callable[[int, int], None] | None
 ) -> Iterator[Episode]:
-    from embodichain.recording.demonstrations import logs_of, read_episodes
+    from embodichain.recording.demonstrations import read_episodes
     from embodichain.recording.log_error import LogError
 
     given = root.dataset or []
     paths = [Path(path) for path in ([given] if isinstance(given, str) else given)]
     try:
-        for path in paths:
-            _check_task(logs_of(path)[0], env, allow=root.allow_changed)
-        yield from read_episodes(paths, progress=progress)
+        checked: Path | None = None
+        for episode in read_episodes(paths, progress=progress):
+            if episode.path.parent != checked:  # the logs of a folder are of one task
+                checked = episode.path.parent
+                _check_task(episode.path, env, allow=root.allow_changed)
+            yield episode
     except LogError as error:
         raise ConfigError([Problem("dataset", str(error))]) from error
     except ConfigError as error:
