@@ -163,7 +163,7 @@ def _collect(job: Job, writer: Any, make_policy: Callable[[BaseEnv], Policy]) ->
         recorder: McapRecorder | None = dataclasses.replace(job, resolved=resolved).attach_log(
             env, name
         )
-        job.attach_viewer(env, realtime=False)
+        job.attach_viewer(env, policy, realtime=False)
         if recorder is None:
             raise ConfigError([Problem("record.format", "a collection is a log")])
         rules = EndRules(root.collect.success_steps, root.collect.wait_steps)

@@ -41,6 +41,7 @@ __all__ = [
     "film_progress",
     "job_options",
     "pinned",
+    "policy_name",
     "policy_of",
     "resolved_job",
     "start",
@@ -114,19 +115,36 @@ class Job:
             overrides=dump_yaml(list(self.resolved.overrides)),
             options=RecordOptions(**options),
             task=self.resolved.task_name,
+            policy=policy_name(self.root),
         )
         env.add_observer(recorder)
         return recorder
 
-    def attach_viewer(self, env: BaseEnv, *, realtime: bool = True, resets: bool = True) -> None:
+    def attach_viewer(
+        self,
+        env: BaseEnv,
+        policy: Policy | None = None,
+        *,
+        realtime: bool = True,
+        resets: bool = True,
+    ) -> None:
         """Attach the viewer that the config names; closing the environment closes it.
 
         Args:
             env: The environment.
+            policy: The policy that acts in it; a person who teleoperates does it at the viewer.
             realtime: Whether the run starts in real time while a viewer is connected.
             resets: Whether the viewer may end an episode.
         """
         cfg = self.root.viewer
+        teleop = None
+        if policy_name(self.root) == "teleop":
+            from embodichain.lab.gym.teleop import Teleop
+
+            if isinstance(policy, Teleop):
+                teleop = policy
+                teleop.bind(env)
+                realtime = True
         if cfg.name == "foxglove":
             from embodichain.recording.viewers.foxglove import FoxgloveView
 
@@ -142,10 +160,14 @@ class Job:
             from embodichain.recording.viewers.web import PageOptions, WebView
 
             page = PageOptions(cfg.host, cfg.port, cfg.env, realtime, resets)
-            view = WebView(env, page, stopped=self.stop.is_stopped)
+            view = WebView(env, page, stopped=self.stop.is_stopped, teleop=teleop)
             env.add_observer(view)
             url = where = view.url
         else:
+            if teleop is not None and cfg.name == "native":
+                from embodichain.recording.viewers.native_operator import NativeOperator
+
+                teleop.operator = NativeOperator(env, teleop, self.stop.is_stopped)
             return
         _log.info("viewer: %s", where)
         if not self.quiet:
@@ -347,6 +369,12 @@ def check_extras(root: RootCfg) -> None:
         from embodichain.recording.viewers.foxglove import need_sdk
 
         need_sdk()
+
+
+def policy_name(root: RootCfg) -> str:
+    """Return the name, import path or path of the policy that a config chooses."""
+    chosen = root.policy or "random"
+    return chosen if isinstance(chosen, str) else chosen.func
 
 
 def policy_of(

@@ -88,7 +88,7 @@ def _simulate(job: Job) -> tuple[dict[str, Any], Path | None]:
     try:
         policy = policy_of(root, env)
         recorder = job.attach_log(env)
-        job.attach_viewer(env)
+        job.attach_viewer(env, policy)
         obs, _ = env.reset()
         picture = _StartPicture(env) if root.scene_png else None
         started()

@@ -21,10 +21,17 @@ from hydra.core.override_parser.types import OverrideType
 from embodichain.config.check_types import TypeCheck, check_types
 from embodichain.config.composed import Composed
 from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
-from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, VERBS, RootCfg, Verb
+from embodichain.config.schema import (
+    LARGEST_TRAINING_SEED,
+    SUGGESTED_KEYS,
+    VERBS,
+    PolicyCfg,
+    RootCfg,
+    Verb,
+)
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
-from embodichain.lab.gym.envs.managers.registry import SECTIONS
+from embodichain.lab.gym.envs.managers.registry import SECTIONS, resolve_term
 from embodichain.lab.gym.policies import resolve_policy
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
@@ -150,7 +157,10 @@ def _check_meaning(
 
         problems += check_images(images, scene.scene.model, scene.scene.camera_sensors)
     found = [replace(p, path=f"task.{p.path}".rstrip(".")) for p in in_task]
-    return problems + [p for p in found if p.path not in known]
+    problems += [p for p in found if p.path not in known]
+    if verb != "train" and _policy_name(root) == "teleop" and not _below("task.actions", missing):
+        problems += _check_teleop(root, allow_import)
+    return problems
 
 
 def check_training_keys(root: RootCfg) -> list[Problem]:
@@ -318,9 +328,9 @@ def _check_device(device: str | None) -> list[Problem]:
 def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
     """Check that a policy exists and accepts its parameters; for a trained one, that it exists."""
     policy = root.policy
-    if policy is None:
+    name = _policy_name(root)
+    if policy is None or name is None:
         return []
-    name = policy if isinstance(policy, str) else policy.func
     if ":" in name and not allow_import:
         message = f"{name!r} would be imported, which is not allowed for this config"
         return [Problem("policy", message)]
@@ -330,6 +340,34 @@ def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
     except ConfigError as error:
         return list(error.problems)
     return []
+
+
+def _policy_name(root: RootCfg) -> str | None:
+    return root.policy.func if isinstance(root.policy, PolicyCfg) else root.policy
+
+
+def _check_teleop(root: RootCfg, allow_import: bool) -> list[Problem]:
+    """Check that a person can move a robot: a viewer, one environment, an action for a tool."""
+    from embodichain.lab.gym.teleop import check_teleop
+
+    problems = []
+    if root.viewer.name not in ("web", "native"):
+        message = f"teleop needs a viewer: viewer=web or viewer=native, not {root.viewer.name}"
+        problems.append(Problem("policy", message))
+    if (root.num_envs or 1) > 1:
+        message = f"policy: teleop moves one robot; set num_envs=1, not {root.num_envs}"
+        problems.append(Problem("num_envs", message))
+    try:
+        found = {
+            name: (
+                str(term.func),
+                resolve_term("action", term.func, allow_import=allow_import).func,
+            )
+            for name, term in root.task.actions.items()
+        }
+    except ConfigError:
+        return problems  # the check of the terms says which one there is not
+    return problems if root.task.id is not None else [*problems, *check_teleop(found)]
 
 
 def _existing(root: RootCfg, path: Path) -> Any:
@@ -346,6 +384,9 @@ def _with_suggestions(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None
     """A copy with the task's suggestions for null keys; see `check_tree`."""
     filled = copy.deepcopy(dict(tree))
     suggested = _suggested(filled, verb)
+    policy = filled.get("policy")
+    if "teleop" in (policy, policy.get("func") if isinstance(policy, dict) else None):
+        suggested.pop("num_envs", None)  # a person moves one robot
     for key in SUGGESTED_KEYS:
         if filled.get(key) is None and suggested.get(key) is not None:
             filled[key] = suggested[key]

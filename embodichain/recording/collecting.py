@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.policies import PlannedPolicy, Policy
+from embodichain.lab.gym.teleop import DISCARDED
 from embodichain.recording.attempts import Attempts
 from embodichain.recording.collection import CollectedEpisode, CollectionWriter
 from embodichain.utils.errors import ConfigError, Problem
@@ -208,8 +209,10 @@ class Collector:
         """Note episodes that ended in the last control step."""
         env = self._env
         elapsed, episodes = env.episodes.elapsed, env.episodes.ids
+        discarded = self._planned.failures if self._planned is not None else ()
         for i in ids.tolist():
-            failure = None if success[i] else self._failure(i, bool(terminated[i]), info)
+            succeeded = bool(success[i]) and not (discarded and discarded[i] == DISCARDED)
+            failure = None if succeeded else self._failure(i, bool(terminated[i]), info)
             steps = int(elapsed[i])
             episode = CollectedEpisode(
                 attempt=int(self._numbers[i]),
@@ -219,7 +222,7 @@ class Collector:
                 first_step=env.control_step - steps,
                 steps=steps,
                 total_reward=float(self._returns[i]),
-                success=bool(success[i]),
+                success=succeeded,
                 failure=failure,
             )
             self._attempts.end(episode.attempt, episode.success)

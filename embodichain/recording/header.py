@@ -69,6 +69,8 @@ class Header:
         part: Index of the file within its log, from 0.
         first_step: First control step of the file.
         call_steps: Physics steps of each physics call of a control step; 0 is all of them, in one.
+        policy: The source of the actions: name or path of a policy, ``teleop`` for a person; empty
+            if it is not known.
     """
 
     task: str
@@ -92,6 +94,7 @@ class Header:
     part: int = 0
     first_step: int = 0
     call_steps: int = 0
+    policy: str = ""
 
     def to_metadata(self) -> dict[str, str]:
         """Return the fields as strings: text as it is, everything else as JSON."""
@@ -113,7 +116,7 @@ class Header:
             raise LogError(
                 f"the log has format version {version or 'none'!r}; this reads {FORMAT_VERSION}"
             )
-        text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id"}
+        text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id", "policy"}
         # Fields with a default were added later and may be missing in older logs.
         names = [f.name for f in fields(cls) if f.default is MISSING or f.name in values]
         try:
@@ -230,7 +233,12 @@ def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
 
 
 def header_of(
-    env: ObservedEnv, options: RecordOptions, model_digest: str, task: str, start_ns: int
+    env: ObservedEnv,
+    options: RecordOptions,
+    model_digest: str,
+    task: str,
+    policy: str,
+    start_ns: int,
 ) -> Header:
     """The metadata of a new recording.
 
@@ -239,6 +247,7 @@ def header_of(
         options: The recorder's options.
         model_digest: Digest of the compiled model.
         task: The task's name.
+        policy: The source of the actions.
         start_ns: Wall clock in ns.
     """
     model = env.sim.engine.model
@@ -267,6 +276,7 @@ def header_of(
         every=options.every,
         log_id=uuid.uuid4().hex,
         call_steps=int(env.physics_steps_per_call),
+        policy=policy,
     )
 
 

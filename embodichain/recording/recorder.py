@@ -76,6 +76,7 @@ class McapRecorder(StepObserver):
         overrides: The command line's overrides.
         options: What to record.
         task: The task's name.
+        policy: The source of the actions, for the header.
 
     Raises:
         ConfigError: If an option is not allowed.
@@ -90,6 +91,7 @@ class McapRecorder(StepObserver):
         overrides: str | Sequence[str] = (),
         options: RecordOptions | None = None,
         task: str = "",
+        policy: str = "",
     ) -> None:
         options = RecordOptions() if options is None else options
         check_options(options, env.num_envs)
@@ -98,7 +100,7 @@ class McapRecorder(StepObserver):
         self._path = Path(path)
         self._start_ns = time.time_ns()
         mjb = model_bytes(self._engine.model)
-        header = header_of(env, options, model_digest(mjb), task, self._start_ns)
+        header = header_of(env, options, model_digest(mjb), task, policy, self._start_ns)
         self._moved, self._period_ns = Moved(header.moved), header.period_ns
         self._substeps, self._keyframe_every = header.substeps, header.keyframe_every
         self._call_steps = header.call_steps or header.substeps

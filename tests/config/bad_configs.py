@@ -252,9 +252,22 @@ BAD = {
     ),
     "unknown policy": bad(
         "command line: policy: unknown policy 'randon'; allowed: hold, random, "
-        "random_around_home, zero, package.module:function, or a path. Did you mean "
+        "random_around_home, teleop, zero, package.module:function, or a path. Did you mean "
         "'random'?",
         overrides=("policy=randon",),
+    ),
+    "teleoperation without a viewer or a tool": bad(
+        "command line: policy: teleop needs a viewer: viewer=web or viewer=native, not foxglove",
+        "command line: num_envs: policy: teleop moves one robot; set num_envs=1, not 2",
+        "command line: policy: teleop moves a tool: the task needs an action eef_delta_pose, "
+        "eef_pose or operational_space; its actions are arm: joint_position",
+        overrides=("policy=teleop", "viewer=foxglove", "num_envs=2"),
+    ),
+    "teleoperation with the task's number of environments": bad(
+        "command line: policy: teleop needs a viewer: viewer=web or viewer=native, not none",
+        old="actions:\n  arm: {func: joint_position",
+        new="actions:\n  tool: {func: eef_delta_pose",
+        overrides=("policy={func: teleop, params: {linear_speed: 0.1}}",),
     ),
     "wrong parameter of a policy": bad(
         "command line: policy.params.rnge: unknown parameter of policy "

@@ -120,13 +120,14 @@ def hold(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
     return _joint_robot(env).body_data.target_qpos[:, env.active_joint_ids]
 
 
-POLICIES: dict[str, Callable[..., Any]] = {
+POLICIES: dict[str, Callable[..., Any] | str] = {
     "hold": hold,
     "random": random,
     "random_around_home": random_around_home,
+    "teleop": "embodichain.lab.gym.teleop:Teleop",
     "zero": zero,
 }
-"""The policies that a config names."""
+"""The policies that a config names; strings are imported when one is used."""
 
 
 def resolve_policy(
@@ -176,11 +177,12 @@ def _is_path(text: str) -> bool:
 
 
 def _named(name: str) -> Any:
-    if name in POLICIES:
-        return POLICIES[name]
-    if ":" in name:
+    found = POLICIES.get(name, name)
+    if not isinstance(found, str):
+        return found
+    if ":" in found:
         try:
-            return import_object(name)
+            return import_object(found)
         except ConfigError as error:
             raise ConfigError([Problem("policy", str(error))]) from error
     allowed = ", ".join(POLICIES)

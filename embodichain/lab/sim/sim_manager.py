@@ -375,14 +375,18 @@ class SimulationManager:
         """
         from embodichain.lab.sim.viewer import NativeViewer
 
-        if self._viewer is None:
-            self._viewer = NativeViewer(self.engine, env_id)
+        self._viewer = self._viewer or NativeViewer(self.engine, env_id)
 
     def close_window(self) -> None:
         """Close the viewer if it is open."""
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
+
+    @property
+    def window(self) -> NativeViewer | None:
+        """The viewer, if one was opened."""
+        return self._viewer
 
     @property
     def is_window_open(self) -> bool:

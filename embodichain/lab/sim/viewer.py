@@ -8,10 +8,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import mujoco
+import numpy as np
 
 from embodichain.utils.errors import RenderError
 
 if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.engine.cpu import CpuEngine
 
 __all__ = ["NativeViewer", "has_display"]
@@ -32,6 +34,9 @@ class NativeViewer:
         env_id: The environment to show.
         on_key: Called with the code of each key pressed in the window, on the window's thread.
 
+    Attributes:
+        on_key: The same; may be replaced.
+
     Raises:
         RenderError: If there is no display.
     """
@@ -50,10 +55,26 @@ class NativeViewer:
         self._env_id = env_id
         self._model = engine.model_of(env_id)
         self._data = mujoco.MjData(self._model)
+        self.on_key = on_key
         self._handle: Any = mujoco.viewer.launch_passive(
-            self._model, self._data, key_callback=on_key
+            self._model, self._data, key_callback=self._pressed
         )
         self.sync()
+
+    def _pressed(self, key: int) -> None:
+        if self.on_key is not None:
+            self.on_key(key)
+
+    @property
+    def dragged(self) -> tuple[int, F64] | None:
+        """The body that is dragged with the mouse, and metres (3,) to where; None if none is."""
+        with self._handle.lock():
+            perturb = self._handle.perturb
+            body = int(perturb.select)
+            if body <= 0 or not perturb.active & int(mujoco.mjtPertBit.mjPERT_TRANSLATE):
+                return None
+            way: F64 = np.array(perturb.refpos) - self._data.xipos[body]
+            return body, way
 
     @property
     def is_running(self) -> bool:

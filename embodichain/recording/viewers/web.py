@@ -7,16 +7,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
 from embodichain.lab.sim.engine.api import EnvIndex, Write
+from embodichain.recording.viewers.teleop_status import PageOperator, TeleopStatus
 from embodichain.recording.viewers.web_page import LOOKS, Facts, PageOptions, WebPage
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
+    from embodichain.lab.gym.teleop import Teleop
 
 __all__ = ["PageOptions", "WebView"]
 
@@ -33,6 +36,7 @@ class WebView(StepObserver):
         env: The environment.
         options: Address of the page, and its initial state.
         stopped: Whether the run was stopped, which ends a pause.
+        teleop: The policy of a person who moves the robot on this page, bound to `env`.
 
     Attributes:
         url: Address of the page.
@@ -47,8 +51,12 @@ class WebView(StepObserver):
         options: PageOptions | None = None,
         *,
         stopped: Callable[[], bool] = lambda: False,
+        teleop: Teleop | None = None,
     ) -> None:
-        options = options or PageOptions()
+        options = replace(options or PageOptions(), teleop=teleop is not None)
+        self._teleop: TeleopStatus | None = None
+        if teleop is not None:
+            self._teleop = TeleopStatus(env, teleop)
         self._env_id = options.env_id
         model = env.sim.engine.model_of(self._env_id)
         self._page = WebPage(model, options, num_envs=env.num_envs, stopped=stopped)
@@ -56,6 +64,8 @@ class WebView(StepObserver):
         self._restyled = False
         self._next = self._next_facts = 0.0
         self._step: StepRecord | None = None
+        if teleop is not None:
+            teleop.operator = PageOperator(self._page, lambda: self._show(env))
 
     @property
     def watched(self) -> bool:
@@ -69,12 +79,16 @@ class WebView(StepObserver):
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Show the new episode's first state at once."""
+        if self._teleop is not None:
+            self._teleop.begin()
         if self._page.watched and self._page.env_id in env_ids:
             self._show(env)
 
     def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
         """Apply the controls; show the new state if a picture is due."""
         page = self._page
+        if self._teleop is not None:
+            self._teleop.note(step)
         if not page.watched:
             return
         if (ended := page.take_reset()) is not None:
@@ -102,6 +116,8 @@ class WebView(StepObserver):
         step = self._step if told else None
         facts = None if step is None else _facts(env, step, chosen)
         self._page.show(env.sim.engine.rows[chosen], facts)
+        if self._teleop is not None:
+            self._page.tell(self._teleop.status())
 
 
 def _facts(env: ObservedEnv, step: StepRecord, i: int) -> Facts:

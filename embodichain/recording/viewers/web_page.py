@@ -25,8 +25,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import mujoco
 import numpy as np
 
+from embodichain.lab.gym.teleop import ToolCommand
 from embodichain.lab.sim.engine.api import F64
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.cpu import CpuEngine
@@ -38,6 +39,7 @@ _PROCESS = "embodichain.recording.viewers.web_process"
 _END_SECONDS = 10.0
 _NAP = 0.02
 _LATE = 0.1
+_SHOWN_AGAIN = 0.2
 
 SPEEDS: tuple[float | None, ...] = (None, 2.0, 1.0, 0.5, 0.25, 0.1)
 """Multiples of real time; None is unlimited."""
@@ -80,6 +82,8 @@ class Controls:
         steps: Number of requests for a single step.
         resets: Number of requests for a reset.
         reset_env: The environment of the last reset.
+        command: The operator's, if the page moves a robot.
+        operated: Whether an operator is there.
     """
 
     env_id: int = 0
@@ -89,6 +93,8 @@ class Controls:
     steps: int = 0
     resets: int = 0
     reset_env: int = 0
+    command: ToolCommand = ToolCommand()
+    operated: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +108,7 @@ class PageOptions:
         realtime: Whether the speed is initially real time while the page is open.
         resets: Whether the page may end episodes, as truncated.
         title: Title of the page and its panel.
+        teleop: Whether a person moves a robot's tool on the page.
     """
 
     host: str = "127.0.0.1"
@@ -110,6 +117,7 @@ class PageOptions:
     realtime: bool = True
     resets: bool = True
     title: str = "embodichain"
+    teleop: bool = False
 
 
 class WebPage:
@@ -149,7 +157,7 @@ class WebPage:
         self._writable = select.poll()
         self._writable.register(self._page.fileno(), select.POLLOUT)
         self._listener: threading.Thread | None = None
-        self._closed = False
+        self._closed = self._ended = False
         try:
             self._page.send((options, num_envs, self._controls, model))
             kind, value = self._page.recv()
@@ -176,6 +184,37 @@ class WebPage:
     def fast(self) -> bool:
         """Whether the speed is unlimited, so that not every step needs to be shown."""
         return self._controls.speed is None
+
+    @property
+    def command(self) -> ToolCommand:
+        """The operator's present command."""
+        return self._controls.command
+
+    def wait_for_operator(
+        self, show: Callable[[], None], until: Callable[[], bool] = lambda: True
+    ) -> None:
+        """Return at once if an operator is there; else wait for one, or for the end of the run.
+
+        Args:
+            show: Shows the state; called while somebody watches.
+            until: What to wait for besides.
+
+        Raises:
+            EmbodichainError: If the page is gone: nobody can operate.
+        """
+        shown = 0.0
+        while not (self._controls.operated and until()) and not self._stopped():
+            if self._ended:
+                raise EmbodichainError("the web viewer has ended: nobody can operate the robot")
+            if self.watched and time.monotonic() - shown > _SHOWN_AGAIN:
+                shown = time.monotonic()
+                show()
+            time.sleep(_NAP)
+
+    def tell(self, status: Mapping[str, Any]) -> None:
+        """Show an operator plain values, see `teleop_desk`; skipped if the process is behind."""
+        if self._writable.poll(0):
+            self._send("status", dict(status))
 
     def begin(self, engine: CpuEngine) -> None:
         """Show states of an engine's environment 0 from now on."""
@@ -266,6 +305,7 @@ class WebPage:
                 self._controls = self._page.recv()
         except (EOFError, OSError):
             self._controls = Controls(env_id=self.env_id)
+            self._ended = True
             if not self._closed:
                 _log.warning("the web viewer has ended; the run goes on%s", self._last_error())
 

@@ -5,34 +5,31 @@ training. The run's process (`web_page.py`) sends models, states and facts throu
 process sends back the controls. It ends when the socket closes.
 
 MuJoCo 4.0's web viewer listens on every interface, accepts files dropped on its page, and answers
-pages of other sites. `_Viewer` sets the address, and `_guard_serving` checks every request first.
+pages of other sites. `_Viewer` sets the address, and `web_guard.py` checks every request first.
 If a version of MuJoCo does not allow these two changes, nothing is served.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import socket
 import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
-from urllib.parse import urlsplit
-from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
 from mujoco.studio import launch_thread, messages, plugin, ux, viewer_protocol, web_viewer
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
-from mujoco.studio.web import web_server
 
+from embodichain.lab.sim.compiler.views import DEFAULT_VIEW
+from embodichain.recording.viewers.teleop_desk import Desk, View, look_like, view_of
+from embodichain.recording.viewers.web_guard import GUARDS, Guard, guard_serving
 from embodichain.recording.viewers.web_page import SPEEDS, Controls, Facts, PageOptions
-from embodichain.utils.addresses import is_loopback
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Panel", "Studio", "main"]
@@ -41,7 +38,6 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _POLL_SECONDS = 1.0 / 60.0
 _START_SECONDS = 20.0
 _IDLE_SECONDS = 0.05
-_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _WIDTH, _HEIGHT, _MARGIN = 330.0, 640.0, 8.0
 _BUTTON = imgui.Vec2(70.0, 0.0)
 _HISTORY = 400
@@ -57,28 +53,33 @@ def main(descriptor: int) -> None:
     """
     with Connection(descriptor) as run:
         options, num_envs, controls, model = run.recv()
-        panel = Panel(options, num_envs, controls)
+        changed = threading.Event()
+        desk = Desk(changed) if options.teleop else None
+        panel = Panel(options, num_envs, controls, desk)
         try:
-            studio = Studio(model, options, panel)
+            studio = Studio(model, options, panel, desk=desk)
         except ConfigError as error:
             run.send(("failed", error.problems[0].message))
             return
         run.send(("ready", studio.url))
         reason = "The run has ended."
         try:
-            reason = _serve(run, studio, panel)
+            reason = _serve(run, studio, panel, desk, changed)
         except (EOFError, OSError):
             reason = "The run is gone."
         finally:
             studio.close(reason)
 
 
-def _serve(run: Connection, studio: Studio, panel: Panel) -> str:
+def _serve(
+    run: Connection, studio: Studio, panel: Panel, desk: Desk | None, changed: threading.Event
+) -> str:
     """Forward messages until there are no more; return why it ended."""
-    sent = panel.controls
+    sent, pauses = panel.controls, 0
     while True:
         # Poll instead of waiting on the socket, so that a step does not have to wake this process.
-        time.sleep(_POLL_SECONDS)
+        changed.wait(_POLL_SECONDS)
+        changed.clear()
         state = None
         while run.poll():
             kind, value = run.recv()
@@ -86,6 +87,10 @@ def _serve(run: Connection, studio: Studio, panel: Panel) -> str:
                 return str(value)
             if kind == "model":
                 studio.send(messages.ModelEvent(model=value))
+                continue
+            if kind == "status":
+                if desk is not None:
+                    desk.tell(value)
                 continue
             state, facts = value
             if facts is not None:
@@ -96,6 +101,12 @@ def _serve(run: Connection, studio: Studio, panel: Panel) -> str:
         if panel.controls.paused and not studio.controlled:
             panel.resume()
         controls = dataclasses.replace(panel.controls, watched=studio.watched)
+        if desk is not None:
+            if desk.pauses != pauses:
+                pauses = desk.pauses
+                panel.pause()
+            command, operated = desk.command, desk.operated
+            controls = dataclasses.replace(controls, command=command, operated=operated)
         if controls != sent:
             sent = controls
             run.send(controls)
@@ -111,6 +122,7 @@ class Studio:
         model: The first model to show; copied.
         options: Address, port and title.
         plugins: Studio's viewer plugins.
+        desk: The operator's place, if the page moves a robot.
 
     Attributes:
         url: Address of the page.
@@ -120,7 +132,13 @@ class Studio:
             cannot be restricted to it.
     """
 
-    def __init__(self, model: mujoco.MjModel, options: PageOptions, *plugins: Any) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        options: PageOptions,
+        *plugins: Any,
+        desk: Desk | None = None,
+    ) -> None:
         made: list[_Viewer] = []
         ready = threading.Event()
 
@@ -129,13 +147,15 @@ class Studio:
                 config = viewer_protocol.ViewerConfig(
                     title=options.title, gfx="web", http_port=options.port or 0
                 )
-                viewer = _Viewer(options.host, config, endpoint, model=model, plugins=[*plugins])
+                viewer = _Viewer(
+                    options.host, desk, config, endpoint, model=model, plugins=[*plugins]
+                )
                 made.append(viewer)
             finally:
                 ready.set()
             viewer_protocol.run_viewer_loop(viewer)
 
-        _guard_serving()
+        guard_serving()
         self._handle = launch_thread.launch_thread(run)
         ready.wait(_START_SECONDS)
         if not made:
@@ -169,8 +189,9 @@ class Studio:
 class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     """Studio's web viewer, which listens on `_host`; here that is the configured address."""
 
-    def __init__(self, host: str, *args: Any, **kwargs: Any) -> None:
-        self._address = host
+    def __init__(self, host: str, desk: Desk | None, *args: Any, **kwargs: Any) -> None:
+        self._address, self._desk = host, desk
+        self._scene: tuple[Any, mujoco.MjvScene] | None = None  # a model, and what was made for it
         super().__init__(*args, **kwargs)
 
     @property
@@ -194,7 +215,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
         if bound not in {found[4][0] for found in socket.getaddrinfo(self._address, None)}:
             raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
         self._http_sock.listen()  # fails here, not in the server's thread, if the port is in use
-        self.guard = _GUARDS[self._http_sock] = _Guard(self._address)
+        self.guard = GUARDS[self._http_sock] = Guard(self._address, self._desk)
         super()._start_server()
         if not self.guard.serving.wait(_START_SECONDS):
             self._web_server.stop()
@@ -206,84 +227,19 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
             time.sleep(_IDLE_SECONDS)
             return False
         ready: bool = super().prepare_next_frame()
+        if self._desk is not None:
+            self._desk.view = self._view()
         return ready
+
+    def _view(self) -> View:
+        """The camera of the page, which the controlling browser moves."""
+        if self._scene is None or self._scene[0] is not self.model:
+            self._scene = self.model, mujoco.MjvScene(self.model, 1)
+        return view_of(self.model, self.data, self.camera, self._scene[1])
 
     def get_drop_file(self) -> str:
         """Ignore dropped files."""
         return ""
-
-
-class _Guard:
-    """Checks the requests to one socket.
-
-    Args:
-        host: The address it listens on.
-
-    Attributes:
-        serving: Set once requests are checked.
-        connections: Paths of open WebSockets.
-    """
-
-    def __init__(self, host: str) -> None:
-        self._names = {host.lower(), *_LOOPBACK} if is_loopback(host) else None
-        self.serving = threading.Event()
-        self.connections: list[str] = []
-
-    async def count(self, handler: Callable[[Any], Any], websocket: Any) -> None:
-        """Handle a connection; it is in `connections` while it is open."""
-        path = websocket.request.path.partition("?")[0]
-        self.connections.append(path)
-        try:
-            await handler(websocket)
-        finally:
-            self.connections.remove(path)
-
-    def refusal(self, request: Any) -> Any:
-        """The response if a request is refused, else None.
-
-        Browsers let any page open a WebSocket to any address, with the page's site in ``Origin``;
-        pages of other sites are refused. Another name in ``Host`` than ours is refused too: it may
-        be a site's name that was made to resolve to this machine (DNS rebinding).
-        """
-        if request.path.partition("?")[0].endswith("/drop"):
-            return _forbidden("this viewer takes no files")
-        hosts = request.headers.get_all("Host")
-        if len(hosts) != 1:
-            return _forbidden("one Host is needed")
-        if self._names is not None and urlsplit(f"//{hosts[0]}").hostname not in self._names:
-            return _forbidden("this viewer is not known by that name")
-        for origin in request.headers.get_all("Origin"):
-            if urlsplit(origin).netloc.lower() != hosts[0].lower():
-                return _forbidden("pages of other sites may not use this viewer")
-        return None
-
-
-_GUARDS: WeakKeyDictionary[socket.socket, _Guard] = WeakKeyDictionary()
-
-
-def _guard_serving() -> None:
-    """Make MuJoCo's server check requests to guarded sockets first."""
-    plain: Callable[..., Any] = web_server.serve
-
-    def serve(handler: Callable[[Any], Any], *args: Any, **kwargs: Any) -> Any:
-        guard = _GUARDS.get(kwargs.get("sock"))  # type: ignore[arg-type]
-        if guard is None:
-            return plain(handler, *args, **kwargs)
-        answer = kwargs["process_request"]
-
-        def checked(connection: Any, request: Any) -> Any:
-            refused = guard.refusal(request)
-            return answer(connection, request) if refused is None else refused
-
-        guard.serving.set()
-        kwargs["process_request"] = checked
-        return plain(functools.partial(guard.count, handler), *args, **kwargs)
-
-    web_server.serve = serve
-
-
-def _forbidden(why: str) -> Any:
-    return web_server.Response(403, "Forbidden", web_server.Headers(), f"{why}\n".encode())
 
 
 # -- the panel -------------------------------------------------------------------------------------
@@ -296,13 +252,19 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         options: Title, and whether resets are offered.
         num_envs: Number of environments to choose from.
         controls: The initial controls.
+        desk: The operator's place, whose keys replace the panel's.
 
     Attributes:
-        controls: Current controls; the object is replaced in the viewer's thread and by `resume`.
+        controls: Current controls; the object is replaced in the viewer's thread, by `pause` and by
+            `resume`.
     """
 
-    def __init__(self, options: PageOptions, num_envs: int, controls: Controls) -> None:
+    def __init__(
+        self, options: PageOptions, num_envs: int, controls: Controls, desk: Desk | None = None
+    ) -> None:
         self._options, self._num_envs, self.controls = options, num_envs, controls
+        self._desk = desk
+        self._changing = threading.Lock()
         self._facts: Facts | None = None
         self._history: deque[Facts] = deque(maxlen=_HISTORY)
         self._camera = ux.UxState()
@@ -323,18 +285,22 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
             self._history.clear()
             self._change(env_id=chosen)
 
-    def _pause(self) -> None:
+    def pause(self) -> None:
+        """Begin or end a pause."""
         self._change(paused=not self.controls.paused)
 
     def _step(self) -> None:
         self._change(paused=True, steps=self.controls.steps + self.controls.paused)
 
     def _reset(self) -> None:
-        if self._options.resets:
+        if self._desk is not None:
+            self._desk.discard()
+        elif self._options.resets:
             self._change(resets=self.controls.resets + 1, reset_env=self.controls.env_id)
 
     def _change(self, **changed: Any) -> None:
-        self.controls = dataclasses.replace(self.controls, **changed)
+        with self._changing:
+            self.controls = dataclasses.replace(self.controls, **changed)
 
     @messages.handler(priority=messages.Priority.CRITICAL)  # type: ignore[untyped-decorator]
     def _on_init(self, _: plugin.ViewerInitEvent) -> None:
@@ -342,13 +308,17 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         self._camera.camera_index = ux.set_camera(
             self.viewer.model, self.viewer.camera, ux.TUMBLE_CAMERA_IDX
         )
+        if self._desk is not None:
+            look_like(self.viewer.model, self.viewer.camera, DEFAULT_VIEW)
 
     @messages.handler  # type: ignore[untyped-decorator]
     def _on_update(self, _: messages.UpdateEvent) -> None:
+        if self._desk is not None:
+            return  # the page has keys of its own
         if imgui.GetIO().WantCaptureKeyboard:
             return
         if imgui.IsKeyChordPressed(imgui.Key.Space):
-            self._pause()
+            self.pause()
         elif imgui.IsKeyChordPressed(imgui.Key.RightArrow):
             self._step()
         elif imgui.IsKeyChordPressed(imgui.Key.Backspace):
@@ -378,12 +348,13 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
             if changed:
                 self._choose(chosen)
         if imgui.Button("Resume" if self.controls.paused else "Pause", _BUTTON):
-            self._pause()
-        imgui.SetItemTooltip("Space")
+            self.pause()
+        imgui.SetItemTooltip("Space" if self._desk is None else "Esc")
         imgui.SameLine()
         if imgui.Button("Step", _BUTTON):
             self._step()
-        imgui.SetItemTooltip("Right arrow: one control step, then a pause")
+        key = "Right arrow: " if self._desk is None else ""
+        imgui.SetItemTooltip(f"{key}one control step, then a pause")
         imgui.SameLine()
         imgui.BeginDisabled(not self._options.resets)
         if imgui.Button("Reset", _BUTTON):

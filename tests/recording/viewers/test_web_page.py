@@ -243,7 +243,7 @@ def crc_of(state):
 @pytest.mark.parametrize(
     ("break_it", "why"),
     [
-        ("s._guard_serving = lambda: None", "are not checked"),
+        ("s.guard_serving = lambda: None", "are not checked"),
         ("s._Viewer._host = '::'", "listens on ::"),
     ],
 )

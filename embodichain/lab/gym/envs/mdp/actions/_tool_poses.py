@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
-__all__ = ["AbsolutePose", "MotionColumns", "RelativePose"]
+__all__ = ["AbsolutePose", "MotionColumns", "RelativePose", "in_axes"]
 
 _QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
 
@@ -115,6 +115,16 @@ class AbsolutePose:
             quat = _normalized(turned, orientation)
         return pos, quat
 
+    def action_for(self, pos: F64, quat: F64, shift: F64, turn: F64) -> F64:
+        """(n, A) the actions for poses of the environment's frame after motions in its axes.
+
+        Args:
+            pos, quat: (n, 3), (n, 4) poses.
+            shift, turn: (n, 3) metres and (n, 3) rotation vectors.
+        """
+        moved = self.in_frame(pos + shift, quat_multiply(rotvec_to_quat(turn), quat))
+        return self.action_at(*moved)
+
     def in_world(self, pos: F64, quat: F64 | None) -> tuple[F64, F64 | None]:
         """Poses (N, 3), (N, 4) of `frame` in the environment's frame."""
         if self._world:
@@ -141,6 +151,27 @@ def _normalized(quat: F64, orientation: Callable[[], F64]) -> F64:
     if void.any():
         unit[void] = orientation()[void]
     return unit
+
+
+def in_axes(
+    solver: ArmSolver,
+    frame: Literal["base", "world", "tool"],
+    quat: F64,
+    shift: F64,
+    turn: F64,
+) -> tuple[F64, F64]:
+    """Motions (n, 3), (n, 3) along the environment's axes in those of a frame.
+
+    Args:
+        solver: The kinematics of the tool.
+        frame: As of `eef_delta_pose`.
+        quat: (n, 4) orientation of the tool.
+        shift, turn: The motions.
+    """
+    if frame == "world":
+        return shift, turn
+    back = quat_conjugate(solver.root_pose()[1] if frame == "base" else quat)
+    return quat_rotate(back, shift), quat_rotate(back, turn)
 
 
 class MotionColumns:
@@ -171,6 +202,11 @@ class MotionColumns:
         affine = Affine(self.names, num_envs, scale, 0.0, clip or [-1.0, 1.0], what="column")
         self.low, self.high = affine.low, affine.high
         self.value = affine.value
+        self._action_for = affine.action_for
+
+    def action_for(self, shift: F64, turn: F64) -> F64:
+        """(n, A) the actions nearest to motions, (n, 3) metres and (n, 3) rotation vectors."""
+        return self._action_for(np.concatenate([shift, turn], axis=1)[:, : len(self.names)])
 
 
 class RelativePose(MotionColumns):
@@ -196,6 +232,16 @@ class RelativePose(MotionColumns):
     ) -> None:
         super().__init__(num_envs, rotation, scale, clip)
         self._solver, self._frame, self._rotation = solver, frame, rotation
+
+    def motion_for(self, quat: F64, shift: F64, turn: F64) -> F64:
+        """(n, A) the actions nearest to motions in the environment's axes.
+
+        Args:
+            quat: (n, 4) orientation of the tool.
+            shift, turn: (n, 3) metres and (n, 3) rotation vectors.
+        """
+        shift, turn = in_axes(self._solver, self._frame, quat, shift, turn)
+        return self.action_for(shift, turn)
 
     def asked(self, action: torch.Tensor, pos: F64, quat: F64) -> tuple[F64, F64 | None]:
         """The poses that actions (N, A) ask for, from poses (N, 3), (N, 4).

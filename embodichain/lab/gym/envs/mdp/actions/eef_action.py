@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.managers.param_types import Box3, UnitInterval
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import UNLIMITED, ResolvedEntity
 from embodichain.lab.gym.envs.mdp._tools import arm_solver, moving_joints
-from embodichain.lab.gym.envs.mdp.actions._tool_poses import AbsolutePose, MotionColumns
+from embodichain.lab.gym.envs.mdp.actions._tool_poses import AbsolutePose, MotionColumns, in_axes
 from embodichain.lab.gym.envs.mdp.actions.joint_action import (
     JointClip,
     JointTerm,
@@ -111,6 +111,14 @@ class EefTerm(JointTerm):
         if len(error) == 3:
             del self._measures["rotation_error"]
 
+    def tool_pose(self) -> tuple[F64, F64]:
+        """Measured position (N, 3) and orientation (N, 4) of the tool, in the environment."""
+        return self._solver.forward(self._asset.read_qpos())
+
+    def target_pose(self) -> tuple[F64, F64]:
+        """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
+        return self._solver.forward(self._commanded())
+
     def metrics(self) -> Mapping[str, F64]:
         """Errors in m and rad that the last step leaves, and whether the pose is out of reach."""
         return self._measures
@@ -169,6 +177,10 @@ class EefPose(EefTerm):
         target = self._solver.to_root(pos, quat) if self._world else Target.of(pos, quat)
         frames = self._solver.frames(commanded)
         self._follow(commanded, frames, pose_error(frames, target))
+
+    def action_for(self, shift: F64, turn: F64) -> F64:
+        """(N, A) the actions that move the tool; arguments as of `EefDeltaPose.action_for`."""
+        return self._poses.action_for(*self.target_pose(), shift, turn)
 
     def _pose(self, qpos: F64) -> tuple[F64, F64]:
         """The tool's pose in `frame`."""
@@ -229,11 +241,26 @@ class EefDeltaPose(EefTerm):
         self._measured = reference == "qpos"
         columns = MotionColumns(self._count, rotation, scale, clip)
         self.names, self.low, self.high = columns.names, columns.low, columns.high
-        self._value = columns.value
+        self._columns = columns
+
+    def target_pose(self) -> tuple[F64, F64]:
+        """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
+        return self.tool_pose() if self._measured else super().target_pose()
+
+    def action_for(self, shift: F64, turn: F64) -> F64:
+        """(N, A) the actions that move the tool, as far as their bounds allow.
+
+        Args:
+            shift: (N, 3) metres from `target_pose`, in the environment's axes.
+            turn: (N, 3) rotation vectors, likewise.
+        """
+        quat = self.target_pose()[1]
+        shift, turn = in_axes(self._solver, self._frame, quat, shift, turn)
+        return self._columns.action_for(shift, turn)
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets by (N, A) actions."""
-        value = np.ascontiguousarray(self._value(action).T, np.float64)
+        value = np.ascontiguousarray(self._columns.value(action).T, np.float64)
         commanded = self._commanded()
         frames = self._solver.frames(commanded)
         start = self._solver.frames(self._asset.read_qpos()) if self._measured else frames

@@ -282,6 +282,12 @@ class JointTerm(ActionTerm):
         moved = self._asset.drives.within_rate(target, self._ids, self._period)
         self._asset.write_target(moved, self._joints)
 
+    @property
+    def robot_uid(self) -> str:
+        """Uid of the robot that it moves."""
+        uid: str = self._asset.uid
+        return uid
+
     def _targets(self) -> F64:
         """(N, A) current position targets of the drives."""
         targets: F64 = self._asset.drives.read_target_qpos()[:, self._ids]

@@ -186,6 +186,23 @@ class OperationalSpace(JointTerm):
         pos, quat = pose[:, :3], pose[:, 3:]
         return (pos, quat), (np.where(new, pos, self._pos), np.where(new, quat, self._quat))
 
+    def tool_pose(self) -> tuple[F64, F64]:
+        """Measured position (N, 3) and orientation (N, 4) of the tool, in the environment."""
+        return self._poses_now()[0]
+
+    def target_pose(self) -> tuple[F64, F64]:
+        """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
+        now, asked = self._poses_now()
+        measured = self._measured and not isinstance(self._poses, AbsolutePose)
+        return now if measured else asked
+
+    def action_for(self, shift: F64, turn: F64) -> F64:
+        """(N, A) the actions that move the tool; arguments as of `EefDeltaPose.action_for`."""
+        poses, (pos, quat) = self._poses, self.target_pose()
+        if isinstance(poses, AbsolutePose):
+            return poses.action_for(pos, quat, shift, turn)
+        return poses.motion_for(quat, shift, turn)
+
     def before_physics(self) -> None:
         """Apply the efforts for the current state."""
         quat = None if self._free else self._quat
