@@ -2,6 +2,7 @@
 #
 #   make run       install what `run` needs, then run the main job
 #   make test      install the rest, then run every test  (PYTEST_ARGS="-m 'not slow'" leaves some out)
+#   make test-warp     every task on MuJoCo Warp (`make test` tries two)
 #   make lint types imports     the other checks; `make check` is all of them
 #   make lerobot   have LeRobot's own package load a data set of ours (8 GB: its torch has CUDA)
 #   make format    sort imports, lay out the code
@@ -22,7 +23,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run venv test lint types imports lerobot check format pins clean system system-tests
+.PHONY: help run venv test test-warp lint types imports lerobot check format pins clean system system-tests
 
 help:
 	@sed -n 's/^#   /  /p' Makefile
@@ -57,6 +58,10 @@ system-tests: system
 # twice, and no worker is idle while the other has a long module left.
 test: venv
 	$(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term $(PYTEST_ARGS)
+
+# Every task on MuJoCo Warp's CPU device. Kernels that are not in Warp's cache are compiled: minutes.
+test-warp: venv
+	EMBODICHAIN_TEST_WARP=all $(BIN)/python -m pytest -n 2 --dist worksteal --timeout 1800 tests/lab/sim/engine/test_warp_tasks.py
 
 lint: venv
 	$(BIN)/ruff check .

@@ -95,10 +95,14 @@ def _arms(env: BaseEnv, config: Resolved) -> tuple[Callable[[int], None], Callab
     from mujoco import batch as mjbatch
 
     from embodichain.cli.jobs import policy_of
+    from embodichain.lab.sim.engine.cpu import CpuEngine
 
     policy = policy_of(config.root, env)
     obs, _ = env.reset()
     engine = env.sim.engine
+    if not isinstance(engine, CpuEngine):
+        message = "bench compares with mujoco.batch on the CPU: sim.engine=mujoco"
+        raise ConfigError([Problem("sim.engine", message)])
     actions, controls = [], []
     for _ in range(_ACTIONS):
         actions.append(policy(obs, env))

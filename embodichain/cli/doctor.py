@@ -25,6 +25,7 @@ __all__ = ["EXTRAS", "Check", "command"]
 
 EXTRAS = {
     "robots": ("robots of example-robot-data", "example-robot-data"),
+    "gpu": ("MuJoCo Warp: sim.engine=warp, device=cuda", "mujoco-warp", "warp-lang"),
     "decompose": ("convex parts of meshes: collision: decompose", "coacd"),
     "plot": ("curves of trainings as PNG", "matplotlib"),
     "wandb": ("trainings in Weights & Biases", "wandb"),
@@ -192,7 +193,16 @@ def _optional() -> Iterator[Check]:
         lacking = f"not installed: {', '.join(missing)}"
         found = f"{lacking} (there: {listed})" if listed else lacking
         yield Check(name, "missing", found, f"{purpose}: pip install {install}")
-    yield Check("CUDA", "missing", "device=cuda is not available in this version: device=cpu")
+    yield _cuda()
+
+
+def _cuda() -> Check:
+    from embodichain.lab.sim.engine.warp_support import cuda_devices, why_missing
+
+    reason = why_missing("cuda")
+    if reason:
+        return Check("CUDA", "missing", reason, "device=cuda needs both: see docs/gpu.md")
+    return Check("CUDA", "ok", ", ".join(cuda_devices()))
 
 
 def _randomness() -> Iterator[Check]:

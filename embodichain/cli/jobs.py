@@ -305,6 +305,11 @@ def execute(
     from embodichain.config.run_folder import claim
 
     resolved = pinned(resolved)
+    if resolved.tree["sim"]["engine"] == "warp":
+        from embodichain.config.factory import with_warp_sizes
+
+        with resolved.locating():
+            resolved = with_warp_sizes(resolved)
     if folder is None:
         folder = claim(resolved.root.output_dir, resolved.task_name)
     if not goes_on:

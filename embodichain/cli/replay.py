@@ -158,7 +158,7 @@ def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
     state = "complete" if summary.complete else "INCOMPLETE"
     facts: list[tuple[str, Any]] = [
         ("task", header.task),
-        ("recorded", f"{started:%Y-%m-%d %H:%M:%S}, MuJoCo {header.mujoco_version}"),
+        ("recorded", f"{started:%Y-%m-%d %H:%M:%S}, {header.recorded_with}"),
         ("environments", f"{header.num_envs}, seed {header.seed}"),
         ("steps", f"{summary.steps} control steps = {summary.duration_s:.2f} s simulated"),
         ("episodes ended", f"{len(summary.episodes)}"),
@@ -177,10 +177,14 @@ def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
 def _verifiable(header: Header) -> str:
     import mujoco
 
+    from embodichain.recording.header import MUJOCO
+
     if header.unverifiable:
         return f"no: {header.unverifiable}"
     if header.mujoco_version != mujoco.__version__:
         return f"not to the bit: this is MuJoCo {mujoco.__version__}; states can be played"
+    if header.engine != MUJOCO:
+        return f"writes and resets to the bit, physics of {header.engine} within a tolerance"
     return "yes"
 
 

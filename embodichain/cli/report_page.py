@@ -200,7 +200,7 @@ def _log_facts(log: LogSummary | None) -> Rows:
     header = log.header
     return [
         ("file", f"{log.path.name}, {log.nbytes / 1e6:.2f} MB"),
-        ("recorded with", f"MuJoCo {header.mujoco_version}"),
+        ("recorded with", header.recorded_with),
         ("environments", f"{header.num_envs}, seed {header.seed}"),
         ("steps", f"{log.steps:,} control steps = {log.duration_s:.2f} s simulated"),
         ("episodes that ended", f"{len(log.episodes):,}"),

@@ -24,7 +24,7 @@ _KEYS = {
     "num_envs": (int, "num_envs", "Environments that run in parallel."),
     "max_episodes": (int, "episodes", "Episodes of each environment."),
     "seed": (int, "seed", "Seed of every random stream."),
-    "device": (str, "device", "Where physics runs: cpu."),
+    "device": (str, "device", "Where physics runs: cpu, cuda or cuda:N."),
     "viser_host": (str, "viewer.host", "The address to listen on."),
     "viser_port": (int, "viewer.port", "The port."),
 }

@@ -29,7 +29,7 @@ RENDERERS = ("hybrid", "fast-rt", "rt", "auto", "no-render")
 _UNUSED = "accepted for compatibility: no effect"
 _FLAGS: dict[str, tuple[Any, str]] = {
     "num_envs": (1, "environments that run in parallel"),
-    "device": ("cpu", "where physics runs: cpu"),
+    "device": ("cpu", "where physics runs: cpu, cuda or cuda:N"),
     "headless": (False, "open no window"),
     "renderer": ("hybrid", "accepted for compatibility: images are MuJoCo's in any case"),
     "arena_space": (5.0, "metres between environments in viewers"),

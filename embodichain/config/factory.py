@@ -5,20 +5,21 @@ Torch is imported when an environment is built, not before.
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.config.gymnasium_ids import task_of_id
-from embodichain.config.resolved import Resolved, resolve
+from embodichain.config.resolved import Resolved, resolve, thaw
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["make", "make_env"]
+__all__ = ["make", "make_env", "with_warp_sizes"]
 
 
 _KWARGS = ("autoreset_mode", "render_mode", "run_dir")
@@ -79,6 +80,8 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
         ConfigError: A mistake that is only found by building, with its place.
         TypeError: If an argument is unknown.
     """
+    if resolved.tree["sim"]["engine"] == "warp":
+        resolved = with_warp_sizes(resolved)
     cfg = resolved.env_cfg
     if cfg.id is not None:
         from embodichain.lab.gym.utils import registration
@@ -95,6 +98,50 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
 
     with resolved.locating("task"):
         return BaseEnv(cfg, **kwargs)
+
+
+_PROBE_ENVS, _PROBE_STEPS, _PROBE_EVERY = 8, 64, 4
+"""Environments, control steps, and steps between two measured states of `with_warp_sizes`."""
+
+
+def with_warp_sizes(resolved: Resolved) -> Resolved:
+    """Return the config with the memory that MuJoCo Warp needs, where it is not given.
+
+    A few environments of the task run on the CPU with random actions; MuJoCo Warp counts contacts
+    and constraints in their states. Twice the largest numbers are filled in.
+
+    Args:
+        resolved: A checked config; it is returned as it is unless it runs on Warp.
+
+    Raises:
+        ConfigError: As `make_env` does.
+    """
+    sim = thaw(resolved.tree["sim"])
+    sizes = sim["warp"]
+    if sim["engine"] != "warp" or None not in sizes.values():
+        return resolved
+    import numpy as np
+
+    from embodichain.lab.gym.policies import resolve_policy
+    from embodichain.lab.sim.engine.warp_worlds import measured_sizes
+    from embodichain.lab.sim.prepared_scene import PreparedScene
+
+    probe = {**sim, "engine": "mujoco", "warp": dict.fromkeys(sizes)}
+    on_cpu = resolved.changed(num_envs=_PROBE_ENVS, device="cpu", sim=probe)
+    env = make_env(dataclasses.replace(on_cpu, prepared=PreparedScene()))
+    try:
+        policy = resolve_policy("random")
+        obs, _ = env.reset()
+        states = [env.sim.engine.rows.copy()]
+        for step in range(1, _PROBE_STEPS + 1):
+            obs, *_ = env.step(policy(obs, env))
+            if not step % _PROBE_EVERY:
+                states.append(env.sim.engine.rows.copy())
+        found = measured_sizes(env.sim.engine.model, np.concatenate(states))
+    finally:
+        env.close()
+    filled = {key: found[key] if given is None else given for key, given in sizes.items()}
+    return resolved.changed(sim={**sim, "warp": filled})
 
 
 def _check_once(key: str, value: int, overrides: Sequence[str]) -> None:

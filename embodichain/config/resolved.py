@@ -23,7 +23,7 @@ from embodichain.config.run_folder import CONFIG, versions
 from embodichain.config.schema import RootCfg, Verb
 from embodichain.config.validation import Check, check, check_tree
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.sim.cfg import SimulationManagerCfg
+from embodichain.lab.sim.cfg import SimulationManagerCfg, choose_engine
 from embodichain.lab.sim.compiler.names import exact_pattern
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.atomic import write_text
@@ -79,6 +79,8 @@ class Resolved:
             window_env=root.viewer.env,
             num_envs=cfg.num_envs,
             sim_device=root.device or "cpu",
+            engine=root.sim.engine,
+            warp=copy.deepcopy(root.sim.warp),
             num_threads=root.sim.num_threads,
             persistent=root.sim.persistent,
         )
@@ -172,6 +174,8 @@ def _with_defaults(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
             filled[key] = default
     if filled.get("seed") is None:
         filled["seed"] = secrets.randbits(_SEED_BITS)
+    sim = filled["sim"]
+    sim["engine"], _ = choose_engine(sim["engine"], filled["device"])
     return filled
 
 

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from embodichain.config.algorithms import AnyAlgoCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.sim.cfg import EngineName, WarpCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
@@ -52,8 +53,8 @@ PositiveInt = Annotated[int, Field(ge=1)]
 class SimCfg:
     """How the simulation runs; the scene itself is in the task."""
 
-    engine: Literal["mujoco"] = "mujoco"
-    """`mujoco.batch` on the CPU."""
+    engine: EngineName | None = None
+    """`mujoco` is `mujoco.batch` on the CPU, `warp` MuJoCo Warp; null is that of `device`."""
     backend: Literal["local"] = "local"
     """Where environments run: in this process."""
     num_threads: Annotated[int, Field(ge=0)] = 0
@@ -61,6 +62,8 @@ class SimCfg:
     persistent: bool | None = None
     """One MjData per environment (True) or per thread (False); None is True only for a model that
     needs it (sleep, IPC, plugins)."""
+    warp: WarpCfg = WarpCfg()
+    """Memory of MuJoCo Warp; null values are measured before the run."""
 
 
 Pixels = Annotated[int, Field(ge=1, le=8192)]

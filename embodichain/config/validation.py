@@ -33,10 +33,11 @@ from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.registry import SECTIONS, resolve_term
 from embodichain.lab.gym.policies import resolve_policy
+from embodichain.lab.sim.cfg import choose_engine
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
-from embodichain.utils.type_errors import show_value, unknown_key
+from embodichain.utils.type_errors import unknown_key
 
 __all__ = ["Check", "check", "check_training_keys", "check_tree", "validate"]
 
@@ -152,6 +153,7 @@ def _check_meaning(
         from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
 
         in_task += describe(root.task, scene, root.num_envs)
+        problems += _lacking(root, scene)
     if images is not None and scene.scene is not None and root.task.id is None:
         from embodichain.config.recorded_images import check_images  # imports MuJoCo
 
@@ -161,6 +163,16 @@ def _check_meaning(
     if verb != "train" and _policy_name(root) == "teleop" and not _below("task.actions", missing):
         problems += _check_teleop(root, allow_import)
     return problems
+
+
+def _lacking(root: RootCfg, prepared: PreparedScene) -> list[Problem]:
+    """What MuJoCo Warp lacks of the compiled scene, if it is to step it."""
+    engine, missing = choose_engine(root.sim.engine, root.device or "cpu")
+    if engine != "warp" or missing or prepared.scene is None:
+        return []
+    from embodichain.lab.sim.engine.warp_support import unsupported  # imports MuJoCo Warp
+
+    return unsupported(prepared.scene.model)
 
 
 def check_training_keys(root: RootCfg) -> list[Problem]:
@@ -240,7 +252,7 @@ def _remove(tree: dict[str, Any], path: str) -> None:
 
 def _check_root(root: RootCfg, allow_import: bool) -> list[Problem]:
     """Check the everyday keys; a policy is imported to read its signature, if that is allowed."""
-    problems = _check_device(root.device) + _check_policy(root, allow_import)
+    problems = _check_engine(root) + _check_policy(root, allow_import)
     count = root.num_envs or 1
     beyond = [i for i in root.record.view_envs if i >= count]
     if beyond and root.record.format != "none":
@@ -297,6 +309,20 @@ def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
     return problems
 
 
+def _check_engine(root: RootCfg) -> list[Problem]:
+    """Check that the engine exists here and runs on the device."""
+    engine, problems = choose_engine(root.sim.engine, root.device or "cpu")
+    for key, value in vars(root.sim.warp).items():
+        if engine != "warp" and value is not None:
+            message = "is for sim.engine=warp, but the engine is mujoco"
+            problems.append(Problem(f"sim.warp.{key}", message))
+    record = root.record
+    if engine == "warp" and record.format != "none" and record.state == "keyframes":
+        message = "physics of sim.engine=warp is not repeated to the bit; use record.state=all"
+        problems.append(Problem("record.state", message))
+    return problems
+
+
 def _check_collecting(root: RootCfg) -> list[Problem]:
     """Check that a collection has a whole log, and a task that says what success is."""
     problems = []
@@ -313,16 +339,6 @@ def _check_collecting(root: RootCfg) -> list[Problem]:
         message = "collect needs a task that says what success is: the metric `success`"
         problems.append(Problem("task.metrics", message))
     return problems
-
-
-def _check_device(device: str | None) -> list[Problem]:
-    if device is None or device == "cpu":
-        return []
-    if re.fullmatch(r"cuda(:\d+)?", device):
-        message = f"{device!r} is not available: the CUDA engine comes later; allowed: cpu"
-        return [Problem("device", message)]
-    hint = did_you_mean(device, ["cpu", "cuda"]).strip()
-    return [Problem("device", f"unknown device {show_value(device)}; allowed: cpu.", hint)]
 
 
 def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:

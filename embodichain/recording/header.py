@@ -19,12 +19,14 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
+    from embodichain.lab.sim.engine.api import Engine
 
 __all__ = [
     "FORMAT_VERSION",
     "METADATA",
     "METADATA_END",
     "METADATA_RECOVERED",
+    "MUJOCO",
     "Header",
     "check_keyframes",
     "check_part",
@@ -36,6 +38,8 @@ METADATA = "embodichain"
 METADATA_END = "embodichain.end"
 METADATA_RECOVERED = "embodichain.recovered"
 """Record of a file that was recovered from a broken one: the source, and why the log ends."""
+MUJOCO = "mujoco"
+"""The engine that simulates logs again, to the bit where it recorded them."""
 FORMAT_VERSION = 4
 """Logs of other versions are refused."""
 _LONGEST_STEP = 1e5
@@ -71,6 +75,7 @@ class Header:
         call_steps: Physics steps of each physics call of a control step; 0 is all of them, in one.
         policy: The source of the actions: name or path of a policy, ``teleop`` for a person; empty
             if it is not known.
+        engine: What computed physics: ``mujoco``, or another engine with its version.
     """
 
     task: str
@@ -95,6 +100,7 @@ class Header:
     first_step: int = 0
     call_steps: int = 0
     policy: str = ""
+    engine: str = MUJOCO
 
     def to_metadata(self) -> dict[str, str]:
         """Return the fields as strings: text as it is, everything else as JSON."""
@@ -116,7 +122,8 @@ class Header:
             raise LogError(
                 f"the log has format version {version or 'none'!r}; this reads {FORMAT_VERSION}"
             )
-        text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id", "policy"}
+        text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id"}
+        text |= {"policy", "engine"}
         # Fields with a default were added later and may be missing in older logs.
         names = [f.name for f in fields(cls) if f.default is MISSING or f.name in values]
         try:
@@ -183,6 +190,12 @@ class Header:
     def period_ns(self) -> int:
         """Length of a control step in nanoseconds."""
         return round(self.control_dt * 1e9)
+
+    @property
+    def recorded_with(self) -> str:
+        """What simulated the run, with versions."""
+        mujoco = f"MuJoCo {self.mujoco_version}"
+        return mujoco if self.engine == MUJOCO else f"{self.engine}, {mujoco}"
 
     @property
     def every_note(self) -> str:
@@ -277,6 +290,7 @@ def header_of(
         log_id=uuid.uuid4().hex,
         call_steps=int(env.physics_steps_per_call),
         policy=policy,
+        engine=env.sim.engine.name,
     )
 
 
@@ -291,9 +305,11 @@ def why_unverifiable(model: mujoco.MjModel, state: str) -> str:
     return ""
 
 
-def check_keyframes(options: RecordOptions, model: mujoco.MjModel) -> None:
+def check_keyframes(options: RecordOptions, engine: Engine) -> None:
     """Raise `ConfigError` if states between keyframes could not be simulated again."""
-    why = why_unverifiable(model, "all") if options.state == "keyframes" else ""
+    why = why_unverifiable(engine.model, "all") if options.state == "keyframes" else ""
+    if options.state == "keyframes" and engine.name != MUJOCO:
+        why = f"{engine.name} is not repeated to the bit"
     if why:
         message = f"keyframes cannot be replayed: {why}; use record.state=all"
         raise ConfigError([Problem("record.state", message)])

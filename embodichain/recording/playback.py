@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.api import Engine
 from embodichain.recording.episodes import episode_of
 from embodichain.recording.recorded_log import RecordedLog
 from embodichain.recording.simulation import Simulation, always, never
@@ -83,7 +83,7 @@ class Playback:
         self.log = log
         self.env = env
         self._simulation = follower_of(log, env)
-        self.engine: CpuEngine = self._simulation.engine
+        self.engine: Engine = self._simulation.engine
 
     @property
     def changes(self) -> int:

@@ -96,7 +96,7 @@ class McapRecorder(StepObserver):
         options = RecordOptions() if options is None else options
         check_options(options, env.num_envs)
         self._engine = env.sim.engine
-        check_keyframes(options, self._engine.model)
+        check_keyframes(options, self._engine)
         self._path = Path(path)
         self._start_ns = time.time_ns()
         mjb = model_bytes(self._engine.model)

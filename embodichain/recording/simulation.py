@@ -22,8 +22,10 @@ from embodichain.recording.hashing import row_hashes
 from embodichain.recording.log_error import LogError
 from embodichain.recording.trajectory import Rows, columns_of
 
-__all__ = ["Active", "Difference", "DifferenceFound", "Simulation", "always", "never"]
+__all__ = ["TOLERANCE", "Active", "Difference", "DifferenceFound", "Simulation", "always", "never"]
 
+TOLERANCE = {"qpos": 1e-3, "qvel": 0.1}
+"""Largest differences of one control step between engines: m or rad, m/s or rad/s."""
 Active = Callable[[int], NDArray[np.bool_]]
 """Control step to an (n,) mask of the selected environments that are compared in it."""
 
@@ -93,12 +95,15 @@ class Simulation(Rows):
         env_ids: (n,) environments, ascending; None is all.
         active: Which environments are compared in which step; None is all.
         exact: Compare bit for bit; else measure errors, and continue from the recorded states.
+        repeats: Whether physics is that of the log's engine; else only its results are measured.
         num_threads: Physics threads; 0 is all cores.
 
     Attributes:
         engine: The engine; its environment i is the i-th selected one.
         changes: Number of writes to model fields.
         largest_error: If not `exact`: component to largest absolute difference.
+        measured: Number of states of environments that were measured.
+        outside: Number of these that differ by more than `TOLERANCE`.
 
     Raises:
         LogError: If the log's rows do not match the model.
@@ -112,6 +117,7 @@ class Simulation(Rows):
         active: Active | None = None,
         exact: bool = True,
         num_threads: int = 0,
+        repeats: bool = True,
     ) -> None:
         super().__init__(reader, env_ids)
         header = self.header
@@ -120,10 +126,11 @@ class Simulation(Rows):
         self.engine = CpuEngine(model, n, num_threads)
         self.changes = 0
         self.largest_error: dict[str, float] = {}
+        self.measured = self.outside = 0
         self._rows = self.engine.rows
         self._layout = header.slices()
         self._active = active or always(n)
-        self._exact = exact
+        self._exact, self._repeats = exact, exact and repeats
 
     def begin(self, run: Run) -> None:
         """Continue from a start of the log; compare it if the preceding steps were simulated.
@@ -136,7 +143,7 @@ class Simulation(Rows):
         fields = {name: values[0][take_rows] for name, values in run.calls[0].arrays.items()}
         row = fields.pop("row")
         if self.known and run.first == self.next_step:
-            self._compare(run.first, None, row, slice(None))
+            self._compare(run.first, None, row, slice(None), self._exact)
             if self._exact:
                 return
         try:
@@ -168,7 +175,7 @@ class Simulation(Rows):
         elif mode == "reset":
             engine.reset(local)
             if values is not None:
-                self._settle(step, local, values, slice(None))
+                self._settle(step, local, values, slice(None), self._exact)
         else:
             put = engine.write_model if mode == "model" else engine.write
             put(call.kind.name, values, local, columns_of(call.kind.columns))
@@ -185,7 +192,7 @@ class Simulation(Rows):
         engine, nstep = self.engine, call.kind.nstep
         if "hashes" in call.arrays:
             engine.step(nstep, local)
-            if self._exact:
+            if self._repeats:
                 self._compare_hashes(step, local, call.arrays["hashes"][t][take])
             return
         recorded = call.arrays["rows"][t][take]
@@ -194,26 +201,36 @@ class Simulation(Rows):
         if active.any():
             ids = np.arange(len(active)) if local is None else local
             engine.step(nstep, None if local is None and active.all() else ids[active])
-        self._settle(step, local, recorded, self.moved.columns)
+        self._settle(step, local, recorded, self.moved.columns, self._repeats)
 
     def _settle(
-        self, step: int, local: EnvIndex | None, recorded: F64, columns: NDArray[np.int64] | slice
+        self,
+        step: int,
+        local: EnvIndex | None,
+        recorded: F64,
+        columns: NDArray[np.int64] | slice,
+        exact: bool,
     ) -> None:
         """Compare rows with the recorded ones; copy the recorded ones if not all are compared."""
-        self._compare(step, local, recorded, columns)
+        self._compare(step, local, recorded, columns, exact)
         active = self._active(step)
-        if not self._exact or not active.all():
+        if not exact or not active.all():
             self.engine.write("row", recorded, local, columns)
 
     def _compare(
-        self, step: int, local: EnvIndex | None, recorded: F64, columns: NDArray[np.int64] | slice
+        self,
+        step: int,
+        local: EnvIndex | None,
+        recorded: F64,
+        columns: NDArray[np.int64] | slice,
+        exact: bool,
     ) -> None:
         active = self._active(step)
         active = active if local is None else active[local]
         if not active.any():
             return
         here = self._taken(local, columns)
-        if not self._exact:
+        if not exact:
             self._measure(here[active], recorded[active], columns)
             return
         there = np.ascontiguousarray(recorded).view(np.uint64)
@@ -250,11 +267,15 @@ class Simulation(Rows):
         raise DifferenceFound(self.path, Difference(step, env, field, *values))
 
     def _measure(self, here: F64, there: F64, columns: NDArray[np.int64] | slice) -> None:
-        """Update the largest errors of positions and velocities."""
+        """Update the largest errors of positions and velocities, and count large ones."""
         index = np.arange(self.header.nstate)[columns]
+        outside = np.zeros(len(here), np.bool_)
         for name in ("qpos", "qvel"):
             component = self._layout[name]
             mine = (index >= component.start) & (index < component.stop)
             error = np.abs(here[:, mine] - there[:, mine])
             largest = float(error.max()) if error.size else 0.0
             self.largest_error[name] = max(self.largest_error.get(name, 0.0), largest)
+            outside |= ~(error <= TOLERANCE[name]).all(axis=1)
+        self.measured += len(here)
+        self.outside += int(outside.sum())

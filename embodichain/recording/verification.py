@@ -1,5 +1,7 @@
 """`verify` simulates a log again from the file alone, and compares the states bit for bit.
 
+Physics of another engine than MuJoCo's own is compared within `TOLERANCE`.
+
 It runs no terms, tasks or user code: the file contains the model and everything that was written
 to the simulation.
 """
@@ -22,9 +24,10 @@ from embodichain.recording.attachments import (
     what_differs,
 )
 from embodichain.recording.chunks import LogReader
-from embodichain.recording.header import Header
+from embodichain.recording.header import MUJOCO, Header
 from embodichain.recording.log_error import LogError
 from embodichain.recording.simulation import (
+    TOLERANCE,
     Active,
     Difference,
     DifferenceFound,
@@ -34,9 +37,12 @@ from embodichain.recording.simulation import (
 from embodichain.recording.trajectory import changes, outcomes, runs
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["Difference", "VerifyReport", "verify"]
+__all__ = ["MOST_OUTSIDE", "Difference", "VerifyReport", "verify"]
 
 Progress = Callable[[int], None]
+MOST_OUTSIDE = 0.05
+"""Share of results of another engine's physics that may differ by more than `TOLERANCE`: in
+float32, bodies that just touch may not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +51,16 @@ class VerifyReport:
 
     Attributes:
         path: The file.
-        ok: Whether the log is complete and every state is identical bit for bit.
+        ok: Whether the log is complete and every state is identical bit for bit; in a log of
+            another engine, whether writes and resets are, and physics is close (`MOST_OUTSIDE`).
         steps: Number of control steps simulated and compared.
         envs: Number of environments simulated.
         difference: The first difference, or None.
         problems: Other reasons why `ok` is False, one line each.
         largest_error: Approximate mode: component to largest absolute difference after one step.
+        measured: Approximate mode: number of results of physics compared.
+        outside: Number of these that differ by more than `TOLERANCE`.
+        engine: What computed the recorded physics.
         notes: Remarks that are not errors: where a recovered log ends, how this machine differs
             from the one that recorded the log.
     """
@@ -63,21 +73,39 @@ class VerifyReport:
     problems: list[str] = field(default_factory=list)
     largest_error: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    measured: int = 0
+    outside: int = 0
+    engine: str = MUJOCO
 
     def __str__(self) -> str:
         """Return the result, and every reason on its own line."""
         count = f"{self.steps} steps of {self.envs} environment{'s' if self.envs != 1 else ''}"
-        if self.ok:
+        if self.ok and self.engine == MUJOCO:
             return "\n".join([f"verified: {count} are identical to the bit", *self.notes])
+        if self.ok:
+            first = f"verified: {count}, recorded with {self.engine}"
+            return "\n".join([first, *self._closeness(), *self.notes])
         lines = [f"NOT verified ({count} compared)"]
         if self.difference is not None:
             lines.append(f"first difference: {self.difference}")
         lines += self.problems
-        if self.largest_error:
+        if self.largest_error and self.engine == MUJOCO:
             errors = ", ".join(f"{k} {v:.3g}" for k, v in self.largest_error.items())
             lines.append(f"approximate only: largest difference after one step: {errors}")
+        elif self.engine != MUJOCO:
+            lines += self._closeness()
         lines += self.notes
         return "\n".join(lines)
+
+    def _closeness(self) -> list[str]:
+        """How close recorded results of physics are to MuJoCo's."""
+        errors = ", ".join(f"{k} {v:.3g}" for k, v in self.largest_error.items())
+        bounds = ", ".join(f"{k} {v:g}" for k, v in TOLERANCE.items())
+        return [
+            "writes and resets are identical to the bit",
+            f"of {self.measured} results of physics, {self.outside} differ from MuJoCo's by more "
+            f"than {bounds} (largest: {errors or 'none'})",
+        ]
 
 
 def verify(
@@ -109,7 +137,7 @@ def verify(
     with LogReader(path) as reader:
         header = reader.require_header()
         selected = _select(header, env)
-        report = VerifyReport(reader.path, False, 0, len(selected))
+        report = VerifyReport(reader.path, False, 0, len(selected), engine=header.engine)
         if header.unverifiable:
             return replace(report, problems=[header.unverifiable])
         model, exact, problems = _model(reader)
@@ -117,7 +145,7 @@ def verify(
             active = always(len(selected))
             if episode is not None:
                 active = _episode(reader, selected, episode)
-            how = model, selected, active, exact, num_threads
+            how = model, selected, active, exact, num_threads, header.engine == MUJOCO
             report = _follow(reader, how, replace(report, problems=problems), progress)
             if images and report.ok:
                 report = _compare_pictures(report, reader, model, env)
@@ -213,7 +241,7 @@ def _episode(reader: LogReader, selected: EnvIndex, episode: int) -> Active:
 
 def _follow(
     reader: LogReader,
-    how: tuple[mujoco.MjModel, EnvIndex, Active, bool, int],
+    how: tuple[mujoco.MjModel, EnvIndex, Active, bool, int, bool],
     report: VerifyReport,
     progress: Progress | None,
 ) -> VerifyReport:
@@ -243,6 +271,8 @@ def _follow(
     except LogError as damage:
         error = f"after {steps} steps: {str(damage).removeprefix(f'{reader.path}: ')}"
     report = replace(report, steps=steps, difference=difference, largest_error=largest)
+    if simulation is not None:
+        report = replace(report, measured=simulation.measured, outside=simulation.outside)
     if difference is not None or error:
         return replace(report, problems=[*report.problems, *([error] if error else [])])
     return _at_the_end(reader, report, last_step)
@@ -254,6 +284,10 @@ def _at_the_end(reader: LogReader, report: VerifyReport, last_step: int) -> Veri
     if last_step < 0:
         ends = "the log ends before its first step was complete"
     problems = [*report.problems, *([f"{ends}: {reader.cut}"] if reader.cut else [])]
+    if report.engine != MUJOCO and report.outside > MOST_OUTSIDE * report.measured:
+        share = f"{report.outside / report.measured:.1%}"
+        message = f"{share} of the results of physics are not MuJoCo's"
+        problems.append(f"{message}; at most {MOST_OUTSIDE:.0%} are expected")
     notes = [f"{ends}: {reader.recovered}"] if reader.recovered and reader.complete else []
     notes += [note for note in (reader.part_note, reader.require_header().every_note) if note]
     return replace(report, ok=not problems, problems=problems, notes=notes)

@@ -242,13 +242,32 @@ BAD = {
         verb="train",
     ),
     "unknown device": bad(
-        "command line: device: unknown device 'gpu'; allowed: cpu. Did you mean 'cpu'?",
+        "command line: device: unknown device 'gpu'; allowed: cpu, cuda, cuda:N. "
+        "Did you mean 'cpu'?",
         overrides=("device=gpu",),
     ),
     "unavailable device": bad(
-        "command line: device: 'cuda:0' is not available: the CUDA engine comes later; "
-        "allowed: cpu",
+        "command line: device: there is no CUDA device here (sim.engine=warp device=cpu runs, "
+        "slowly, without)",
         overrides=("device=cuda:0",),
+    ),
+    "an engine that does not run on the device": bad(
+        "command line: device: sim.engine=mujoco does not run on 'cuda': device=cpu, or "
+        "sim.engine=warp",
+        overrides=("device=cuda", "sim.engine=mujoco"),
+    ),
+    "memory of an engine that is not used": bad(
+        "command line: sim.warp.njmax: is for sim.engine=warp, but the engine is mujoco",
+        overrides=("sim.warp.njmax=64",),
+    ),
+    "a solver that MuJoCo Warp has not": bad(
+        "command line: task.physics.solver: MuJoCo Warp has no mjSOL_PGS; it has cg, newton",
+        overrides=("sim.engine=warp", "+task.physics.solver=PGS"),
+    ),
+    "keyframes of physics that is not repeated": bad(
+        "command line: record.state: physics of sim.engine=warp is not repeated to the bit; "
+        "use record.state=all",
+        overrides=("sim.engine=warp", "record.state=keyframes"),
     ),
     "unknown policy": bad(
         "command line: policy: unknown policy 'randon'; allowed: hold, random, "
@@ -653,7 +672,8 @@ BAD = {
         "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "
         "'reset', 'interval', got 'intervall'. Did you mean 'interval'?",
         "command line: num_envs: must be at least 1, got 0",
-        "command line: device: unknown device 'gpu'; allowed: cpu. Did you mean 'cpu'?",
+        "command line: device: unknown device 'gpu'; allowed: cpu, cuda, cuda:N. "
+        "Did you mean 'cpu'?",
         "command line: task.rewards.near.func: unknown reward term 'within_distanc'; "
         "allowed: {rewards}, or "
         "package.module:function. Did you mean 'within_distance'?",

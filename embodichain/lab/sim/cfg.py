@@ -27,11 +27,14 @@ from embodichain.lab.sim.scene_cfg import (
 from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg
 from embodichain.lab.sim.urdf_cfg import URDFCfg
 from embodichain.utils.configclass import configclass
+from embodichain.utils.errors import Problem
+from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
     "DEFAULT_RENDERER",
     "ArticulationCfg",
     "AttachedFileCfg",
+    "EngineName",
     "Four",
     "GPUMemoryCfg",
     "JointDrivePropertiesCfg",
@@ -48,10 +51,13 @@ __all__ = [
     "SolverCfg",
     "URDFCfg",
     "Vec3",
+    "WarpCfg",
     "WindowRecordCfg",
+    "choose_engine",
 ]
 
 DEFAULT_RENDERER = "hybrid"
+EngineName = Literal["mujoco", "warp"]
 
 
 @configclass
@@ -126,6 +132,16 @@ class WindowRecordCfg:
 
 
 @configclass
+class WarpCfg:
+    """Memory of MuJoCo Warp; too little is an error that names the key."""
+
+    nconmax: Annotated[int, Field(ge=1)] | None = None
+    """Contacts and pairs of geoms near each other, for each environment; all share the memory."""
+    njmax: Annotated[int, Field(ge=1)] | None = None
+    """Rows of constraints of each environment."""
+
+
+@configclass
 class SimulationManagerCfg:
     """One simulation: how it runs, and the physics every environment shares."""
 
@@ -148,13 +164,18 @@ class SimulationManagerCfg:
     physics_dt: float = 0.01
     """Seconds per physics step."""
     sim_device: Any = "cpu"
-    """The string "cpu" or a `torch.device("cpu")`; there is no CUDA engine yet."""
+    """Where physics runs: "cpu", "cuda", "cuda:N", or such a `torch.device`. Tensors of the
+    environment are on the CPU."""
     physics_config: PhysicsCfg = PhysicsCfg()
     gpu_memory_config: GPUMemoryCfg = GPUMemoryCfg()
     window_record: WindowRecordCfg = WindowRecordCfg()
     visualization: Any = None
     """A `VisualizationCfg` of `embodichain.lab.visualization`: the viewer in a browser."""
     # ours
+    engine: EngineName | None = dataclasses.field(default=None, kw_only=True)
+    """``mujoco`` is `mujoco.batch` on the CPU, ``warp`` MuJoCo Warp; None is that of the device."""
+    warp: WarpCfg = dataclasses.field(default_factory=WarpCfg, kw_only=True)
+    """Values that are None are estimated by MuJoCo Warp."""
     num_threads: int = dataclasses.field(default=0, kw_only=True)
     """Physics threads; 0 uses every core the process may use."""
     persistent: bool | None = dataclasses.field(default=None, kw_only=True)
@@ -430,3 +451,26 @@ def name_of(cfg: ObjectBaseCfg) -> str:
     if urdf is not None and urdf.stem():
         return urdf.stem()
     raise ValueError(f"{type(cfg).__name__} has no uid")
+
+
+def choose_engine(engine: EngineName | None, device: Any) -> tuple[EngineName, list[Problem]]:
+    """Return the engine for a device, and why it cannot run there or here.
+
+    Args:
+        engine: The engine, or None for that of the device: ``warp`` on CUDA, else ``mujoco``.
+        device: ``cpu``, ``cuda``, ``cuda:N``, or an object whose string is one of these.
+    """
+    name = str(device)
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", name):
+        hint = did_you_mean(name, ["cpu", "cuda"]).strip()
+        message = f"unknown device {name!r}; allowed: cpu, cuda, cuda:N."
+        return engine or "mujoco", [Problem("device", message, hint)]
+    chosen: EngineName = engine or ("mujoco" if name == "cpu" else "warp")
+    if chosen == "mujoco":
+        message = f"sim.engine=mujoco does not run on {name!r}: device=cpu, or sim.engine=warp"
+        return chosen, [] if name == "cpu" else [Problem("device", message)]
+    from embodichain.lab.sim.engine.warp_support import why_missing
+
+    reason = why_missing(name)
+    path = "sim.engine" if name == "cpu" else "device"
+    return chosen, [Problem(path, reason)] if reason else []

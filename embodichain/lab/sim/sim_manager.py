@@ -22,6 +22,7 @@ from embodichain.lab.sim.cfg import (
     RigidObjectCfg,
     RobotCfg,
     SimulationManagerCfg,
+    choose_engine,
 )
 from embodichain.lab.sim.compiler.drives import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
@@ -36,12 +37,11 @@ from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.unavailable import with_simulation_members
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
-from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
     from embodichain.lab.sim.drawing.views import Pictures, View, Viewpoint
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.engine.api import F64, Engine
     from embodichain.lab.sim.viewer import NativeViewer
 
 __all__ = ["SimulationManager"]
@@ -94,7 +94,7 @@ class SimulationManager:
 
     Attributes:
         num_envs: N.
-        device: Device of all tensors.
+        device: Device of all tensors: the CPU, wherever physics runs.
         instance_id: The simulation's number among those of this process.
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
             contains no robots.
@@ -109,7 +109,12 @@ class SimulationManager:
 
     def __init__(self, cfg: SimulationManagerCfg | None = None) -> None:
         self.sim_config = cfg if cfg is not None else SimulationManagerCfg(headless=True)
-        self.device = _check_device(self.sim_config.sim_device)
+        self._engine_name, problems = choose_engine(
+            self.sim_config.engine, self.sim_config.sim_device
+        )
+        if problems:
+            raise DeviceError(problems)
+        self.device = torch.device("cpu")
         self.num_envs = int(self.sim_config.num_envs)
         if self.num_envs < 1:
             raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
@@ -126,7 +131,7 @@ class SimulationManager:
         for uid, inside in self.inside.items():
             self.rigid_objects[uid] = RigidObject(inside, uid, self)
         self._destroyed = False
-        self._engine: CpuEngine | None = None
+        self._engine: Engine | None = None
         self._initial_row: F64 = np.zeros(0)
         self._renderer: OffscreenRenderer | None = None
         self._viewer: NativeViewer | None = None
@@ -242,7 +247,7 @@ class SimulationManager:
         return self._scene.compile()
 
     @property
-    def engine(self) -> CpuEngine:
+    def engine(self) -> Engine:
         """The engine; compiles the scene at first use."""
         if self._engine is None:
             self.compile()
@@ -263,7 +268,13 @@ class SimulationManager:
         if self._engine is not None:
             return
         cfg, scene = self.sim_config, self._scene.compile()
-        self._engine = CpuEngine(scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
+        if self._engine_name == "warp":
+            from embodichain.lab.sim.engine.warp import WarpEngine
+
+            sizes = str(cfg.sim_device), cfg.warp.nconmax, cfg.warp.njmax
+            self._engine = WarpEngine(scene.model, self.num_envs, cfg.num_threads, *sizes)
+        else:
+            self._engine = CpuEngine(scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
         self._initial_row = scene.initial_row
         self._engine.write("row", self._initial_row)
         self._scene.bind(self._engine)
@@ -470,7 +481,7 @@ class SimulationManager:
     @property
     def is_use_gpu_physics(self) -> bool:
         """Whether physics runs on a GPU."""
-        return self.device.type == "cuda"
+        return str(self.sim_config.sim_device).startswith("cuda")
 
     @property
     def is_physics_manually_update(self) -> bool:
@@ -481,20 +492,3 @@ class SimulationManager:
         """No effect: physics advances in `update` only. False logs a warning."""
         if not enable:
             _log.warning("set_manual_update(False): no effect, physics advances in update() only")
-
-
-def _check_device(device: Any) -> torch.device:
-    """Return the torch device of a simulation, or raise DeviceError if it has no engine here."""
-    try:
-        found = torch.device(device)
-    except RuntimeError:
-        raise DeviceError(
-            f"unknown device {device!r}; allowed: cpu.{did_you_mean(str(device), ['cpu', 'cuda'])}"
-        ) from None
-    if found.type == "cuda":
-        raise DeviceError(
-            f"device {str(device)!r}: the CUDA engine is not available yet; use device=cpu"
-        )
-    if found.type != "cpu":
-        raise DeviceError(f"device {str(device)!r} has no physics engine; allowed: cpu")
-    return found

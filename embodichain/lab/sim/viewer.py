@@ -13,8 +13,7 @@ import numpy as np
 from embodichain.utils.errors import RenderError
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import F64
-    from embodichain.lab.sim.engine.cpu import CpuEngine
+    from embodichain.lab.sim.engine.api import F64, Engine
 
 __all__ = ["NativeViewer", "has_display"]
 
@@ -43,7 +42,7 @@ class NativeViewer:
 
     def __init__(
         self,
-        engine: CpuEngine,
+        engine: Engine,
         env_id: int = 0,
         on_key: Callable[[int], None] | None = None,
     ) -> None:
@@ -81,7 +80,7 @@ class NativeViewer:
         """Whether the user has the window open."""
         return bool(self._handle.is_running())
 
-    def follow(self, engine: CpuEngine) -> None:
+    def follow(self, engine: Engine) -> None:
         """Show the states of another engine of the same model."""
         self._engine = engine
         self.sync()

@@ -16,8 +16,7 @@ from embodichain.recording.viewers.web_page import Facts
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import F64
-    from embodichain.lab.sim.engine.cpu import CpuEngine
+    from embodichain.lab.sim.engine.api import F64, Engine
 
 __all__ = ["NativeScreen", "Screen", "play_log"]
 
@@ -42,7 +41,7 @@ class Screen(Protocol):
     def watched(self) -> bool:
         """Whether anything displays the screen now."""
 
-    def begin(self, engine: CpuEngine) -> None:
+    def begin(self, engine: Engine) -> None:
         """Show this engine's environment from now on, with its current model."""
 
     def show(self, row: F64, facts: Facts) -> None:
@@ -77,7 +76,7 @@ class NativeScreen:
         """Whether the window was not closed."""
         return self._window is None or self._window.is_running
 
-    def begin(self, engine: CpuEngine) -> None:
+    def begin(self, engine: Engine) -> None:
         """Open the window; its model is not replaced later. RenderError without a display."""
         if self._window is None:
             self._window = NativeViewer(engine, 0, self._on_key)

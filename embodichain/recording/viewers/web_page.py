@@ -30,7 +30,7 @@ from embodichain.lab.sim.engine.api import F64
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.cpu import CpuEngine
+    from embodichain.lab.sim.engine.api import Engine
 
 __all__ = ["LOOKS", "SPEEDS", "Controls", "Facts", "PageOptions", "WebPage"]
 
@@ -216,7 +216,7 @@ class WebPage:
         if self._writable.poll(0):
             self._send("status", dict(status))
 
-    def begin(self, engine: CpuEngine) -> None:
+    def begin(self, engine: Engine) -> None:
         """Show states of an engine's environment 0 from now on."""
         self.show_model(engine.model_of(0))
 

@@ -440,7 +440,7 @@ def test_several_robots_and_extensions(make_env):
 
 
 def test_cuda_says_that_it_is_not_there_yet(make_env):
-    with pytest.raises(DeviceError, match="CUDA engine is not available yet; use device=cpu"):
+    with pytest.raises(DeviceError, match="there is no CUDA device here"):
         make_env(sim_cfg=SimulationManagerCfg(headless=True, sim_device="cuda"))
 
 

@@ -50,10 +50,10 @@ def test_a_robot_without_uid_takes_its_files_name():
 @pytest.mark.parametrize(
     ("device", "match"),
     [
-        ("cuda", "CUDA engine is not available yet"),
-        ("cuda:1", "CUDA engine"),
+        ("cuda", "there is no CUDA device here"),
+        ("cuda:1", "there is no CUDA device here"),
         ("cpuu", "Did you mean 'cpu'"),
-        ("meta", "no physics engine"),
+        ("meta", "unknown device 'meta'; allowed: cpu, cuda, cuda:N"),
     ],
 )
 def test_devices_without_an_engine_are_refused(device, match):

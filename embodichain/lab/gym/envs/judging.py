@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.drawing import CommandManager
     from embodichain.lab.gym.envs.managers.manager import CurriculumManager
     from embodichain.lab.gym.envs.observation import Observation
-    from embodichain.lab.sim.engine.api import F64
-    from embodichain.lab.sim.engine.cpu import CpuEngine
+    from embodichain.lab.sim.engine.api import F64, Engine
     from embodichain.lab.sim.types import EnvObs
 
 __all__ = [
@@ -285,7 +284,7 @@ class StateDump:
         engine: The simulations.
     """
 
-    def __init__(self, engine: CpuEngine) -> None:
+    def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._before: F64 = engine.rows.copy()
         self._written = 0

@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.snapshot import Drawn, Snapshot, SnapshotSource
-from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, row_layout
+from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, compiled_field, row_layout
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.episodes import Episodes
     from embodichain.lab.gym.envs.managers.manager import Manager
-    from embodichain.lab.sim.engine.api import EnvIndex
-    from embodichain.lab.sim.engine.cpu import CpuEngine
+    from embodichain.lab.sim.engine.api import Engine, EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = ["not_restored", "put", "snapshot_of"]
@@ -104,29 +103,20 @@ def _replay_draw(
         manager.replay(drawn.term, drawn.mode, where, drawn.values)
 
 
-def _put_model(
-    engine: CpuEngine, fields: Mapping[str, NDArray[Any]], where: EnvIndex | None
-) -> None:
+def _put_model(engine: Engine, fields: Mapping[str, NDArray[Any]], where: EnvIndex | None) -> None:
     """Set the fields that differ between environments; reset all others to the compiled model."""
     engine.forward(where)  # pending derivations must not overwrite the fields set below
     engine.reset(where)
     for name, values in engine.state_dict()["model"].items():
         if name not in fields:
             width = values[0].size  # of bounding volumes, a batch has only those of bodies
-            engine.write_model(name, _compiled(engine.model, name)[:width], where)
+            compiled = compiled_field(engine.model, name).reshape(-1)[:width]
+            engine.write_model(name, compiled, where)
     for again in range(2 if DERIVED_FIELDS & fields.keys() else 1):
         if again:
             engine.set_const(where)  # for derived quantities that are not fields
         for name, values in fields.items():
             engine.write_model(name, values, where)
-
-
-def _compiled(model: mujoco.MjModel, name: str) -> NDArray[Any]:
-    owner: Any = model
-    *path, last = name.split(".")
-    for part in path:
-        owner = getattr(owner, part)
-    return np.asarray(getattr(owner, last)).reshape(-1)
 
 
 def _check(snapshot: Snapshot, model: mujoco.MjModel, width: int) -> None:

@@ -1,6 +1,6 @@
 """`Engine`: interface for stepping N environments; writes, listeners, types of arrays.
 
-`CpuEngine` implements it on `mujoco.batch`.
+`CpuEngine` implements it on `mujoco.batch`, `WarpEngine` on MuJoCo Warp.
 """
 
 from __future__ import annotations
@@ -106,6 +106,8 @@ class Engine(Protocol):
     in which rows have changed.
     """
 
+    name: str
+    """What computes physics: ``mujoco``, or ``mujoco_warp 4.0.0``."""
     version: int
     """Increases with every change that may affect positions, velocities, accelerations or the
     model."""

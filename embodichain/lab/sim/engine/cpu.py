@@ -1,12 +1,13 @@
-"""`CpuEngine`: `Engine` on `mujoco.batch.Batch`. Methods are documented in `api`.
+"""`HostEngine` keeps states and models on the host; `CpuEngine` steps them with `mujoco.batch`.
 
+Methods are documented in `api`.
 Use one instance from one Python thread at a time (`mujoco.batch`).
 """
 
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -28,7 +29,7 @@ from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, ModelFields, row_l
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler, stop_timers
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["KINEMATIC_STAGES", "CpuEngine", "entries"]
+__all__ = ["KINEMATIC_STAGES", "CpuEngine", "HostEngine", "entries"]
 
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 _STAGE_POS = int(mujoco.mjtStage.mjSTAGE_POS)
@@ -59,25 +60,35 @@ _DIVERGED = [
 ]
 
 
-class CpuEngine(Engine):
-    """N simulations of one model on a pool of threads.
+class _DivergenceMarks(Protocol):
+    """Which environments diverged since they were last asked for."""
+
+    def begin(self) -> None: ...
+
+    def failed(self, env_ids: EnvIndex) -> None: ...
+
+    def forget(self, rows: Any) -> None: ...
+
+    def take(self) -> NDArray[np.bool_] | None: ...
+
+
+class HostEngine(Engine):
+    """State rows, model fields and writes of N simulations; subclasses compute the physics.
+
+    Rows and model fields are those of a `mujoco.batch.Batch`, on the host and in float64, whatever
+    computes physics from them. The batch also computes derived constants (`mj_setConst`).
 
     Args:
         model: The compiled scene; the batch copies it.
         num_envs: N.
-        num_threads: Physics threads; 0 uses every core this process may run on.
-        persistent: One MjData per environment (True) or per thread (False). Per thread, the data
-            stays in the cache, which makes steps up to 15 % faster, and reads of poses compute
-            poses only. Per environment, a step reuses stages that a read has computed. None is
-            False, unless the model needs True. Results are the same to the bit.
+        num_threads: Threads of the batch; 0 uses every core this process may run on.
+        persistent: See `CpuEngine`.
     """
 
+    _divergence: _DivergenceMarks
+
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        num_envs: int,
-        num_threads: int = 0,
-        persistent: bool | None = None,
+        self, model: mujoco.MjModel, num_envs: int, num_threads: int, persistent: bool | None
     ) -> None:
         install_log_handler()
         stop_timers()
@@ -102,18 +113,16 @@ class CpuEngine(Engine):
         self._fields = ModelFields(self._batch, num_envs)
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
-        self._kinematics = _Kinematics()
-        # Outputs of the batch, and copies of them from the last step or full forward: computing
-        # derived fields overwrites the batch's outputs.
+        # Outputs of physics, and copies of them from the last step or full forward: computing
+        # derived fields overwrites the outputs.
         self._accelerations: dict[str, tuple[F64, F64]] = {}
         self._dirty = np.ones(num_envs, np.bool_)
         self._changed: NDArray[np.int64] = np.zeros(num_envs, np.int64)
         self._all_changed = 0
         self._any_dirty = True
         self._all_dirty = True
-        self._divergence = _Divergence(self._batch)
 
-    # -- reads ---------------------------------------------------------------------------------
+    # -- reads -------------------------------------------------------------------------------------
 
     @property
     def versions(self) -> NDArray[np.int64]:
@@ -135,98 +144,12 @@ class CpuEngine(Engine):
     def state(self, name: str) -> F64:
         return self._views[name]
 
-    def derived(self, name: str) -> F64:
-        if name not in self._derived:
-            self._derived[name] = self._batch.bind(name)
-            self._kinematics.need(name)
-            self._any_dirty = self._all_dirty = True
-        if self._any_dirty:
-            self._refresh()
-        return self._derived[name]
-
-    def _refresh(self) -> None:
-        if self._fields.stale:
-            self._set_const_now()
-        ids = None if self._all_dirty else np.flatnonzero(self._dirty)
-        if self._kinematics.enough and not self.persistent:
-            flags = self._fields.internal("opt.disableflags")
-            self._call(self._kinematics.forward, self._batch, flags, ids)
-        else:
-            self._call(self._batch.forward, ids, stage=_STAGE_VEL)
-        self._dirty[:] = False
-        self._any_dirty = self._all_dirty = False
-
-    def acceleration(self, name: str) -> F64:
-        found = self._accelerations.get(name)
-        if found is None:
-            if self._fields.stale:
-                self._set_const_now()
-            output = self._batch.bind(name)
-            self._call(self._batch.forward, None, stage=_STAGE_ACC)
-            found = self._accelerations[name] = output, output.copy()
-        return found[1]
-
     def _copy_accelerations(self, env_ids: EnvIndex | None) -> None:
         for output, copy in self._accelerations.values():
             if env_ids is None:
                 copy[...] = output
             else:
                 copy[env_ids] = output[env_ids]
-
-    def cast_rays(
-        self,
-        origins: F64,
-        directions: F64,
-        geoms: NDArray[np.bool_],
-        env_ids: EnvIndex | None = None,
-        *,
-        normal: bool = False,
-    ) -> RayHits:
-        if self._fields.stale:
-            self._set_const_now()
-        # mj_ray chooses geoms by group: put them into group 0 during the call, others into 5.
-        group = self._fields.internal("geom_group")
-        kept = group.copy()
-        group[:] = np.where(geoms, 0, 5)
-        try:
-            found = self._batch.ray(
-                origins, directions, geomgroup=[1, 0, 0, 0, 0, 0], ids=env_ids, normal=normal
-            )
-        finally:
-            group[...] = kept
-        return RayHits(*found)
-
-    # -- physics -------------------------------------------------------------------------------
-
-    def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
-        if self._fields.stale:
-            self._set_const_now()
-        listeners = self.listeners
-        if listeners:
-            event = PhysicsEvent("before", nstep, env_ids, self._rows)
-            for listener in listeners:
-                listener.on_physics(event)
-        failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
-        self._mark(env_ids)
-        self._copy_accelerations(env_ids)
-        if listeners:
-            event = PhysicsEvent("after", nstep, env_ids, self._rows, failed)
-            for listener in listeners:
-                listener.on_physics(event)
-
-    def forward(self, env_ids: EnvIndex | None = None) -> None:
-        if self._fields.stale:
-            self._set_const_now()
-        self._call(self._batch.forward, env_ids, stage=_STAGE_ACC)
-        self._copy_accelerations(env_ids)
-        if env_ids is None:
-            self._dirty[:] = False
-            self._any_dirty = self._all_dirty = False
-        elif not self._all_dirty:
-            self._dirty[env_ids] = False
-            self._any_dirty = bool(self._dirty.any())
-        self.version += 1
-        self._notify(Write("forward", "", env_ids, ALL, None))
 
     def _call(self, function: Any, *args: Any, **kwargs: int) -> EnvIndex | None:
         """Run a batch call; remember and return the environments in which MuJoCo raised."""
@@ -253,7 +176,7 @@ class CpuEngine(Engine):
     def take_diverged(self) -> NDArray[np.bool_] | None:
         return self._divergence.take()
 
-    # -- writes --------------------------------------------------------------------------------
+    # -- writes ------------------------------------------------------------------------------------
 
     def write(
         self, field: str, values: Any, env_ids: EnvIndex | None = None, columns: Columns = ALL
@@ -317,7 +240,7 @@ class CpuEngine(Engine):
         for listener in self.listeners:
             listener.on_write(write)
 
-    # -- whole simulations -----------------------------------------------------------------------
+    # -- whole simulations -------------------------------------------------------------------------
 
     def model_of(self, env_id: int) -> mujoco.MjModel:
         if self._fields.stale:
@@ -359,6 +282,117 @@ class CpuEngine(Engine):
             self.acceleration(field)[...] = values
         # Counters are restored as a baseline: only new warnings count as divergence.
         self._divergence.begin()
+
+
+class CpuEngine(HostEngine):
+    """N simulations of one model on a pool of threads.
+
+    Args:
+        model: The compiled scene; the batch copies it.
+        num_envs: N.
+        num_threads: Physics threads; 0 uses every core this process may run on.
+        persistent: One MjData per environment (True) or per thread (False). Per thread, the data
+            stays in the cache, which makes steps up to 15 % faster, and reads of poses compute
+            poses only. Per environment, a step reuses stages that a read has computed. None is
+            False, unless the model needs True. Results are the same to the bit.
+    """
+
+    name = "mujoco"
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_envs: int,
+        num_threads: int = 0,
+        persistent: bool | None = None,
+    ) -> None:
+        super().__init__(model, num_envs, num_threads, persistent)
+        self._kinematics = _Kinematics()
+        self._divergence = _Divergence(self._batch)
+
+    def derived(self, name: str) -> F64:
+        if name not in self._derived:
+            self._derived[name] = self._batch.bind(name)
+            self._kinematics.need(name)
+            self._any_dirty = self._all_dirty = True
+        if self._any_dirty:
+            self._refresh()
+        return self._derived[name]
+
+    def _refresh(self) -> None:
+        if self._fields.stale:
+            self._set_const_now()
+        ids = None if self._all_dirty else np.flatnonzero(self._dirty)
+        if self._kinematics.enough and not self.persistent:
+            flags = self._fields.internal("opt.disableflags")
+            self._call(self._kinematics.forward, self._batch, flags, ids)
+        else:
+            self._call(self._batch.forward, ids, stage=_STAGE_VEL)
+        self._dirty[:] = False
+        self._any_dirty = self._all_dirty = False
+
+    def acceleration(self, name: str) -> F64:
+        found = self._accelerations.get(name)
+        if found is None:
+            if self._fields.stale:
+                self._set_const_now()
+            output = self._batch.bind(name)
+            self._call(self._batch.forward, None, stage=_STAGE_ACC)
+            found = self._accelerations[name] = output, output.copy()
+        return found[1]
+
+    def cast_rays(
+        self,
+        origins: F64,
+        directions: F64,
+        geoms: NDArray[np.bool_],
+        env_ids: EnvIndex | None = None,
+        *,
+        normal: bool = False,
+    ) -> RayHits:
+        if self._fields.stale:
+            self._set_const_now()
+        # mj_ray chooses geoms by group: put them into group 0 during the call, others into 5.
+        group = self._fields.internal("geom_group")
+        kept = group.copy()
+        group[:] = np.where(geoms, 0, 5)
+        try:
+            found = self._batch.ray(
+                origins, directions, geomgroup=[1, 0, 0, 0, 0, 0], ids=env_ids, normal=normal
+            )
+        finally:
+            group[...] = kept
+        return RayHits(*found)
+
+    def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
+        if self._fields.stale:
+            self._set_const_now()
+        listeners = self.listeners
+        if listeners:
+            event = PhysicsEvent("before", nstep, env_ids, self._rows)
+            for listener in listeners:
+                listener.on_physics(event)
+        failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
+        self._mark(env_ids)
+        self._copy_accelerations(env_ids)
+        if listeners:
+            event = PhysicsEvent("after", nstep, env_ids, self._rows, failed)
+            for listener in listeners:
+                listener.on_physics(event)
+
+    def forward(self, env_ids: EnvIndex | None = None) -> None:
+        if self._fields.stale:
+            self._set_const_now()
+        self._call(self._batch.forward, env_ids, stage=_STAGE_ACC)
+        self._copy_accelerations(env_ids)
+        if env_ids is None:
+            self._dirty[:] = False
+            self._any_dirty = self._all_dirty = False
+        elif not self._all_dirty:
+            self._dirty[env_ids] = False
+            self._any_dirty = bool(self._dirty.any())
+        self.version += 1
+        self._notify(Write("forward", "", env_ids, ALL, None))
 
 
 def entries(env_ids: EnvIndex | None, columns: Columns) -> tuple[Any, Any]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.engine.api import EnvIndex
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["DERIVED_FIELDS", "ModelFields", "row_layout"]
+__all__ = ["DERIVED_FIELDS", "ModelFields", "compiled_field", "row_layout"]
 
 _COMPONENTS = {
     "time": "TIME",
@@ -56,6 +56,14 @@ def row_layout(model: mujoco.MjModel) -> dict[str, slice]:
             layout[bits.get(bit, f"state_{position}")] = slice(start, start + size)
             start += size
     return layout
+
+
+def compiled_field(model: mujoco.MjModel, name: str) -> NDArray[Any]:
+    """The values of a model field: of `MjModel`, or ``opt.NAME``."""
+    owner: Any = model
+    for part in name.split("."):
+        owner = getattr(owner, part)
+    return np.asarray(owner)
 
 
 # fmt: off
@@ -134,8 +142,7 @@ class ModelFields:
     def values(self, name: str) -> NDArray[Any]:
         """(N, ...) values of an expanded field, (1, ...) of another."""
         found = self._batch.expanded(name) if name in mjbatch.MODEL_FIELDS else None
-        shared: NDArray[Any] = np.asarray(getattr(self._batch.model, name))[None]
-        return shared if found is None else found
+        return compiled_field(self._batch.model, name)[None] if found is None else found
 
     def internal(self, name: str) -> NDArray[Any]:
         """(N, size) live values of a field that the engine changes for one call of the batch.
@@ -155,12 +162,8 @@ class ModelFields:
 
     def default(self, name: str) -> NDArray[Any]:
         """(size,) compiled values of a field, as many as `view` has."""
-        owner: Any = self._batch.model
-        *path, last = name.split(".")
-        for part in path:
-            owner = getattr(owner, part)
         # The batch keeps bounding volumes of bodies only, which precede those of meshes.
-        return np.asarray(getattr(owner, last)).reshape(-1)[: self.view(name).shape[1]]
+        return compiled_field(self._batch.model, name).reshape(-1)[: self.view(name).shape[1]]
 
     # -- derived constants -------------------------------------------------------------------------
 

@@ -1,0 +1,344 @@
+"""`WarpWorlds`: N worlds of one model on a device of Warp, copied from and to arrays on the host.
+
+Warp computes in float32. Importing this module imports Warp.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.api import F64
+from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, compiled_field, row_layout
+from embodichain.lab.sim.engine.warp_support import start_warp
+from embodichain.utils.errors import ConfigError, Problem
+
+__all__ = ["Counts", "WarpWorlds", "measured_sizes"]
+
+_log = logging.getLogger(__name__)
+_AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+_LOOKS = ("mat_", "light_", "cam_", "geom_castshadow", "geom_group", "site_rgba", "site_matid")
+"""Beginnings of fields that only pictures read; they are drawn from the host's model."""
+_PLACES = frozenset({"geom_pos", "geom_quat", "body_pos", "body_quat"})
+_NO_LIMIT = 1e30
+"""Force range of actuators without a limit, where others have one, N or Nm."""
+_MANY, _FEW = 4096, 16
+"""Memory of a measurement, and the least memory of a simulation."""
+_FIRST_GROUP = wp.types.vector(length=6, dtype=float)(1, 0, 0, 0, 0, 0)
+_LEAST_TOLERANCE = 1e-6
+"""Of the solver in float32, as `mujoco_warp.put_model` sets it."""
+
+
+class Counts(NamedTuple):
+    """Numbers of one position stage.
+
+    Attributes:
+        contacts: Contacts of all worlds.
+        pairs: Pairs of geoms near each other in all worlds; they use the memory of contacts.
+        rows: (N,) rows of constraints.
+        overflow: (N,) bits of `mujoco_warp.OverflowType`.
+    """
+
+    contacts: int
+    pairs: int
+    rows: NDArray[np.int32]
+    overflow: NDArray[np.int32]
+
+
+class WarpWorlds:
+    """N worlds of one model on a device.
+
+    Args:
+        model: The compiled scene, in which `unsupported` finds nothing.
+        count: N.
+        device: ``cpu``, ``cuda`` or ``cuda:N``.
+        nconmax: Contacts for each world, from a memory shared by all; None is Warp's estimate.
+        njmax: Rows of constraints for each world; None is Warp's estimate.
+
+    Attributes:
+        nconmax, njmax: The limits in use.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        count: int,
+        device: str = "cpu",
+        nconmax: int | None = None,
+        njmax: int | None = None,
+    ) -> None:
+        start_warp()
+        self._count = count
+        self._device = wp.get_device(device)
+        self._compiled = model
+        self._layout = row_layout(model)
+        host = copy.copy(model)
+        host.opt.disableflags &= ~_AUTORESET  # Warp has no such flag, and never resets
+        _say_where_kernels_are()
+        with wp.ScopedDevice(self._device):
+            self._model = mjw.put_model(host)
+            self._model.opt.warn_overflow = 0  # `counts` reports it
+            self._data = mjw.make_data(host, nworld=count, nconmax=nconmax, njmax=njmax)
+        self.nconmax = int(self._data.naconmax) // count
+        self.njmax = int(self._data.njmax)
+        self._groups: dict[bytes, Any] = {}
+        self._limited = np.tile(model.actuator_forcelimited != 0, (count, 1))
+        self._ranges = np.tile(model.actuator_forcerange, (count, 1, 1))
+
+    # -- states ------------------------------------------------------------------------------------
+
+    def upload(self, rows: F64) -> None:
+        """Set the states of all worlds from integration-state rows (N, nstate)."""
+        for columns, array in self._components():
+            array.assign(_as_type(rows[:, columns], array))
+
+    def download(self, name: str) -> NDArray[Any]:
+        """A state component of all worlds, (N, width)."""
+        found: NDArray[Any] = getattr(self._data, name).numpy()
+        return found.reshape(self._count, -1)
+
+    def _components(self) -> Iterator[tuple[slice, Any]]:
+        for name, columns in self._layout.items():
+            if columns.stop > columns.start:
+                yield columns, getattr(self._data, name)
+
+    def read(self, name: str, out: F64) -> None:
+        """Copy a field of `mjData` into an array (N, ...) as `mujoco.batch` shapes it."""
+        out[...] = getattr(self._data, name).numpy().reshape(out.shape)
+
+    def width(self, name: str) -> int | None:
+        """Numbers of a field of `mjData` in one world; None if Warp has no such field."""
+        array = getattr(self._data, name, None)
+        if not isinstance(array, wp.array) or not array.shape or array.shape[0] != self._count:
+            return None
+        return int(np.prod(array.numpy().shape[1:]))
+
+    # -- physics -----------------------------------------------------------------------------------
+
+    def step(self, nstep: int) -> None:
+        """Advance all worlds; see `counts` for overflows."""
+        with wp.ScopedDevice(self._device):
+            self._data.overflow.zero_()
+            for _ in range(nstep):
+                mjw.step(self._model, self._data)
+
+    def forward(self) -> None:
+        """Compute all stages of all worlds; see `counts` for overflows."""
+        with wp.ScopedDevice(self._device):
+            self._data.overflow.zero_()
+            mjw.forward(self._model, self._data)
+
+    def kinematics(self) -> None:
+        """Compute poses, velocities of bodies, and what else does not depend on contacts."""
+        with wp.ScopedDevice(self._device):
+            mjw.fwd_kinematics(self._model, self._data)
+            mjw.com_vel(self._model, self._data)
+
+    def position_and_velocity(self) -> None:
+        """Compute the position and velocity stages with their sensors."""
+        model, data = self._model, self._data
+        with wp.ScopedDevice(self._device):
+            self.positions()
+            data.sensordata.zero_()
+            mjw.sensor_pos(model, data)
+            mjw.fwd_velocity(model, data)
+            mjw.sensor_vel(model, data)
+
+    def positions(self) -> None:
+        """Compute the position stage: contacts and constraints."""
+        with wp.ScopedDevice(self._device):
+            self._data.overflow.zero_()
+            mjw.fwd_position(self._model, self._data)
+
+    def counts(self) -> Counts:
+        """Numbers of the last position stage, and overflows since the last computation began."""
+        data = self._data
+        return Counts(
+            int(data.nacon.numpy()[0]),
+            int(data.ncollision.numpy()[0]),
+            data.nefc.numpy().copy(),
+            data.overflow.numpy().copy(),
+        )
+
+    def contacts(self) -> NDArray[np.int64]:
+        """(n, 3) world and two geom ids of each contact of the last position stage, sorted."""
+        count = self.counts().contacts
+        found = self._data.contact
+        ids = np.column_stack([found.worldid.numpy()[:count], found.geom.numpy()[:count]])
+        ids[:, 1:].sort(axis=1)
+        return np.asarray(ids[np.lexsort(ids.T[::-1])], np.int64)
+
+    def want_constraint_forces(self) -> None:
+        """Also compute ``cacc``, ``cfrc_int`` and ``cfrc_ext`` from now on."""
+        self._model.opt.run_rne_postconstraint = True
+
+    def rays(
+        self, origins: NDArray[np.float32], directions: NDArray[np.float32], geoms: Any
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Intersect rays with geoms at the current kinematics.
+
+        Args:
+            origins: (N, R, 3) metres.
+            directions: (N, R, 3).
+            geoms: (ngeom,) mask of geoms that can be hit.
+
+        Returns:
+            Distances (N, R) in lengths of the direction and geom ids (N, R), -1 for none; normals
+            (N, R, 3), 0 for none.
+        """
+        model, shape = self._model, origins.shape[:2]
+        key = geoms.tobytes()
+        with wp.ScopedDevice(self._device):
+            if key not in self._groups:  # geoms are chosen by group
+                self._groups[key] = wp.array(np.where(geoms, 0, 5), dtype=int)
+            kept, model.geom_group = model.geom_group, self._groups[key]
+            distance, geom = wp.zeros(shape, dtype=float), wp.zeros(shape, dtype=int)
+            normal = wp.zeros(shape, dtype=wp.vec3)
+            lengths = np.linalg.norm(directions, axis=-1)
+            units = directions / lengths[..., None]
+            try:
+                mjw.rays(
+                    model,
+                    self._data,
+                    wp.array(origins, dtype=wp.vec3),
+                    wp.array(units.astype(np.float32), dtype=wp.vec3),
+                    _FIRST_GROUP,
+                    True,
+                    wp.full(shape[1], -1, dtype=int),
+                    distance,
+                    geom,
+                    normal,
+                )
+            finally:
+                model.geom_group = kept
+        found, ids = distance.numpy(), geom.numpy()
+        hit = ids >= 0
+        return (
+            np.where(hit, found / lengths, -1.0),
+            ids,
+            np.where(hit[..., None], normal.numpy(), 0.0),
+        )
+
+    # -- the model ---------------------------------------------------------------------------------
+
+    def put_fields(self, fields: Mapping[str, NDArray[Any]]) -> bool:
+        """Set model fields (N, ...) of all worlds.
+
+        Returns:
+            Whether poses of geoms that cannot move may have changed; see `put_poses_of_geoms`.
+
+        Raises:
+            ConfigError: If a field of physics cannot differ between worlds in Warp.
+        """
+        with wp.ScopedDevice(self._device):
+            for name, values in fields.items():
+                self._put(name, values)
+        model = self._model
+        for name in ("wind", "density", "viscosity"):
+            if f"opt.{name}" in fields:
+                model.has_fluid |= bool(fields[f"opt.{name}"].any())
+        return not _PLACES.isdisjoint(fields)
+
+    def put_poses_of_geoms(self, positions: F64, matrices: F64) -> None:
+        """Set the poses of all geoms, (N, ngeom, 3) and (N, ngeom, 9).
+
+        Warp computes those of geoms that cannot move only once, with the compiled model.
+        """
+        for array, values in (
+            (self._data.geom_xpos, positions),
+            (self._data.geom_xmat, matrices),
+        ):
+            array.assign(_as_type(values, array))
+
+    def _put(self, name: str, values: NDArray[Any]) -> None:
+        owner: Any = self._model.opt if name.startswith("opt.") else self._model
+        field = name.removeprefix("opt.")
+        array = getattr(owner, field, None)
+        if name in ("actuator_forcelimited", "actuator_forcerange"):
+            return self._put_forces(name, values)
+        if isinstance(array, wp.array) and _is_batched(owner, field):
+            if name == "opt.tolerance":
+                values = np.maximum(values, _LEAST_TOLERANCE)
+            shape = (self._count, *array.shape[1:])
+            if array.shape == shape:
+                array.assign(_as_type(values, array))
+            else:
+                whole = wp.empty(shape, dtype=array.dtype)
+                whole.assign(_as_type(values, whole))
+                setattr(owner, field, whole)
+            return None
+        same = values == compiled_field(self._compiled, name)
+        if name.startswith(_LOOKS) or name in DERIVED_FIELDS or same.all():
+            return None
+        raise ConfigError(
+            [
+                Problem(
+                    "sim.engine",
+                    f"the model field {name!r} cannot differ between environments in MuJoCo Warp: "
+                    "use sim.engine=mujoco, or leave out what changes it",
+                )
+            ]
+        )
+
+    def _put_forces(self, name: str, values: NDArray[Any]) -> None:
+        """Flags of limited actuators are shared by all worlds: the others get a wide range."""
+        if name == "actuator_forcelimited":
+            self._limited = np.asarray(values, np.bool_)
+        else:
+            self._ranges = np.asarray(values, np.float64)
+        wide = np.array([-_NO_LIMIT, _NO_LIMIT])
+        ranges = np.where(self._limited[..., None], self._ranges, wide).astype(np.float32)
+        flags, kept = self._model.actuator_forcelimited, self._model.actuator_forcerange
+        self._model.actuator_forcelimited = wp.array(self._limited.any(axis=0), dtype=flags.dtype)
+        self._model.actuator_forcerange = wp.array(ranges, dtype=kept.dtype)
+
+
+def measured_sizes(model: mujoco.MjModel, rows: F64) -> dict[str, int]:
+    """Twice the memory that the worst of some states needs.
+
+    Args:
+        model: The compiled scene.
+        rows: (n, nstate) integration-state rows.
+
+    Returns:
+        ``nconmax`` and ``njmax`` of `WarpWorlds`, for each world.
+    """
+    worlds = WarpWorlds(model, 1, "cpu", _MANY, _MANY)
+    near = constraints = 0
+    for row in rows:
+        worlds.upload(row[None])
+        worlds.positions()
+        counts = worlds.counts()
+        near = max(near, counts.contacts, counts.pairs)
+        constraints = max(constraints, int(counts.rows.max()))
+    return {"nconmax": max(2 * near, _FEW), "njmax": max(2 * constraints, _FEW)}
+
+
+def _is_batched(owner: Any, field: str) -> bool:
+    """Whether a field of Warp's model can have a value for each world."""
+    spec = type(owner).__dataclass_fields__[field].type
+    shape: tuple[Any, ...] = getattr(spec, "shape", ())
+    return shape[:1] == ("*",)
+
+
+def _as_type(values: NDArray[Any], array: Any) -> NDArray[Any]:
+    """Values in the shape and the type of numbers of a Warp array, contiguous."""
+    inner = getattr(array.dtype, "_shape_", ())  # of vectors and matrices
+    dtype = wp.dtype_to_numpy(getattr(array.dtype, "_wp_scalar_type_", array.dtype))
+    return np.ascontiguousarray(values, dtype).reshape(*array.shape, *inner)
+
+
+def _say_where_kernels_are() -> None:
+    """Log that kernels will be compiled, if this version of Warp has compiled none here."""
+    folder = Path(str(wp.config.kernel_cache_dir))
+    if not folder.exists() or not any(folder.iterdir()):
+        _log.warning("MuJoCo Warp compiles its kernels into %s: minutes, the first time", folder)

@@ -1,0 +1,146 @@
+"""Whole tasks on MuJoCo Warp's CPU device, against MuJoCo: two, or all by `make test-warp`."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+import embodichain
+import embodichain.recording as recording
+from embodichain.cli import main
+from embodichain.config.composed import list_options
+from embodichain.config.factory import with_warp_sizes
+from embodichain.config.resolved import resolve
+from embodichain.recording import simulation, verify
+
+pytestmark = pytest.mark.unmeasured
+
+FEW = ["cart_pole", "quadruped_velocity"]
+ALL = os.environ.get("EMBODICHAIN_TEST_WARP") == "all"
+TASKS = list_options("task") if ALL else FEW
+N, STEPS, EPISODE = 2, 40, 25
+TIE = 1e-6
+"""Metres: closer bodies touch or do not, by rounding."""
+
+
+class Touching:
+    """Notes which environments had a contact at distance 0 before physics, since their reset."""
+
+    def __init__(self, engine):
+        self.engine, self.tied = engine, np.zeros(N, bool)
+
+    def on_write(self, write):
+        pass
+
+    def on_physics(self, event):
+        for i in range(N):
+            contact = self.engine.data_of(i).contact
+            self.tied[i] |= bool((np.abs(contact.dist) < TIE).any())
+
+
+def play(task, engine, steps, *overrides):
+    lines = ["seed=3", f"sim.engine={engine}", "sim.num_threads=1", *overrides]
+    env = embodichain.make(task, num_envs=N, overrides=lines)
+    try:
+        env.reset()
+        sim, space = env.sim.engine, env.single_action_space
+        touching = Touching(sim)
+        sim.listeners.append(touching)
+        rng = np.random.default_rng(5)
+        low, high = np.maximum(space.low, -1), np.minimum(space.high, 1)
+        played = {"start": sim.rows.copy(), "name": sim.name}
+        found = {key: [] for key in ("qpos", "qvel", "reward", "done", "diverged", "tied")}
+        for _ in range(steps):
+            action = rng.uniform(low, high, (N, *space.shape)).astype(np.float32)
+            _, reward, terminated, truncated, info = env.step(torch.from_numpy(action))
+            done = (terminated | truncated).numpy().copy()
+            found["tied"].append(touching.tied.copy())
+            touching.tied[done] = False
+            found["done"].append(done)
+            found["diverged"].append(info["diverged"].numpy().copy())
+            found["reward"].append(reward.numpy().copy())
+            for key in ("qpos", "qvel"):
+                found[key].append(sim.state(key).copy())
+        fields = sim.model_fields()
+    finally:
+        env.close()
+    return played | {key: np.array(values) for key, values in found.items()} | {"fields": fields}
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_task_is_the_same_on_both_engines(task):
+    """Forty control steps with resets between them, from the same draws."""
+    cap = f"task.max_episode_steps={EPISODE}"
+    cpu = play(task, "mujoco", STEPS, cap)
+    warp = play(task, "warp", STEPS, cap, "sim.warp.nconmax=256", "sim.warp.njmax=512")
+    assert (cpu["name"], warp["name"][:12]) == ("mujoco", "mujoco_warp ")
+    np.testing.assert_array_equal(warp["done"], cpu["done"])
+    assert cpu["done"].any() and not warp["diverged"].any()
+    # Resets that read poses begin from poses in float32.
+    np.testing.assert_allclose(warp["start"], cpu["start"], rtol=0, atol=1e-6)
+    clear = ~(cpu["tied"] | warp["tied"])
+    for key, bound in (("qpos", 1e-5), ("qvel", 1e-3), ("reward", 1e-4)):
+        error = np.abs(warp[key] - cpu[key]).reshape(STEPS, N, -1).max(axis=-1, initial=0)
+        assert error[clear].max(initial=0) < bound, key
+        assert np.isfinite(error).all()
+
+
+def test_what_events_draw_is_the_same_to_the_bit():
+    of = "func: randomize, mode: reset, params: {of: {uid: cart_pole}"
+    draws = (
+        f"+task.events.mass={{{of}, mass: [0.8, 1.2], operation: scale}}}}",
+        f"+task.events.damping={{{of}, joint_damping: [0.1, 0.4]}}}}",
+        "+task.events.fall={func: randomize, mode: reset, "
+        "params: {gravity: [[0, 0, -1], [0, 0, 1]]}}",
+    )
+    cap = ("task.max_episode_steps=3", *draws)
+    cpu = play("cart_pole", "mujoco", 6, *cap)
+    warp = play("cart_pole", "warp", 6, *cap, "sim.warp.nconmax=16", "sim.warp.njmax=16")
+    np.testing.assert_array_equal(warp["start"], cpu["start"])
+    assert {"body_mass", "body_invweight0", "dof_damping", "opt.gravity"} <= cpu["fields"].keys()
+    for name, values in cpu["fields"].items():
+        np.testing.assert_array_equal(warp["fields"][name], values)
+        assert name != "body_mass" or (values[0] != values[1]).any()
+    np.testing.assert_allclose(warp["qpos"], cpu["qpos"], atol=1e-5)
+
+
+def test_memory_is_measured_once_and_written_into_the_config():
+    resolved = resolve(["task=cart_pole", "sim.engine=warp", "sim.warp.njmax=48", "seed=1"])
+    assert dict(resolved.tree["sim"]["warp"]) == {"nconmax": None, "njmax": 48}
+    sized = with_warp_sizes(resolved)
+    assert dict(sized.tree["sim"]["warp"]) == {"nconmax": 16, "njmax": 48}
+    assert with_warp_sizes(sized) is sized
+    plain = resolve(["task=cart_pole"])
+    assert with_warp_sizes(plain) is plain and plain.tree["sim"]["engine"] == "mujoco"
+
+
+def told(capsys, *words):
+    assert main(list(words)) == 0
+    return capsys.readouterr().out
+
+
+def test_a_run_and_its_log(capsys, monkeypatch):
+    """The states of a log are those of the engine; its physics is close to MuJoCo's."""
+    lines = ("task=cart_pole", "sim.engine=warp", "num_envs=2", "max_steps=12", "seed=4")
+    told(capsys, "run", *lines, "task.max_episode_steps=5", "scene_png=false")
+    folder = Path("outputs/latest")
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    assert config["sim"]["warp"] == {"nconmax": 16, "njmax": 16}
+    with recording.open(folder) as log:
+        assert log.header.engine.startswith("mujoco_warp 4.")
+        model, data = log.model, log.read(["qpos"])["qpos"]
+    assert data.shape == (12, 2, model.nq)
+    # Physics was float32; a simulation on the CPU in float64 gives other bits.
+    assert (data[1:4].astype(np.float32) == data[1:4]).all()
+    report = verify(folder)
+    assert report.ok and (report.measured, report.outside) == (24, 0)
+    assert 0 < report.largest_error["qvel"] < 1e-5
+    assert "writes and resets are identical to the bit" in str(report)
+    listed = told(capsys, "replay", str(folder))
+    assert "mujoco_warp" in listed and "within a tolerance" in listed
+    monkeypatch.setitem(simulation.TOLERANCE, "qvel", 1e-12)
+    strict = verify(folder)
+    assert not strict.ok and "results of physics are not MuJoCo's" in str(strict)
