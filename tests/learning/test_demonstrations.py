@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import VecNormalize
 
+from embodichain.config import resolve
 from embodichain.learning import SB3VecEnv
 from embodichain.learning.demonstrations import Demonstrations, fill, learn_scales
+from embodichain.learning.plain_state import read_tree
+from embodichain.learning.train import train
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
-from tests.learning.recorded import Recorded
+from tests.learning.recorded import Recorded, record
 from tests.learning.test_algorithms import algorithm
 
 LENGTHS = (5, 3, 7, 2)
@@ -114,3 +117,84 @@ def test_scales_are_those_of_the_demonstrations():
             running = 0.5 * running + reward
             returns.append(running)
     assert normalizer.ret_rms.var == pytest.approx(np.var(returns), rel=1e-3)
+
+
+SAC = (
+    *("task=reach", "task.max_episode_steps=6", "num_envs=4", "sim.num_threads=1", "seed=1"),
+    *("algo=sac", "algo.buffer_size=400", "algo.learning_starts=8", "algo.normalize=both"),
+    *(f"dataset={__file__}", "algo.policy_kwargs={net_arch: [8]}", "checkpoint.every_steps=16"),
+)
+
+
+def reached(env):
+    return record(env, lambda obs: 0.1 * np.tile(obs["to_goal"], 2), 6)
+
+
+def test_a_training_begins_with_them(tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir(), second.mkdir()
+    kept = "checkpoint.replay_buffer=true"
+    summary = train(resolve([*SAC, kept, "total_timesteps=32"], "train"), first, episodes=reached)
+    assert summary.demonstrations == 4
+    arrays = read_tree(first / "checkpoints/final.replay.npz")["arrays"]
+    assert arrays["rewards"].shape == (6 + 8 + 1, 4)  # recorded, played, the next one
+    actions = arrays["actions"][:6].reshape(24, 6)
+    np.testing.assert_allclose(actions[:, :3], actions[:, 3:], atol=1e-6)  # as `reached` acts
+    assert np.abs(actions).max() < 0.05 < np.abs(arrays["actions"][6:8]).max()
+    assert arrays["dones"][:6].sum() == arrays["timeouts"][:6].sum() == 4
+    # Without the buffer in the checkpoint, a resumed training begins with them again.
+    few = [*SAC, "total_timesteps=48", f"resume={first}"]
+    train(resolve([*few, kept], "train"), second, episodes=reached)
+    arrays = read_tree(second / "checkpoints/final.replay.npz")["arrays"]
+    assert arrays["rewards"].shape == (6 + 12 + 1, 4)
+
+
+@pytest.mark.parametrize("wrong", [[1.0, 2.0], [[1.0, 2.0, 3.0]]])
+def test_actions_of_another_width(wrong):
+    vec_env = SB3VecEnv(CountingEnv([0], low=LOW, high=HIGH))
+    with pytest.raises(ValueError, match=r"instead of \(2,\)"):
+        vec_env.recorded_actions(np.array(wrong))
+
+
+def test_actions_are_scaled_back():
+    vec_env = SB3VecEnv(CountingEnv([0], low=LOW, high=HIGH))
+    given = np.float32([[-1, 1], [0.25, -0.5], [0, 0]])
+    vec_env.reset()
+    for row in given:
+        vec_env.step(row[None])
+    sent = np.concatenate([action.numpy() for action in vec_env.base.actions])
+    np.testing.assert_allclose(vec_env.recorded_actions(sent), given, atol=1e-6)
+    beyond = np.float32([[-9, 99]])
+    np.testing.assert_array_equal(vec_env.recorded_actions(beyond), [[-1, 1]])
+
+
+def test_entries_stay_apart_for_policies_that_take_a_dict():
+    vec_env = SB3VecEnv(CountingEnv([0], low=LOW, high=HIGH), flatten=False)
+    found = Demonstrations.of(episodes(), vec_env)
+    assert set(found.observations) == {"where/id", "time"}
+    rows = found.rows(found.before[[0, 5]])
+    np.testing.assert_array_equal(rows["time"], [[0, 0], [1, 0]])
+    assert found.steps == 17 and found.lengths.tolist() == list(LENGTHS)
+    model = algorithm("sac", policy="MultiInputPolicy", buffer_size=60).build(vec_env, seed=0)
+    assert fill(model.replay_buffer, found) == 17
+    np.testing.assert_array_equal(model.replay_buffer.next_observations["time"][4, 0], [0, 5])
+
+
+def test_other_demonstrations_have_another_checksum():
+    vec_env = SB3VecEnv(CountingEnv([0], low=LOW, high=HIGH))
+    sums = {Demonstrations.of(episodes()[:k], vec_env).checksum for k in range(1, 5)}
+    assert len(sums) == 4
+    assert Demonstrations.of(episodes(), vec_env).checksum in sums
+
+
+def test_entries_that_do_not_fit_are_named():
+    vec_env = SB3VecEnv(CountingEnv([0], low=LOW, high=HIGH))
+    for change, message in (
+        ({"time": np.zeros((6, 3), np.float32)}, r"observation 'time' is \(3,\) instead of \(2,\)"),
+        ({"where/id": None}, "no observation 'where/id', there are: time, other"),
+    ):
+        one = episodes()[0]
+        one.observations.update(change)
+        one.observations = {k: v for k, v in one.observations.items() if v is not None}
+        with pytest.raises(ConfigError, match=message):
+            Demonstrations.of([one], vec_env)
