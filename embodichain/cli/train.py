@@ -19,7 +19,7 @@ from embodichain.cli.eval import Asked, brief_rows, evaluate_job, evaluation_con
 from embodichain.cli.jobs import Job, execute, start
 from embodichain.cli.output import print_facts, print_json
 from embodichain.cli.process import Interrupted, started
-from embodichain.cli.resuming import changed, resumed_folder, resumption, with_changes
+from embodichain.cli.resuming import parsed_changes, resumed_folder, resumption, with_changes
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -145,7 +145,8 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
     from embodichain.learning.keeper import find_resumable
     from embodichain.learning.train import check_training
 
-    name, changes = changed(overrides, MAY_CHANGE, "training")
+    changes = parsed_changes(overrides, MAY_CHANGE, "a resumed training")
+    name = str(changes.pop("resume"))
     output_dir = changes.get("output_dir", "outputs")
     folder = resumed_folder(name, newest_run(output_dir, "checkpoints/*.zip"), "training")
     checkpoint, state = find_resumable(folder)

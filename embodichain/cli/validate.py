@@ -33,6 +33,7 @@ __all__ = ["command"]
     "validate",
     ("validate task=reach", "a task that ships with embodichain"),
     ("validate --train task=reach algo=sac", "as `train` would read it"),
+    ("validate --collect task=pick_place", "as `collect` would"),
     ("validate task=reach task.max_episode_steps=50", "with overrides"),
     ("validate --config-dir my_conf task=random_reach", "with a folder of yours"),
     keys=True,
@@ -40,9 +41,12 @@ __all__ = ["command"]
 )
 @overrides("FILE | [task=NAME] [KEY=VALUE]...")
 @click.option("--train", is_flag=True, help="As `train` would read it.")
-def command(words: tuple[str, ...], train: bool, json: bool) -> int:
+@click.option("--collect", is_flag=True, help="As `collect` would read it.")
+def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> int:
     """Print every mistake on stderr and exit with 2, or report that there is none."""
-    verb: Verb = "train" if train else "run"
+    if train and collect:
+        raise ConfigError("either --train or --collect")
+    verb: Verb = "train" if train else "collect" if collect else "run"
     name = " ".join(words)
     # By the suffix, so that a missing file is reported as missing.
     endings = (".yaml", ".yml", ".json")
@@ -91,7 +95,7 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
 
     Args:
         resolved: A checked config.
-        verb: ``train`` also builds the algorithm, ``run`` the policy.
+        verb: ``train`` also builds the algorithm, ``run`` and ``collect`` the policy.
 
     Raises:
         ConfigError: A mistake that the job would refuse, with its place.

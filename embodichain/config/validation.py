@@ -154,6 +154,10 @@ def _check_meaning(
 
         in_task += describe(root.task, scene, root.num_envs)
         problems += _lacking(root, scene)
+    if root.task.expert is not None and not _below("task.expert", missing):
+        from embodichain.lab.gym.expert.program import check_expert  # imports the actions
+
+        in_task += check_expert(root.task, scene.known, allow_import)
     if images is not None and scene.scene is not None and root.task.id is None:
         from embodichain.config.recorded_images import check_images  # imports MuJoCo
 
@@ -347,6 +351,8 @@ def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
     name = _policy_name(root)
     if policy is None or name is None:
         return []
+    if name == "expert" and root.task.expert is None and root.task.id is None:
+        return [Problem("policy", "the task has no section `expert`, whose steps it would perform")]
     if ":" in name and not allow_import:
         message = f"{name!r} would be imported, which is not allowed for this config"
         return [Problem("policy", message)]
@@ -402,7 +408,7 @@ def _with_suggestions(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None
     suggested = _suggested(filled, verb)
     policy = filled.get("policy")
     if "teleop" in (policy, policy.get("func") if isinstance(policy, dict) else None):
-        suggested.pop("num_envs", None)  # a person moves one robot
+        suggested["num_envs"] = 1  # a person moves one robot
     for key in SUGGESTED_KEYS:
         if filled.get(key) is None and suggested.get(key) is not None:
             filled[key] = suggested[key]

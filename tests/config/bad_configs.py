@@ -41,8 +41,8 @@ BAD = {
         "sim_steps_per_control, ignore_terminations, max_episode_steps, description, id, "
         "physics, decimation, episode_length_s, robot, robots, objects, articulations, "
         "lights, scene, views, sensors, actions, events, commands, observations, "
-        "enable_corruption, rewards, terminations, metrics, curriculum, extensions, suggested. "
-        "Did you mean 'max_episode_steps'?",
+        "enable_corruption, rewards, terminations, metrics, curriculum, expert, extensions, "
+        "suggested. Did you mean 'max_episode_steps'?",
         old="max_episode_steps: 50",
         new="max_episode_step: 50",
     ),
@@ -270,7 +270,7 @@ BAD = {
         overrides=("sim.engine=warp", "record.state=keyframes"),
     ),
     "unknown policy": bad(
-        "command line: policy: unknown policy 'randon'; allowed: hold, random, "
+        "command line: policy: unknown policy 'randon'; allowed: expert, hold, random, "
         "random_around_home, teleop, zero, package.module:function, or a path. Did you mean "
         "'random'?",
         overrides=("policy=randon",),
@@ -650,6 +650,32 @@ BAD = {
         "conf/task/mine.yaml:9: task.objects.ball.shape.radius: must be positive metres, got -0.05",
         old="radius: 0.05",
         new="radius: -0.05",
+    ),
+    "a shape beside any_of": bad(
+        "conf/task/mine.yaml:11: task.objects.box.shape: the object has any_of: give each of its "
+        "shapes there",
+        overrides=("+task.objects.box.any_of.can.shape={shape_type: Cylinder}",),
+    ),
+    "shapes of any_of": bad(
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.plate.shape.fpath: a Mesh needs a file",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.floor.body_type: a Plane must be static, "
+        "got 'kinematic'",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.quat: a quaternion is zero or not "
+        "finite; wxyz with unit length is wanted, got [0.0, 0.0, 0.0, 0.0]",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.shape.radius: must be positive "
+        "metres, got 0.0",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.a/b: uid 'a/b' must not contain '/', "
+        "which separates it from its parts",
+        old="shape: {shape_type: Sphere, radius: 0.05}",
+        new="any_of: {plate: {shape: {shape_type: Mesh}}, floor: {shape: {shape_type: Plane}}, "
+        "can: {quat: [0, 0, 0, 0], shape: {shape_type: Cylinder, radius: 0}}, a/b: {}}",
+    ),
+    "unknown key of a shape of any_of": bad(
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.masss: unknown key; allowed: shape, "
+        "pos, rot, quat, mass, density, dynamic_friction, body_scale, max_convex_hull_num, "
+        "collision. Did you mean 'mass'?",
+        old="shape: {shape_type: Sphere, radius: 0.05}",
+        new="any_of: {can: {masss: 1}}",
     ),
     "negative mass": bad(
         "command line: task.objects.box.attrs.mass: must be finite and not negative, got -1.0",
