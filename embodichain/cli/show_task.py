@@ -46,6 +46,7 @@ def task_tables(resolved: Resolved) -> dict[str, Any]:
             "spaces": _spaces(env),
             "sensors": _sensors(env),
             **{section: _terms(env, section) for section in _SECTIONS},
+            "expert": _steps(env),
             "action vector": _action_vector(env),
             "observation vector": _observation_vector(env),
         }
@@ -76,6 +77,13 @@ def without_defaults(section: str, rows: Rows) -> Rows:
     ]
     shown.sort(key=lambda name: name == "params")  # the longest last
     return [{name: row.get(name) for name in shown} for row in rows]
+
+
+def _steps(env: BaseEnv) -> Rows:
+    """The steps of the expert, and how many motions and other instructions each is made of."""
+    from embodichain.lab.gym.expert.program import step_rows
+
+    return step_rows(env.cfg.expert)
 
 
 def _timing(env: BaseEnv) -> dict[str, Any]:

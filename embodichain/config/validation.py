@@ -154,6 +154,10 @@ def _check_meaning(
 
         in_task += describe(root.task, scene, root.num_envs)
         problems += _lacking(root, scene)
+    if root.task.expert is not None and not _below("task.expert", missing):
+        from embodichain.lab.gym.expert.program import check_expert  # imports the actions
+
+        in_task += check_expert(root.task, scene.known, allow_import)
     if images is not None and scene.scene is not None and root.task.id is None:
         from embodichain.config.recorded_images import check_images  # imports MuJoCo
 
@@ -347,6 +351,8 @@ def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
     name = _policy_name(root)
     if policy is None or name is None:
         return []
+    if name == "expert" and root.task.expert is None and root.task.id is None:
+        return [Problem("policy", "the task has no section `expert`, whose steps it would perform")]
     if ":" in name and not allow_import:
         message = f"{name!r} would be imported, which is not allowed for this config"
         return [Problem("policy", message)]

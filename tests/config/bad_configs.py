@@ -41,8 +41,8 @@ BAD = {
         "sim_steps_per_control, ignore_terminations, max_episode_steps, description, id, "
         "physics, decimation, episode_length_s, robot, robots, objects, articulations, "
         "lights, scene, views, sensors, actions, events, commands, observations, "
-        "enable_corruption, rewards, terminations, metrics, curriculum, extensions, suggested. "
-        "Did you mean 'max_episode_steps'?",
+        "enable_corruption, rewards, terminations, metrics, curriculum, expert, extensions, "
+        "suggested. Did you mean 'max_episode_steps'?",
         old="max_episode_steps: 50",
         new="max_episode_step: 50",
     ),
@@ -270,7 +270,7 @@ BAD = {
         overrides=("sim.engine=warp", "record.state=keyframes"),
     ),
     "unknown policy": bad(
-        "command line: policy: unknown policy 'randon'; allowed: hold, random, "
+        "command line: policy: unknown policy 'randon'; allowed: expert, hold, random, "
         "random_around_home, teleop, zero, package.module:function, or a path. Did you mean "
         "'random'?",
         overrides=("policy=randon",),

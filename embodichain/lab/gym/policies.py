@@ -1,4 +1,4 @@
-"""Policies without learning: zero, random, random_around_home, hold; and policies of users.
+"""Policies without learning: zero, random, random_around_home, hold, expert; and users' own.
 
 Learned policies are files, which `resolve_policy` reads with a function of `embodichain.learning`.
 Random ones draw from the environment's streams: the actions of environment *i* do not depend on the
@@ -121,6 +121,7 @@ def hold(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
 
 
 POLICIES: dict[str, Callable[..., Any] | str] = {
+    "expert": "embodichain.lab.gym.expert.policy:Expert",
     "hold": hold,
     "random": random,
     "random_around_home": random_around_home,

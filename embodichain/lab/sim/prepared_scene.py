@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ArticulationCfg
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep
+    from embodichain.lab.sim.compiler.names import Known
     from embodichain.lab.sim.compiler.scene import CompiledScene, SceneParts
     from embodichain.lab.sim.compiler.world import World
     from embodichain.lab.sim.scene_cfg import SceneCfg
@@ -45,12 +46,16 @@ class PreparedScene:
     """Parsed articulations and a compiled scene, each for the first simulation of equal config.
 
     Taking an entry removes it. Configs are compared by value, files by their time and size.
+
+    Attributes:
+        known: The declared entities, by uid, of a scene that was checked; else None.
     """
 
     def __init__(self) -> None:
         self._articulations: dict[str, _Entry] = {}
         self._scene: tuple[list[Any], Any, CompiledScene] | None = None
         self._world: tuple[Any, World] | None = None
+        self.known: Known | None = None
 
     def __deepcopy__(self, memo: Any) -> PreparedScene:
         return self

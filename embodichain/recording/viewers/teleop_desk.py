@@ -1,10 +1,10 @@
 """`Desk`: the operator's place on the page of `viewer=web`, in the process that serves it.
 
-Every page opens the WebSocket ``/teleop``. The first one operates, the others watch; when it goes,
-the one that waits longest takes its place. Messages are JSON. From a page: ``{"press": CODE}``, and
-``{"held": [CODE], "axes": [number], "buttons": [index], "speed": number, "drag": null or {"at":
-[u, v], "depth": m}, "away": bool}`` at each change and ten times a second. To a page: `hello`, then
-the latest status.
+Every page opens the WebSocket ``/teleop``. The first one operates, the others watch; when it goes
+or is hidden, the one that waits longest takes its place. Messages are JSON. From a page:
+``{"press": CODE}``, and ``{"held": [CODE], "axes": [number], "buttons": [index], "speed": number,
+"drag": null or {"at": [u, v], "depth": m}, "away": bool}`` at each change and ten times a second.
+To a page: `hello`, then the latest status.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class Desk:
         self._changed = changed
         self._pages: list[Any] = []  # WebSockets in the order of their arrival
         self._away = False
-        self._heard = 0.0
+        self._heard = -math.inf
         self._input = OperatorInput()
         self._grab: _Grab | None = None
         self._status: dict[str, Any] = {}
@@ -176,9 +176,9 @@ class Desk:
                 self._begin()
 
     def _begin(self) -> None:
-        """Another page operates, or none: nothing is held."""
+        """Another page operates once it is heard, or none does: nothing is held."""
         self._input.release()
-        self._grab, self._away, self._heard = None, False, time.monotonic()
+        self._grab, self._away, self._heard = None, False, -math.inf
         self._changed.set()
 
     async def _send(self, socket: Any) -> None:
@@ -222,6 +222,10 @@ class Desk:
                 self._input.hold(map(str, given["held"]), axes, buttons, speed)
                 self._drag(dragged)
                 self._away = bool(given["away"])
+                if self._away and len(self._pages) > 1:  # a hidden page keeps no place
+                    self._pages.append(self._pages.pop(0))
+                    self._begin()
+                    return True
         except (KeyError, TypeError, ValueError, RecursionError):
             return False
         self._heard = time.monotonic()

@@ -180,6 +180,25 @@ def test_the_first_page_operates_and_the_next_one_takes_its_place(page):
     assert until(lambda: not page._controls.operated)
 
 
+def test_a_hidden_page_gives_its_place_away(page):
+    with Browser(page) as first:
+        first.hold(away=True)  # alone: the run waits for it
+        time.sleep(0.1)
+        assert not page._controls.operated
+        first.hold()
+        assert until(lambda: page._controls.operated)
+        with Browser(page) as second:
+            first.hold("KeyW", away=True)
+            second.receive(lambda m: m.get("operator"))
+            time.sleep(0.1)
+            assert not page._controls.operated  # it has not been heard yet
+            second.hold("KeyA")
+            assert until(lambda: page.command.linear == (0.0, 1.0, 0.0))
+            first.hold("KeyW")  # back again: it watches
+            time.sleep(0.1)
+            assert page.command.linear == (0.0, 1.0, 0.0)
+
+
 @pytest.mark.parametrize(
     "message",
     [

@@ -276,6 +276,10 @@ class EnvCfg:
     terminations: dict[str, TerminationCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     metrics: dict[str, MetricCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     curriculum: dict[str, CurriculumCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    expert: list[str | dict[str, Any]] | TermCfg | None = dataclasses.field(
+        default=None, kw_only=True
+    )
+    """Steps that solve the task, for `policy: expert`; or the function that makes them."""
     extensions: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
     """Values that become attributes of the environment, by name."""
     suggested: SuggestedCfg = dataclasses.field(default_factory=SuggestedCfg, kw_only=True)

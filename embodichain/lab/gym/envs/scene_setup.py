@@ -232,7 +232,7 @@ def describe(
         kind = "rigid object" if isinstance(entity, RigidObjectCfg) else None
         kind = "light" if isinstance(entity, LightCfg) else kind
         known.setdefault(uid, kind or parsed.get(path))
-    known |= dict.fromkeys(inside, "rigid object")
+    prepared.known = known = known | dict.fromkeys(inside, "rigid object")
     open_scene = cfg.id is not None or bool(physics.scene.fpath and world is None)
     incomplete = open_scene or None in known.values()
     found = check_views(physics.views, *places_of_views(known, world, incomplete))

@@ -68,7 +68,7 @@ SECTIONS: dict[str, Kind] = {
 """Section of a task -> kind of its terms, in the order of pages and tables."""
 VALUE_KINDS: tuple[Kind, ...] = ("observation", "reward", "termination", "metric")
 """Kinds whose terms are numbers: quantities can be used in all of them."""
-SpecKind = Kind | Literal["policy", "shape"]
+SpecKind = Kind | Literal["policy", "shape", "step"]
 LEADING: dict[SpecKind, tuple[str, ...]] = {
     "event": ("env", "env_ids"),
     "observation": ("env", "obs"),
@@ -80,9 +80,11 @@ LEADING: dict[SpecKind, tuple[str, ...]] = {
     "curriculum": ("env", "env_ids"),
     "policy": ("obs", "env"),
     "shape": ("env",),
+    "step": ("env",),
 }
 """First arguments of a function of each kind. The `__init__` of a class receives `env` (that of a
-policy, which is described here but is not a term, only parameters)."""
+policy, which is described here but is not a term, only parameters; so are functions that make
+the steps of an expert)."""
 _LEAD_OF_QUANTITIES = ("obs", "action", "info")
 """Arguments that a quantity may take after `env`, in this order; not in observations."""
 
@@ -130,7 +132,7 @@ class TermSpec:
     @property
     def label(self) -> str:
         """Kind and name, for messages: ``event term 'push'``."""
-        kind = self.kind if self.kind in ("policy", "shape") else f"{self.kind} term"
+        kind = self.kind if self.kind in ("policy", "shape", "step") else f"{self.kind} term"
         return f"{kind} {self.name!r}"
 
     @property

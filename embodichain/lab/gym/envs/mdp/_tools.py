@@ -1,20 +1,77 @@
 """A robot's tool by the entity of a term: `tool_links` names it, `arm_solver` moves it.
 
-`moving_joints` are the joints that do.
+`MovesTool` is an action that does; `moving_joints` are the joints, `usual_speeds` how fast they
+may turn.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+import numpy as np
+
+from embodichain.lab.gym.envs.managers.scene_entity import UNLIMITED
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
-__all__ = ["arm_solver", "moving_joints", "tool_links"]
+__all__ = [
+    "MovesTool",
+    "Orientation",
+    "arm_solver",
+    "moving_joints",
+    "tool_links",
+    "tool_orientation",
+    "usual_speeds",
+]
+
+Orientation = Literal["any", "keep", "free"]
+"""Whether an action chooses the tool's orientation, keeps it, or leaves it free."""
+_TURNS_A_SECOND, _METRES_A_SECOND = np.pi, 1.0
+"""Rad/s and m/s of joints for which neither file nor drive has a limit."""
+
+
+class MovesTool(Protocol):
+    """An action term by which a tool can be moved along a path."""
+
+    @property
+    def solver(self) -> ArmSolver:
+        """The kinematics of the tool."""
+
+    @property
+    def orientation(self) -> Orientation:
+        """What the action does with the tool's orientation."""
+
+    @property
+    def joint_speeds(self) -> F64:
+        """(k,) largest speeds of the solver's moving joints, rad/s or m/s."""
+
+    @property
+    def tool_speeds(self) -> tuple[float, float]:
+        """Largest speeds of the tool, m/s and rad/s, that the action can ask for."""
+
+    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+        """The action that asks for a pose of the tool, within the action's bounds.
+
+        Args:
+            pos: (N, 3) m, in the environment's frame.
+            quat: (N, 4) wxyz.
+            qpos: (N, k) positions of the solver's moving joints that have this pose.
+
+        Returns:
+            (N, A).
+        """
+
+
+def tool_orientation(rotation: str) -> Orientation:
+    """What a term's parameter `rotation` means for the tool's orientation."""
+    return "keep" if rotation == "keep" else "free" if rotation == "free" else "any"
 
 
 def tool_links(entity: ResolvedEntity) -> list[str]:
@@ -63,3 +120,18 @@ def moving_joints(entity: ResolvedEntity, solver: ArmSolver) -> ResolvedEntity:
     """The entity with those of its joints picked that move the tool, from root to tool."""
     joints = tuple(map(int, solver.moving))
     return dataclasses.replace(entity, joint_ids=joints, joint_names=solver.names, all_joints=False)
+
+
+def usual_speeds(asset: Any, joints: NDArray[np.int64], solver: ArmSolver) -> F64:
+    """(k,) rad/s or m/s: the smaller of file and drive, else pi rad/s or 1 m/s.
+
+    Args:
+        asset: The robot.
+        joints: (k,) some of its joints.
+        solver: The kinematics of a tool that these joints move.
+    """
+    limits = np.minimum(asset.parsed.qvel_limits, asset.parsed.max_velocity)[joints]
+    hinges = solver.chain.hinges[np.isin(solver.chain.joints, joints)]
+    usual = np.where(hinges, _TURNS_A_SECOND, _METRES_A_SECOND)
+    found: F64 = np.where(limits < UNLIMITED, limits, usual)
+    return found

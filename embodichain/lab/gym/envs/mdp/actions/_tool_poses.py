@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine, JointClip, PerJoint
+from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
+from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
 from embodichain.utils.math import (
     euler_xyz_to_quat,
     quat_conjugate,
     quat_multiply,
     quat_rotate,
+    quat_to_rotvec,
     rotvec_to_quat,
 )
 
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
-__all__ = ["AbsolutePose", "MotionColumns", "RelativePose", "in_axes"]
+__all__ = ["AbsolutePose", "MotionColumns", "RelativePose", "in_axes", "motion_between"]
 
 _QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
 
@@ -174,6 +176,11 @@ def in_axes(
     return quat_rotate(back, shift), quat_rotate(back, turn)
 
 
+def motion_between(start: tuple[F64, F64], pos: F64, quat: F64) -> tuple[F64, F64]:
+    """Translation (n, 3) and rotation vector (n, 3) from a pose to another, in their frame."""
+    return pos - start[0], quat_to_rotvec(quat_multiply(quat, quat_conjugate(start[1])))
+
+
 class MotionColumns:
     """Columns of actions that are motions of a tool: scale x clamp(action, clip).
 
@@ -203,6 +210,12 @@ class MotionColumns:
         self.low, self.high = affine.low, affine.high
         self.value = affine.value
         self._action_for = affine.action_for
+        ends = np.abs([affine.value_of(self.low), affine.value_of(self.high)]).min(axis=0)
+        self._largest = ends[:3].min(), ends[3:].min(initial=np.inf)
+
+    def largest(self, rate: float) -> tuple[float, float]:
+        """The longest translation and rotation along each column, m and rad, times a rate."""
+        return float(self._largest[0]) * rate, float(self._largest[1]) * rate
 
     def action_for(self, shift: F64, turn: F64) -> F64:
         """(n, A) the actions nearest to motions, (n, 3) metres and (n, 3) rotation vectors."""

@@ -10,11 +10,8 @@ from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
-from embodichain.lab.gym.envs.mdp.actions.joint_action import (
-    Affine,
-    JointClip,
-    PerJoint,
-)
+from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
+from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
 

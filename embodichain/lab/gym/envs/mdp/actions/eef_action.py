@@ -13,15 +13,21 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Box3, UnitInterval
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import UNLIMITED, ResolvedEntity
-from embodichain.lab.gym.envs.mdp._tools import arm_solver, moving_joints
-from embodichain.lab.gym.envs.mdp.actions._tool_poses import AbsolutePose, MotionColumns, in_axes
-from embodichain.lab.gym.envs.mdp.actions.joint_action import (
-    JointClip,
-    JointTerm,
-    PerJoint,
-    per_joint,
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp._tools import (
+    arm_solver,
+    moving_joints,
+    tool_orientation,
+    usual_speeds,
 )
+from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint, per_joint
+from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
+    AbsolutePose,
+    MotionColumns,
+    in_axes,
+    motion_between,
+)
+from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.lab.sim.solvers.chain import matmul
 from embodichain.lab.sim.solvers.least_squares import Target, pose_error
 from embodichain.utils.errors import ConfigError, Problem
@@ -36,14 +42,13 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
     from embodichain.lab.sim.solvers.chain import Frames
 
 __all__ = ["EefDeltaPose", "EefPose", "EefTerm"]
 
 _POSITION_TOLERANCE, _ROTATION_TOLERANCE = 1e-3, 1e-2
 """M and rad: a larger error is flagged where the joints cannot reduce it."""
-_TURNS_A_SECOND, _METRES_A_SECOND = np.pi, 1.0
-"""Rad/s and m/s of joints for which neither file nor drive has a limit."""
 
 
 class EefTerm(JointTerm):
@@ -84,12 +89,7 @@ class EefTerm(JointTerm):
             if not (speeds > 0).all():
                 raise ConfigError([Problem("max_velocity", "must be positive")])
             return speeds
-        parsed = self._asset.parsed
-        limits = np.minimum(parsed.qvel_limits, parsed.max_velocity)[self._ids]
-        hinges = self._solver.chain.hinges[np.isin(self._solver.chain.joints, self._ids)]
-        usual = np.where(hinges, _TURNS_A_SECOND, _METRES_A_SECOND)
-        found: F64 = np.where(limits < UNLIMITED, limits, usual)
-        return found
+        return usual_speeds(self._asset, self._ids, self._solver)
 
     def _commanded(self) -> F64:
         """(N, D) joint positions with the moving joints at their targets."""
@@ -118,6 +118,30 @@ class EefTerm(JointTerm):
     def target_pose(self) -> tuple[F64, F64]:
         """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
         return self._solver.forward(self._commanded())
+
+    @property
+    def solver(self) -> ArmSolver:
+        """The kinematics of the tool."""
+        return self._solver
+
+    @property
+    def joint_speeds(self) -> F64:
+        """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
+        speeds: F64 = self._largest / self._period
+        return speeds
+
+    def action_for(self, shift: F64, turn: F64) -> F64:
+        """(N, A) the actions that move the tool, as far as their bounds allow.
+
+        Args:
+            shift: (N, 3) metres from `target_pose`, in the environment's axes.
+            turn: (N, 3) rotation vectors, likewise.
+        """
+        raise NotImplementedError
+
+    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+        """(N, A) the action that moves the tool to a pose; see `MovesTool`."""
+        return self.action_for(*motion_between(self.target_pose(), pos, quat))
 
     def metrics(self) -> Mapping[str, F64]:
         """Errors in m and rad that the last step leaves, and whether the pose is out of reach."""
@@ -168,6 +192,7 @@ class EefPose(EefTerm):
             self._asset, self._solver, self._count, frame, rotation, position_range
         )
         self._poses, self._world = poses, frame == "world"
+        self.orientation, self.tool_speeds = tool_orientation(rotation), (np.inf, np.inf)
         self.names, self.low, self.high = poses.names, poses.low, poses.high
 
     def apply(self, action: torch.Tensor) -> None:
@@ -179,7 +204,7 @@ class EefPose(EefTerm):
         self._follow(commanded, frames, pose_error(frames, target))
 
     def action_for(self, shift: F64, turn: F64) -> F64:
-        """(N, A) the actions that move the tool; arguments as of `EefDeltaPose.action_for`."""
+        """(N, A) the actions that move the tool; arguments as of `EefTerm.action_for`."""
         return self._poses.action_for(*self.target_pose(), shift, turn)
 
     def _pose(self, qpos: F64) -> tuple[F64, F64]:
@@ -241,19 +266,15 @@ class EefDeltaPose(EefTerm):
         self._measured = reference == "qpos"
         columns = MotionColumns(self._count, rotation, scale, clip)
         self.names, self.low, self.high = columns.names, columns.low, columns.high
-        self._columns = columns
+        self._columns, self.orientation = columns, tool_orientation(rotation)
+        self.tool_speeds = columns.largest(1.0 / env.step_dt)
 
     def target_pose(self) -> tuple[F64, F64]:
         """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
         return self.tool_pose() if self._measured else super().target_pose()
 
     def action_for(self, shift: F64, turn: F64) -> F64:
-        """(N, A) the actions that move the tool, as far as their bounds allow.
-
-        Args:
-            shift: (N, 3) metres from `target_pose`, in the environment's axes.
-            turn: (N, 3) rotation vectors, likewise.
-        """
+        """(N, A) the actions that move the tool; see `EefTerm.action_for`."""
         quat = self.target_pose()[1]
         shift, turn = in_axes(self._solver, self._frame, quat, shift, turn)
         return self._columns.action_for(shift, turn)

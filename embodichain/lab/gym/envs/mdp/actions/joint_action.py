@@ -1,24 +1,29 @@
 """The action that moves joints: positions, velocities or efforts, affine in the action.
 
-`PerJoint` and `JointClip` are parameters with one value a joint; `Affine` computes values and
-bounds; `JointTerm`, `VelocityTargets` and `Efforts` write them.
+`Affine` computes values and bounds; `JointTerm`, `VelocityTargets` and `Efforts` write them.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import PlainValidator
 
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
-from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.gym.envs.mdp._tools import arm_solver, usual_speeds
+from embodichain.lab.gym.envs.mdp.actions._per_joint import (
+    JointClip,
+    PerJoint,
+    joint_clip,
+    per_joint,
+)
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -27,141 +32,18 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+    from embodichain.lab.gym.envs.mdp._tools import Orientation
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.objects.articulation import Articulation
+    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
 __all__ = [
     "Affine",
     "Efforts",
     "JointAction",
-    "JointClip",
     "JointTerm",
-    "PerJoint",
     "VelocityTargets",
-    "joint_clip",
-    "per_joint",
 ]
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _numbers(value: Any) -> Any:
-    parts = (
-        value.values()
-        if isinstance(value, Mapping)
-        else value
-        if isinstance(value, (list, tuple))
-        else [value]
-    )
-    if not parts or not all(map(_is_number, parts)):
-        raise ValueError("must be a finite number, a list of one a joint, or {joint regex: number}")
-    return value
-
-
-def _interval(value: Any) -> tuple[float, float]:
-    """[low, high], or a number c for [-c, c]."""
-    if _is_number(value):
-        value = (-value, value)
-    if not (isinstance(value, (list, tuple)) and len(value) == 2 and all(map(_is_number, value))):
-        raise ValueError(
-            "must be [low, high] or one number for both sides, a list of such pairs (one a joint), "
-            "or {joint regex: [low, high]}"
-        )
-    low, high = map(float, value)
-    if low >= high:
-        relation = "equals" if low == high else "exceeds"
-        raise ValueError(f"low {low} {relation} high {high}")
-    return low, high
-
-
-def _intervals(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {pattern: _interval(one) for pattern, one in value.items()}
-    if isinstance(value, (list, tuple)) and any(isinstance(v, (list, tuple)) for v in value):
-        return [_interval(one) for one in value]
-    return _interval(value)
-
-
-PerJoint = Annotated[float | list[float] | dict[str, float], PlainValidator(_numbers)]
-"""A number for all joints, a list of one a joint, or {joint regex: number}."""
-JointClip = Annotated[
-    float | list[float] | list[list[float]] | dict[str, list[float]], PlainValidator(_intervals)
-]
-"""[low, high] (or c for [-c, c]) for all joints, a list of such pairs, or {joint regex: pair}."""
-
-
-def per_joint(
-    value: Any,
-    names: Sequence[str],
-    path: str,
-    default: float | None = None,
-    what: str = "joint",
-) -> F64:
-    """Spread a `PerJoint` over joints, or other named things.
-
-    Args:
-        value: As declared.
-        names: The A joints.
-        path: Key path of the parameter, for messages.
-        default: Value of joints that no regex of a map matches; None requires that all match.
-        what: The kind of the names, for messages.
-
-    Returns:
-        (A,) float64.
-
-    Raises:
-        ConfigError: If a list does not have one value per joint; if a regex matches no joint, or
-            one that another regex matches; or if a joint has no value. Lists the joints.
-    """
-    fallback = () if default is None else (default,)
-    return _spread(value, names, path, fallback, False, what)[:, 0]
-
-
-def joint_clip(value: Any, names: Sequence[str], path: str, what: str = "joint") -> tuple[F64, F64]:
-    """Low and high, (A,) each, of a `JointClip`; raises like `per_joint` without a default."""
-    low, high = _spread(_intervals(value), names, path, (), True, what).T.copy()
-    return low, high
-
-
-def _spread(
-    value: Any, names: Sequence[str], path: str, default: Any, paired: bool, what: str
-) -> F64:
-    """(A, width) one row per joint."""
-    count, width = len(names), 2 if paired else 1
-    if isinstance(value, Mapping):
-        rows = _matched(value, names, path, what)
-        missing = [name for name in names if name not in rows]
-        if missing and not default:
-            problem = Problem(path, f"says nothing about {what}s: {', '.join(missing)}")
-            raise ConfigError([problem])
-        value = [rows.get(name, default[0] if default else None) for name in names]
-    elif not isinstance(value, (list, tuple)) or (paired and isinstance(value, tuple)):
-        value = [value] * count
-    if len(value) != count:
-        message = f"needs one value or {count}, one a {what}; got {len(value)}"
-        raise ConfigError([Problem(path, message)])
-    found: F64 = np.asarray(value, np.float64).reshape(count, width)
-    return found
-
-
-def _matched(
-    value: Mapping[str, Any], names: Sequence[str], path: str, what: str
-) -> dict[str, Any]:
-    """Name -> value of the one regex that matches it in full."""
-    found: dict[str, Any] = {}
-    source: dict[str, str] = {}
-    for pattern, one in value.items():
-        where = f"{path}.{pattern}"
-        hits, problems = match(pattern, names, f"{what} of this term", where)
-        if problems:
-            raise ConfigError(problems)
-        for name in (names[i] for i in hits):
-            if name in source:
-                message = f"{what} {name!r} is matched by {source[name]!r} as well"
-                raise ConfigError([Problem(where, message)])
-            source[name], found[name] = pattern, one
-    return found
 
 
 class Affine:
@@ -218,6 +100,10 @@ class Affine:
         centre, scale = self._line
         return given if self._plain else centre + scale * given.astype(np.float64)
 
+    def value_of(self, action: NDArray[np.float32]) -> F64:
+        """(A,) the value of one action within the bounds."""
+        return self._centre + self._scale * action
+
     def action_for(self, value: F64 | float) -> F64:
         """(A,) or (N, A) the action for a value, clamped to the bounds."""
         found: F64 = np.clip((value - self._centre) / self._scale, self._least, self._most)
@@ -273,6 +159,12 @@ class JointTerm(ActionTerm):
             message = f"joints {names} take velocity targets only: use joint_velocity"
             raise ConfigError([Problem("entity_cfg", message)])
         self._default: F64 = np.asarray(asset.parsed.init_qpos, np.float64)[self._ids]
+
+    @property
+    def asset(self) -> Articulation:
+        """The robot."""
+        asset: Articulation = self._asset
+        return asset
 
     def _write_targets(self, target: F64) -> None:
         """Set the drives' position targets (N, A), clamped to the joints' limits.
@@ -428,6 +320,7 @@ class JointAction(JointTerm):
         range: Range = (-1.0, 1.0),
     ) -> None:
         super().__init__(env, entity_cfg, control != "effort", control == "position")
+        self._entity, self._control = entity_cfg, control
         if control != "position" and centre != "zero":
             raise ConfigError([Problem("centre", f"{centre} has a meaning for positions only")])
         if range[0] == range[1]:
@@ -445,6 +338,7 @@ class JointAction(JointTerm):
         affine = Affine(self.names, env.num_envs, scale, offset, clip, home, limits)
         self.low, self.high = affine.low, affine.high
         self._value, self._action_for = affine.value, affine.action_for
+        self._value_of = affine.value_of
         self._start, self._end, self._joint_low = *ends, low
         self._slope: F64 = (high - low) / (ends[1] - ends[0])
         self._moves = control != "position" or centre in ("qpos", "target")
@@ -484,3 +378,43 @@ class JointAction(JointTerm):
     def hold(self) -> F64:
         """(N, A) or (A,) the action that keeps the present targets, or that causes no motion."""
         return self.home() if self._moves else self._action_at(self._targets())
+
+    # -- as `MovesTool`, for position targets ----------------------------------------------------
+
+    orientation: ClassVar[Orientation] = "any"
+    tool_speeds: ClassVar[tuple[float, float]] = (math.inf, math.inf)
+
+    @cached_property
+    def solver(self) -> ArmSolver:
+        """The kinematics of the tool that the joints move.
+
+        Raises:
+            ConfigError: If there is no such tool, or more than one, or it is no position control.
+        """
+        if self._control != "position":
+            message = f"targets are positions, not {self._control}, where a tool follows a path"
+            raise ConfigError([Problem("control", message)])
+        return arm_solver(self._entity)
+
+    @cached_property
+    def _moving(self) -> tuple[list[int], NDArray[np.int64]]:
+        """The columns of the joints that move the tool, from root to tool, and these joints."""
+        joints = self.solver.moving
+        return [self._ids.tolist().index(int(joint)) for joint in joints], joints
+
+    @property
+    def joint_speeds(self) -> F64:
+        """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
+        columns, joints = self._moving
+        speeds = usual_speeds(self._asset, joints, self.solver)
+        if self._reference == self._targets and self._moves:
+            ends = np.abs([self._value_of(self.low), self._value_of(self.high)]).min(axis=0)
+            speeds = np.minimum(speeds, ends[columns] / self._period)
+        return speeds
+
+    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+        """(N, A) the action for joint positions; see `MovesTool`."""
+        now = self._reference() if self._moves else self._targets()
+        target = now.copy()
+        target[:, self._moving[0]] = qpos
+        return self._action_for(target - now) if self._moves else self._action_at(target)

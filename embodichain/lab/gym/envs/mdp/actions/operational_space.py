@@ -10,15 +10,19 @@ import numpy as np
 from embodichain.lab.gym.envs.managers.param_types import Box3, NonNegative, Positive
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp._tools import arm_solver, moving_joints
-from embodichain.lab.gym.envs.mdp.actions._tool_poses import AbsolutePose, RelativePose
-from embodichain.lab.gym.envs.mdp.actions.joint_action import (
-    Efforts,
-    JointClip,
-    JointTerm,
-    PerJoint,
-    per_joint,
+from embodichain.lab.gym.envs.mdp._tools import (
+    arm_solver,
+    moving_joints,
+    tool_orientation,
+    usual_speeds,
 )
+from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint, per_joint
+from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
+    AbsolutePose,
+    RelativePose,
+    motion_between,
+)
+from embodichain.lab.gym.envs.mdp.actions.joint_action import Efforts, JointTerm
 from embodichain.lab.sim.solvers.arm_dynamics import ArmDynamics
 from embodichain.lab.sim.solvers.impedance import Impedance
 from embodichain.utils.errors import ConfigError, Problem
@@ -28,6 +32,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
 __all__ = ["OperationalSpace"]
 
@@ -143,8 +148,37 @@ class OperationalSpace(JointTerm):
         self._quat: F64 = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
         self._begins = np.ones(count, np.bool_)  # no pose was asked for in this episode
         self._free = rotation == "free"
+        self.orientation = tool_orientation(rotation)
+        self.tool_speeds = self._largest_speeds(most, *gains, decoupling)
         self._error: F64 = np.zeros((len(axes), count))
         self._saturated = np.zeros(count, np.bool_)
+
+    def _largest_speeds(
+        self, most: tuple[float, float], stiffness: F64, ratio: F64, decoupling: bool
+    ) -> tuple[float, float]:
+        """M/s and rad/s at which the spring pulls the tool behind a target that is ahead of it."""
+        if not decoupling:  # then the rate depends on the mass: that of the default is taken
+            stiffness, ratio = np.full(6, 150.0), np.ones(6)
+        rate = np.sqrt(stiffness) / (2.0 * np.maximum(ratio, 0.1))
+        ahead = most
+        if isinstance(self._poses, RelativePose):
+            step = self._poses.largest(1.0)
+            ahead = min(most[0], step[0]), min(most[1], step[1])
+        return ahead[0] * float(rate[:3].max()), ahead[1] * float(rate[3:].max(initial=0.0))
+
+    @property
+    def solver(self) -> ArmSolver:
+        """The kinematics of the tool."""
+        return self._solver
+
+    @property
+    def joint_speeds(self) -> F64:
+        """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
+        return usual_speeds(self._asset, self._ids, self._solver)
+
+    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+        """(N, A) the action that moves the tool to a pose; see `MovesTool`."""
+        return self.action_for(*motion_between(self.target_pose(), pos, quat))
 
     def _refuse_drives(self) -> None:
         """Refuse joints with a drive that pulls or damps."""
@@ -197,7 +231,7 @@ class OperationalSpace(JointTerm):
         return now if measured else asked
 
     def action_for(self, shift: F64, turn: F64) -> F64:
-        """(N, A) the actions that move the tool; arguments as of `EefDeltaPose.action_for`."""
+        """(N, A) the actions that move the tool; arguments as of `EefTerm.action_for`."""
         poses, (pos, quat) = self._poses, self.target_pose()
         if isinstance(poses, AbsolutePose):
             return poses.action_for(pos, quat, shift, turn)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import TYPE_CHECKING, Any, Literal
 
 import lazy_loader
@@ -12,12 +13,9 @@ from embodichain.lab.gym.envs.managers.param_types import Positive, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import finite_limits
+from embodichain.lab.gym.envs.mdp.actions._per_joint import PerJoint, per_joint
 from embodichain.lab.gym.envs.mdp.actions.actuator_ctrl import picked_controls
-from embodichain.lab.gym.envs.mdp.actions.joint_action import (
-    JointTerm,
-    PerJoint,
-    per_joint,
-)
+from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -177,15 +175,27 @@ class ParallelGripper(JointTerm):
 
     def _action_at(self, position: F64) -> F64:
         """(..., 1) the action nearest to positions (..., A): the mean over the joints that move."""
-        moving = np.flatnonzero(self._span)
-        shares = ((position - self._low)[..., moving] / self._span[moving]).T
-        found = shares[0]
-        for share in shares[1:]:
-            found = found + share
         start, end = self._ends
-        value: F64 = start + (end - start) * (np.asarray(found) / len(moving))
+        value: F64 = start + (end - start) * self._share(position)
         value = np.clip(value, start, end)
         return np.where(value < 0.0, -1.0, 1.0)[..., None] if self._binary else value[..., None]
+
+    def opening(self) -> F64 | None:
+        """(N,) measured share of the way from closed (0) to open (1); None if it is unknown.
+
+        It is that of joints, or of an actuator that is a position servo.
+        """
+        position = self._qpos() if self._controls is None else self._controls.at_rest(self._asset)
+        if position is None:
+            return None
+        return self._share(position)
+
+    def _share(self, position: F64) -> F64:
+        """Share of the way from low to high of positions (..., A): the mean of those that move."""
+        moving = np.flatnonzero(self._span)
+        shares = ((position - self._low)[..., moving] / self._span[moving]).T
+        found: F64 = np.asarray(reduce(np.add, shares)) / len(moving)
+        return found
 
     def home(self) -> F64:
         """(1,) the action nearest to the initial state."""
@@ -202,7 +212,7 @@ class _Controls:
     Args:
         asset: The robot.
         patterns: Regexes over the names of controls.
-        forced: Whether `reach` is used, which needs position servos on joints or fixed tendons.
+        forced: Whether they must be position servos of joints or fixed tendons, as `reach` needs.
 
     Attributes:
         which: (A,) columns of the controls.
@@ -217,13 +227,23 @@ class _Controls:
         self.names = tuple(parsed.control_names[i] for i in self.which)
         self.limits: F64 = np.asarray(parsed.ctrl_limits, np.float64)[self.which]
         self.initial: F64 = np.asarray(parsed.init_ctrl, np.float64)[self.which]
-        if forced:
+        self._servos = True
+        try:
             rows = [_servo(parsed, name) for name in self.names]
-            self._gain: F64 = np.array([gain for gain, *_ in rows])
-            self._bias: F64 = np.array([bias for _, bias, _ in rows])
-            levers = np.array([lever for *_, lever in rows])
-            moving = np.flatnonzero(levers.any(axis=0)).tolist()
-            self._levers = [(joint, levers[:, joint]) for joint in moving]
+        except ConfigError:
+            if forced:
+                raise
+            self._servos = False
+            return
+        self._gain: F64 = np.array([gain for gain, *_ in rows])
+        self._bias: F64 = np.array([bias for _, bias, _ in rows])
+        levers = np.array([lever for *_, lever in rows])
+        moving = np.flatnonzero(levers.any(axis=0)).tolist()
+        self._levers = [(joint, levers[:, joint]) for joint in moving]
+
+    def at_rest(self, asset: Any) -> F64 | None:
+        """Controls (N, A) at which servos have no force; None if they are no servos."""
+        return self.reach(asset.read_qpos(), 0.0)[0] if self._servos else None
 
     def reach(self, qpos: F64, force: float) -> tuple[F64, F64]:
         """Controls (N, A) without force at positions (N, D), and the distance (A,) to `force`."""

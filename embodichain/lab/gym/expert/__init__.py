@@ -1,0 +1,1 @@
+"""Experts: the steps of a task file that solve it, for all environments at once."""

@@ -1,0 +1,88 @@
+"""What steps are made of: `Move` the tool, `Grip`, `Wait`; and `Phase`, a list for each arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+__all__ = ["EXACT", "Goal", "Grip", "Instruction", "Move", "Phase", "Target", "Vector", "Wait"]
+
+Target = str | Callable[..., Any]
+"""``ENTITY``, ``ENTITY/LINK``, a command, ``world``; in Python also ``f(env) -> (N, 7)`` poses."""
+EXACT = 0.02
+"""M: a motion with a smaller tolerance ends at rest."""
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A pose for the tool, or for what it holds, computed when the motion begins.
+
+    Attributes:
+        target: What the position is relative to; None is where the tool is on its path.
+        offset: Metres.
+        axes: Axes of `offset` and `rpy`: those of the environment, the target or the tool.
+        above: Metres up from there.
+        back: Metres back along the tool's z axis, which points out of a gripper.
+        align: What it is turned to about the vertical; None keeps the orientation.
+        symmetry: Directions in a full turn that are as good.
+        level: Whether a tool that does not point up or down is aligned as well.
+        rpy: Orientation, roll, pitch, yaw about fixed axes in rad; None keeps it.
+        beyond: Metres beyond the target, on the horizontal line from `start`.
+        start: Another target.
+        held: Whether the pose is that of what the gripper holds.
+    """
+
+    target: Target | None = None
+    offset: Vector = (0.0, 0.0, 0.0)
+    axes: Literal["world", "target", "tool"] = "world"
+    above: float = 0.0
+    back: float = 0.0
+    align: Target | None = None
+    symmetry: int = 4
+    level: bool = False
+    rpy: Vector | None = None
+    beyond: float = 0.0
+    start: Target | None = None
+    held: bool = False
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """What one arm does: `step` names the step in messages, "" is the only arm."""
+
+    step: str
+    arm: str
+
+
+@dataclass(frozen=True)
+class Move(Instruction):
+    """Moves the tool along a straight line, at a share of the largest speed.
+
+    `tolerance` is how near the measured pose must come to the goal, in metres, at rest if it is
+    below `EXACT`; None goes on as soon as the goal was asked for.
+    """
+
+    goal: Goal
+    speed: float
+    tolerance: float | None
+
+
+@dataclass(frozen=True)
+class Grip(Instruction):
+    """Opens or closes the gripper, until the fingers rest; `takes` must be between them then."""
+
+    opens: bool
+    takes: Target | None
+
+
+@dataclass(frozen=True)
+class Wait(Instruction):
+    """Waits."""
+
+    seconds: float
+
+
+Phase = dict[str, list[Instruction]]
+"""Arm -> what it does. The next phase begins when all arms have finished."""

@@ -1,0 +1,68 @@
+"""`Expert`: the policy that performs the steps in a task's section `expert`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader
+import numpy as np
+
+from embodichain.lab.gym.expert.execution import Execution
+from embodichain.lab.gym.expert.program import steps_of
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.types import EnvObs
+else:
+    torch = lazy_loader.load("torch")
+
+__all__ = ["Expert"]
+
+
+class Expert:
+    """Performs the steps in the task's section `expert`.
+
+    It plans from the measured poses of tool and targets, when a motion begins, and acts through the
+    task's own actions. An environment where a step fails keeps the tool where it is. The actions of
+    an environment do not depend on the number of environments.
+
+    Args:
+        steps: Steps in place of the task's: a list as in a task file, or a function ``f(env)`` that
+            returns one (Python only).
+    """
+
+    def __init__(self, steps: Any = None) -> None:
+        self._given = steps
+        self._execution: Execution | None = None
+
+    def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
+        """Return (N, A) float32 actions.
+
+        Raises:
+            ConfigError: At the first call, if the steps are wrong or cannot be done in this task.
+        """
+        execution = self._execution
+        if execution is None or execution.env is not env:
+            steps = self._given if self._given is not None else env.cfg.expert
+            execution = self._execution = Execution(env, steps_of(steps, env))
+        return torch.from_numpy(execution.act().astype(np.float32))
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Begin anew in these environments; (n,) int64, or None for all."""
+        if self._execution is not None:
+            self._execution.reset(env_ids)
+
+    @property
+    def done(self) -> NDArray[np.bool_]:
+        """(N,) whether all steps are done or one failed; empty before the first action."""
+        return np.zeros(0, np.bool_) if self._execution is None else self._execution.done
+
+    @property
+    def failures(self) -> Sequence[str | None]:
+        """The step that failed in each environment, and why; empty before the first action."""
+        return () if self._execution is None else self._execution.failures
