@@ -45,6 +45,7 @@ VERBS = {
     "train": "Train a policy with Stable-Baselines3.",
     "eval": "Play a policy for exactly N episodes; print results with confidence intervals.",
     "collect": "Record episodes until enough of them succeeded; resumable.",
+    "augment": "Record episodes that repeat recorded ones in other starts of their task.",
     "play": "Show a trained policy in a window.",
     "compare": "Put trainings side by side: a table, and curves with intervals over seeds.",
     "report": "Write one HTML page about a run: results, film, curves, config, how to repeat it.",

@@ -9,17 +9,17 @@ import dataclasses
 import json
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.app import command_line, job_arguments, verb
-from embodichain.cli.jobs import Job, execute, policy_of, start
+from embodichain.cli.jobs import Job, execute, policy_name, policy_of, start
 from embodichain.cli.output import print_facts, print_json, to_json
 from embodichain.cli.process import started
 from embodichain.cli.reporting import ProgressDisplay
-from embodichain.cli.resuming import changed, resumed_folder, resumption, with_changes
+from embodichain.cli.resuming import parsed_changes, resumed_folder, resumption, with_changes
 from embodichain.config.run_folder import CONFIG, LOG, SUMMARY, newest_run
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
@@ -27,9 +27,9 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.gym.policies import Policy
     from embodichain.recording import McapRecorder
     from embodichain.recording.collecting import Collected, Collector
+    from embodichain.recording.collection import CollectionWriter
 
 __all__ = ["CollectionError", "collect_job", "command", "summary_rows"]
 
@@ -76,7 +76,8 @@ def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
     from embodichain.config.resolved import resolve_tree
     from embodichain.recording.collection import SUCCESSES, read_collection
 
-    name, changes = changed(overrides, MAY_CHANGE, "collection")
+    changes = parsed_changes(overrides, MAY_CHANGE, "a resumed collection")
+    name = str(changes.pop("resume"))
     newest = newest_run(changes.get("output_dir", "outputs"), SUCCESSES)
     folder = resumed_folder(name, newest, "collection")
     done = len(read_collection(folder))
@@ -90,15 +91,11 @@ def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
     return dataclasses.replace(found, overrides=tuple(overrides)), folder
 
 
-def collect_job(
-    job: Job, make_policy: Callable[[BaseEnv], Policy] | None = None, **facts: Any
-) -> float | None:
+def collect_job(job: Job) -> float | None:
     """Collect into the job's folder, write `summary.json` and print the results.
 
     Args:
         job: A job with a config of the verb `collect`.
-        make_policy: Makes the policy for an environment; None makes that of the config.
-        **facts: More entries of the summary.
 
     Returns:
         The yield.
@@ -109,20 +106,18 @@ def collect_job(
     from embodichain.recording.collection import CollectionWriter
 
     root = job.root
-    policy = root.policy if isinstance(root.policy, (str, type(None))) else root.policy.func
     about = {"task": job.resolved.task_name, "folder": str(job.folder), "seed": root.seed}
-    about |= {"policy": policy, **facts}
-    make = make_policy or (lambda env: policy_of(root, env))
-    try:
-        with CollectionWriter(job.folder) as writer:
-            summary = about | _collect(job, writer, make)
-    except Exception as error:
+    about["policy"] = policy_name(root)
+    with CollectionWriter(job.folder) as writer:
         try:
-            _write_summary(job.folder, {**about, "status": "failed", "error": repr(error)})
-        except OSError as second:  # a full disk fails here too; the first error is reported
-            _log.error("%s could not be written: %s", SUMMARY, second)
-        raise
-    _write_summary(job.folder, summary)
+            summary = about | _collect(job, writer)
+        except Exception as error:
+            try:
+                _write_summary(job.folder, {**about, "status": "failed", "error": repr(error)})
+            except OSError as second:  # a full disk fails here too; the first error is reported
+                _log.error("%s could not be written: %s", SUMMARY, second)
+            raise
+        _write_summary(job.folder, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
     summary |= job.film(summary["log"])
     if root.json:
@@ -138,7 +133,7 @@ def collect_job(
     return share
 
 
-def _collect(job: Job, writer: Any, make_policy: Callable[[BaseEnv], Policy]) -> dict[str, Any]:
+def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
     """Build, collect and close; returns the summary."""
     from embodichain.config.factory import make_env
     from embodichain.recording.attempts import Attempts
@@ -159,7 +154,7 @@ def _collect(job: Job, writer: Any, make_policy: Callable[[BaseEnv], Policy]) ->
     resolved = job.resolved.changed(num_envs=count)
     env = make_env(resolved, run_dir=run_dir, autoreset_mode="DISABLED")
     try:
-        policy = make_policy(env)
+        policy = policy_of(root, env)
         recorder: McapRecorder | None = dataclasses.replace(job, resolved=resolved).attach_log(
             env, name
         )
@@ -180,7 +175,7 @@ def _collect(job: Job, writer: Any, make_policy: Callable[[BaseEnv], Policy]) ->
 def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
     """Collect until the collection is complete, or something ends it; returns what was counted."""
     root, stop, collected = job.root, job.stop, collector.collected
-    wanted, before = root.episodes or 1, (collected.successes, collected.steps)
+    wanted, before = root.episodes or 1, collected.successes
     limit = root.max_steps or float("inf")
     patience = root.collect.give_up_after or float("inf")
     status, steps, start = "finished", 0, time.perf_counter()
@@ -188,11 +183,13 @@ def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
 
     def rate() -> float:
         """Successes per second since the start or the resumption."""
-        return (collected.successes - before[0]) / max(time.perf_counter() - start, 1e-9)
+        return (collected.successes - before) / max(time.perf_counter() - start, 1e-9)
 
     with ProgressDisplay(task, wanted, "successes", quiet=job.quiet) as display:
         try:
             for steps, _ in enumerate(collector.play(), 1):
+                if env.sim.is_window_open:  # in real time
+                    time.sleep(max(0.0, start + steps * env.step_dt - time.perf_counter()))
                 if display.due:
                     display.show(collected.successes, _facts(collected, wanted, rate()))
                 if collector.complete:

@@ -53,12 +53,15 @@ def page_of(folder: Path) -> str:
     """
     from jinja2 import Environment
 
+    from embodichain.recording.collection import is_collection
+
     if not (folder / CONFIG).is_file():
         raise ConfigError(f"{folder} is no run's folder: it has no {CONFIG}")
     config = _yaml(folder / CONFIG)
     summary, evaluated = _json(folder / SUMMARY), _json(folder / "eval.json")
     kind = "training" if "algo" in summary or (folder / "progress.csv").exists() else "run"
     kind = "evaluation" if evaluated and kind != "training" else kind
+    kind = "collection" if is_collection(folder) else kind
     outcome = summary or evaluated
     notes = [] if outcome else [f"no {SUMMARY}: the run did not end, or was killed"]
     notes += [f"failed: {outcome['error']}"] if "error" in outcome else []
@@ -171,6 +174,10 @@ def _results(summary: Mapping[str, Any], evaluated: Mapping[str, Any]) -> Rows:
         from embodichain.cli.train import summary_rows as rows_of_training
 
         rows = rows_of_training(summary)
+    elif "successes_wanted" in summary:
+        from embodichain.cli.collect import summary_rows as rows_of_collection
+
+        rows = rows_of_collection(summary)
     elif summary:
         from embodichain.cli.run import summary_rows
 
@@ -217,6 +224,8 @@ def _commands(
     found = [("As it was run", typed)] if typed else []
     if typed and not any(word.startswith("seed=") for word in shlex.split(typed)):
         found.append(("The same random numbers again", f"{typed} seed={config.get('seed')}"))
+    if kind == "collection":
+        found.append(("Go on", f"embodichain collect resume={run}"))
     if kind == "training":
         found += [
             ("Evaluate the policy", f"embodichain eval {run}"),

@@ -10,7 +10,7 @@ from embodichain.cli.app import split_overrides
 from embodichain.cli.jobs import job_options
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["changed", "resumed_folder", "resumption", "with_changes"]
+__all__ = ["parsed_changes", "resumed_folder", "resumption", "with_changes"]
 
 _ALWAYS = ("record", "sim", "output_dir", "allow_changed", "quiet", "json", "traceback")
 """Keys that may change in every resumption."""
@@ -33,15 +33,15 @@ def resumption(options: Any) -> list[str] | None:
     return [*split_overrides(words), *job_options(options)]
 
 
-def changed(
+def parsed_changes(
     overrides: Sequence[str], may_change: Sequence[str], what: str
-) -> tuple[str, dict[str, Any]]:
-    """Return the run to resume as typed, and the keys to change.
+) -> dict[str, Any]:
+    """Return the values of overrides by key.
 
     Args:
-        overrides: As typed: ``resume=RUN`` and ``key=value``.
+        overrides: As typed: ``key=value``.
         may_change: Keys that may change (and what is below them), besides those of any run.
-        what: The kind of run, for messages.
+        what: The kind of run with its article, for messages.
 
     Raises:
         ConfigError: An override is malformed, or sets a key that may not change.
@@ -55,18 +55,18 @@ def changed(
         raise ConfigError(str(error)) from error
     wrong = [o.input_line or "" for o in parsed if o.is_delete() or o.is_sweep_override()]
     if wrong:
-        raise ConfigError([Problem("resume", f"takes no {line!r} beside it") for line in wrong])
+        message = "takes no deletions and no sweeps"
+        raise ConfigError([Problem("", f"{what} {message}: {line!r}") for line in wrong])
     changes = {o.key_or_group: o.value() for o in parsed}
-    name = str(changes.pop("resume"))
     keys = (*may_change, *_ALWAYS)
     problems = [
-        Problem(key, f"a resumed {what} keeps its config; what may change: {', '.join(keys)}")
+        Problem(key, f"{what} keeps its config; what may change: {', '.join(keys)}")
         for key in changes
-        if key.partition(".")[0] not in keys
+        if key.partition(".")[0] not in (*keys, "resume")
     ]
     if problems:
         raise ConfigError(problems)
-    return name, changes
+    return changes
 
 
 def resumed_folder(name: str, newest: Path | None, what: str) -> Path:

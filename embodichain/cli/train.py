@@ -14,11 +14,12 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.app import command_line, job_arguments, verb
+from embodichain.cli.demonstrations import read_dataset
 from embodichain.cli.eval import Asked, brief_rows, evaluate_job, evaluation_config
 from embodichain.cli.jobs import Job, execute, start
 from embodichain.cli.output import print_facts, print_json
 from embodichain.cli.process import Interrupted, started
-from embodichain.cli.resuming import changed, resumed_folder, resumption, with_changes
+from embodichain.cli.resuming import parsed_changes, resumed_folder, resumption, with_changes
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["command", "summary_rows", "train_job"]
 
-MAY_CHANGE = ("total_timesteps", "checkpoint", "eval", "video", "wandb")
+MAY_CHANGE = ("total_timesteps", "dataset", "checkpoint", "eval", "video", "wandb")
 """Keys (and what is below them) that may differ from those of the run that is resumed, besides
 those that may always."""
 
@@ -98,7 +99,10 @@ def _learn(job: Job) -> dict[str, Any]:
             train(
                 *(job.resolved, job.folder, progress),
                 lambda env: job.attach_viewer(env, realtime=False),
+                lambda env: read_dataset(job, env),
             )
+    if not (job.folder / SUMMARY).is_file():
+        raise Interrupted(f"interrupted ({job.stop.stopped}) before the first update")
     summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
     return {**summary, "folder": str(job.folder)}
 
@@ -141,7 +145,8 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
     from embodichain.learning.keeper import find_resumable
     from embodichain.learning.train import check_training
 
-    name, changes = changed(overrides, MAY_CHANGE, "training")
+    changes = parsed_changes(overrides, MAY_CHANGE, "a resumed training")
+    name = str(changes.pop("resume"))
     output_dir = changes.get("output_dir", "outputs")
     folder = resumed_folder(name, newest_run(output_dir, "checkpoints/*.zip"), "training")
     checkpoint, state = find_resumable(folder)

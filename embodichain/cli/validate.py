@@ -16,6 +16,7 @@ import click
 
 from embodichain.cli import process
 from embodichain.cli.app import overrides, split_overrides, verb
+from embodichain.cli.demonstrations import first_episode
 from embodichain.cli.jobs import resolved_job
 from embodichain.cli.output import print_json
 from embodichain.cli.reporting import warnings_on_stderr
@@ -32,6 +33,7 @@ __all__ = ["command"]
     "validate",
     ("validate task=reach", "a task that ships with embodichain"),
     ("validate --train task=reach algo=sac", "as `train` would read it"),
+    ("validate --collect task=pick_place", "as `collect` would"),
     ("validate task=reach task.max_episode_steps=50", "with overrides"),
     ("validate --config-dir my_conf task=random_reach", "with a folder of yours"),
     keys=True,
@@ -39,9 +41,12 @@ __all__ = ["command"]
 )
 @overrides("FILE | [task=NAME] [KEY=VALUE]...")
 @click.option("--train", is_flag=True, help="As `train` would read it.")
-def command(words: tuple[str, ...], train: bool, json: bool) -> int:
+@click.option("--collect", is_flag=True, help="As `collect` would read it.")
+def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> int:
     """Print every mistake on stderr and exit with 2, or report that there is none."""
-    verb: Verb = "train" if train else "run"
+    if train and collect:
+        raise ConfigError("either --train or --collect")
+    verb: Verb = "train" if train else "collect" if collect else "run"
     name = " ".join(words)
     # By the suffix, so that a missing file is reported as missing.
     endings = (".yaml", ".yml", ".json")
@@ -90,7 +95,7 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
 
     Args:
         resolved: A checked config.
-        verb: ``train`` also builds the algorithm, ``run`` the policy.
+        verb: ``train`` also builds the algorithm, ``run`` and ``collect`` the policy.
 
     Raises:
         ConfigError: A mistake that the job would refuse, with its place.
@@ -106,9 +111,11 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
         env = make_env(unseen, run_dir=Path(folder))
         try:
             if verb == "train":
-                from embodichain.learning.train import check_algorithm
+                from embodichain.learning.train import check_algorithm, check_episode
 
                 check_algorithm(resolved, env)
+                if root.dataset is not None:
+                    check_episode(resolved, env, first_episode(root, env))
                 return
             if root.record.images is not None:
                 from embodichain.recording import ImageOptions

@@ -34,7 +34,7 @@ __all__ = ["Resolved", "dump_yaml", "freeze", "resolve", "resolve_tree", "thaw",
 _DEFAULTS: dict[Verb, dict[str, Any]] = {
     "run": {"num_envs": 1, "device": "cpu", "episodes": 1, "policy": "random"},
     "train": {"num_envs": 1, "device": "cpu"},
-    "collect": {"num_envs": 32, "device": "cpu", "episodes": 100, "policy": "expert"},
+    "collect": {"num_envs": 64, "device": "cpu", "episodes": 100, "policy": "expert"},
 }
 _SEED_BITS = 31
 

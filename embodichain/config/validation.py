@@ -408,7 +408,7 @@ def _with_suggestions(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None
     suggested = _suggested(filled, verb)
     policy = filled.get("policy")
     if "teleop" in (policy, policy.get("func") if isinstance(policy, dict) else None):
-        suggested.pop("num_envs", None)  # a person moves one robot
+        suggested["num_envs"] = 1  # a person moves one robot
     for key in SUGGESTED_KEYS:
         if filled.get(key) is None and suggested.get(key) is not None:
             filled[key] = suggested[key]

@@ -67,6 +67,14 @@ def test_the_summary_counts_them(collection: Path) -> None:
     assert summary["logs"] == ["rollout.mcap"]
 
 
+def test_a_report_says_how_it_went(collection: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert main(["report", str(collection), "-o", str(page)]) == 0
+    text = page.read_text()
+    assert "reach: collection" in text and "failed in: ran out of time" in text
+    assert f"embodichain collect resume={collection}" in text
+
+
 def test_the_number_of_environments_changes_nothing(collection: Path) -> None:
     assert content(collect(*REACH, "episodes=4", "num_envs=1")) == content(collection)
 
@@ -168,6 +176,13 @@ def test_mistakes(words: list[str], says: str, capsys: pytest.CaptureFixture[str
     assert main(["collect", *words]) == 2
     assert says in capsys.readouterr().err
     assert not Path("outputs").exists()
+
+
+def test_validate_checks_it(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["validate", "--collect", "task=cart_pole", "policy=zero"]
+    assert main(words) == 0
+    assert main([*words, "record=none"]) == 2
+    assert "a collection is a log" in capsys.readouterr().err
 
 
 def test_a_complete_collection_needs_more_episodes(

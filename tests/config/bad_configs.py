@@ -72,16 +72,16 @@ BAD = {
     "unknown key at the root": bad(
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, resume, collect, checkpoint, eval, wandb, video, scene_png, gym_config, "
-        "output_dir, quiet, json, traceback. Did "
+        "allow_changed, dataset, resume, collect, checkpoint, eval, wandb, video, scene_png, "
+        "gym_config, output_dir, quiet, json, traceback. Did "
         "you mean 'num_envs'?",
         overrides=("num_env=4",),
     ),
     "a task's key at the root": bad(
         "command line: rewards: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, resume, collect, checkpoint, eval, wandb, video, scene_png, gym_config, "
-        "output_dir, quiet, json, traceback. Did "
+        "allow_changed, dataset, resume, collect, checkpoint, eval, wandb, video, scene_png, "
+        "gym_config, output_dir, quiet, json, traceback. Did "
         "you mean 'task.rewards'?",
         overrides=("rewards.near.weight=2",),
     ),
@@ -213,7 +213,7 @@ BAD = {
     ),
     "unknown argument of an algorithm": bad(
         "command line: algo.learning_rte: unknown key; allowed: name, policy, "
-        "learning_rate, gamma, critic_groups, policy_kwargs, normalize, normalize_kwargs, n_steps, "
+        "learning_rate, critic_groups, policy_kwargs, normalize, normalize_kwargs, n_steps, gamma, "
         "gae_lambda, normalize_advantage, use_sde, sde_sample_freq, stats_window_size, "
         "batch_size, n_epochs, clip_range, clip_range_vf, ent_coef, vf_coef, "
         "max_grad_norm, target_kl. Did you mean 'learning_rate'?",
@@ -401,8 +401,8 @@ BAD = {
         "command line: seed: expected an integer, got 'x'",
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, resume, collect, checkpoint, eval, wandb, video, scene_png, gym_config, "
-        "output_dir, quiet, json, traceback. Did "
+        "allow_changed, dataset, resume, collect, checkpoint, eval, wandb, video, scene_png, "
+        "gym_config, output_dir, quiet, json, traceback. Did "
         "you mean 'num_envs'?",
         task="mein",
         overrides=(
@@ -650,6 +650,32 @@ BAD = {
         "conf/task/mine.yaml:9: task.objects.ball.shape.radius: must be positive metres, got -0.05",
         old="radius: 0.05",
         new="radius: -0.05",
+    ),
+    "a shape beside any_of": bad(
+        "conf/task/mine.yaml:11: task.objects.box.shape: the object has any_of: give each of its "
+        "shapes there",
+        overrides=("+task.objects.box.any_of.can.shape={shape_type: Cylinder}",),
+    ),
+    "shapes of any_of": bad(
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.plate.shape.fpath: a Mesh needs a file",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.floor.body_type: a Plane must be static, "
+        "got 'kinematic'",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.quat: a quaternion is zero or not "
+        "finite; wxyz with unit length is wanted, got [0.0, 0.0, 0.0, 0.0]",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.shape.radius: must be positive "
+        "metres, got 0.0",
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.a/b: uid 'a/b' must not contain '/', "
+        "which separates it from its parts",
+        old="shape: {shape_type: Sphere, radius: 0.05}",
+        new="any_of: {plate: {shape: {shape_type: Mesh}}, floor: {shape: {shape_type: Plane}}, "
+        "can: {quat: [0, 0, 0, 0], shape: {shape_type: Cylinder, radius: 0}}, a/b: {}}",
+    ),
+    "unknown key of a shape of any_of": bad(
+        "conf/task/mine.yaml:9: task.objects.ball.any_of.can.masss: unknown key; allowed: shape, "
+        "pos, rot, quat, mass, density, dynamic_friction, body_scale, max_convex_hull_num, "
+        "collision. Did you mean 'mass'?",
+        old="shape: {shape_type: Sphere, radius: 0.05}",
+        new="any_of: {can: {masss: 1}}",
     ),
     "negative mass": bad(
         "command line: task.objects.box.attrs.mass: must be finite and not negative, got -1.0",

@@ -56,6 +56,9 @@ objects:
          attrs: {enable_collision: false}, init_pos: [0.5, 0.2, 0.5]}
   painted: {shape: {shape_type: Cube, size: [0.1, 0.1, 0.1], visual_material: {textures: [here]}},
             body_type: static, init_pos: [-0.6, 0.3, 0.05]}
+  thing: {any_of: {box: {shape: {shape_type: Cube, size: [0.1, 0.1, 0.1]}},
+                   can: {shape: {shape_type: Cylinder, radius: 0.04, height: 0.1}}},
+          init_pos: [-0.6, 0.6, 0.05]}
 lights:
   lamp: {init_pos: [0, 0, 3]}
 sensors:

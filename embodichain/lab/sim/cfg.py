@@ -24,7 +24,7 @@ from embodichain.lab.sim.scene_cfg import (
     Vec3,
     ViewCfg,
 )
-from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg
+from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg, VariantCfg
 from embodichain.lab.sim.urdf_cfg import URDFCfg
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
@@ -50,6 +50,7 @@ __all__ = [
     "SimulationManagerCfg",
     "SolverCfg",
     "URDFCfg",
+    "VariantCfg",
     "Vec3",
     "WarpCfg",
     "WindowRecordCfg",
@@ -301,7 +302,7 @@ class ArticulationCfg(ObjectBaseCfg):
     """Compensated share of the links' weight (MuJoCo's gravcomp): 1 for an arm with a controller
     that compensates gravity. None keeps the file's."""
     collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
-    """Collision geometry of a URDF's meshes: their convex hull, or convex parts
+    """Collision geometry of the file's meshes: their convex hull, or convex parts
     (`embodichain[decompose]`)."""
 
 
@@ -366,7 +367,7 @@ class AttachedFileCfg:
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
     """Friction and collision of its links, as `ArticulationCfg.attrs`."""
     collision: Literal["hull", "decompose"] = "hull"
-    """Collision geometry of a URDF's meshes."""
+    """Collision geometry of the file's meshes."""
 
 
 def _by_part(value: Any) -> Any:
@@ -394,7 +395,7 @@ class RobotCfg(ArticulationCfg):
 
 @configclass
 class RigidObjectCfg(ObjectBaseCfg):
-    """One rigid body with one shape."""
+    """One rigid body with one shape, or in each environment one of several."""
 
     shape: AnyShapeCfg = CubeCfg()
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
@@ -412,6 +413,9 @@ class RigidObjectCfg(ObjectBaseCfg):
     # ours
     collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
     """Collision geometry of a mesh: its convex hull, or as many convex parts as needed."""
+    any_of: dict[str, VariantCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Name -> a shape, in place of `shape`. An environment has the first until the event
+    `randomize_shape` draws another one."""
 
 
 @configclass

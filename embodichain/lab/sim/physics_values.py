@@ -293,10 +293,12 @@ _MORE = {
 
 
 def _touches(model: mujoco.MjModel, index: int) -> bool:
-    """Whether a geom takes part in physics, by contact or fluid forces."""
+    """Whether a geom takes part in physics, by contact or fluid forces, or may come to do so."""
     paired = index in model.pair_geom1 or index in model.pair_geom2
     collides = bool(model.geom_contype[index] or model.geom_conaffinity[index])
-    return collides or paired or bool(np.any(model.geom_fluid[index]))
+    # Shapes of `any_of` that environments do not have at first; see `index_variants`.
+    latent = model.nuser_body > 0 and model.geom_rgba[index, 3] == 0
+    return bool(collides or paired or latent or np.any(model.geom_fluid[index]))
 
 
 def _excluded(model: mujoco.MjModel) -> Iterator[str]:

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from embodichain.lab.sim.scene_cfg import Quat, Vec3
 from embodichain.utils.configclass import configclass
 from embodichain.utils.type_errors import member_from_dict
 
@@ -19,6 +20,7 @@ __all__ = [
     "PlaneCfg",
     "ShapeCfg",
     "SphereCfg",
+    "VariantCfg",
     "VisualMaterialCfg",
 ]
 
@@ -151,3 +153,28 @@ AnyShapeCfg = Annotated[
     Field(discriminator="shape_type"),
 ]
 """The union that YAML is checked against; `shape_type` selects the member."""
+
+
+@configclass
+class VariantCfg:
+    """One of the shapes that an object may have in an environment; see `any_of`."""
+
+    shape: AnyShapeCfg = CubeCfg()
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    """Metres: the shape's origin in the object's frame."""
+    rot: Vec3 = (0.0, 0.0, 0.0)
+    """Euler angles in degrees, intrinsic XYZ, in the object's frame."""
+    quat: Quat | None = None
+    """wxyz; overrides `rot`."""
+    mass: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    """kg; 0 computes it from the density; None is that of the object's `attrs`."""
+    density: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    """kg/m^3; None is that of the object's `attrs`."""
+    dynamic_friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    """None is that of the object's `attrs`."""
+    body_scale: Vec3 = (1.0, 1.0, 1.0)
+    """As of an object."""
+    max_convex_hull_num: int = 1
+    """As of an object."""
+    collision: Literal["hull", "decompose"] = "hull"
+    """As of an object."""

@@ -444,6 +444,8 @@ class SimulationManager:
             self._renderer = None
         # Free large arrays now, before Python collects the cycle of handles and environment.
         self._scene.destroy()
+        if self._engine is not None:
+            self._engine.close()
         self._engine = None
         self._destroyed = True
         _instances.pop(self.instance_id, None)

@@ -22,7 +22,7 @@ from embodichain.lab.sim.compiler.drives import (
 )
 from embodichain.lab.sim.compiler.index import F64, Mask
 from embodichain.lab.sim.compiler.names import exact_pattern, match
-from embodichain.lab.sim.compiler.rigid_objects import check_pose
+from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
 from embodichain.lab.sim.compiler.robot_files import (
     MUJOCO_ERRORS,
@@ -50,6 +50,7 @@ from embodichain.lab.sim.compiler.robot_links import (
     set_root,
 )
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import quat_conjugate, quat_rotate
 from embodichain.utils.suggest import listing
 
 __all__ = ["ParsedArticulation", "parse_articulation", "parse_with_problems"]
@@ -210,7 +211,7 @@ def parse_with_problems(
             p if p.path.startswith("urdf_cfg") else Problem("fpath", str(p), "")
             for p in error.problems
         ]
-    problems = [*_unsupported(cfg, file), *check_pose(cfg)]
+    problems = [*_unsupported(cfg), *check_pose(cfg)]
     attached, init_qpos = getattr(cfg, "attach", {}), cfg.init_qpos
     try:
         robot = prepare_file(file, cfg.attrs)
@@ -253,6 +254,8 @@ def parse_with_problems(
         if step is not None and not problems:
             added, said = _quieten(spec, model, joints.names, gains, qpos, parts, step, changes)
             notes += [f"{file.path}: {note}" for note in said]
+        if not problems and cfg.fix_base:
+            notes += _overloaded(cfg, model, gains, qpos)
     except (ConfigError, *MUJOCO_ERRORS) as error:
         text = str(error) if isinstance(error, ConfigError) else as_line(error)[0]
         return None, [*problems, Problem("fpath", f"{file.path}: {text}")]
@@ -308,6 +311,29 @@ def parse_with_problems(
         ),
         problems,
     )
+
+
+def _overloaded(
+    cfg: ArticulationCfg, model: mujoco.MjModel, gains: DriveGains, qpos: F64
+) -> list[str]:
+    """Return a message if drives cannot bear the weight at the initial position."""
+    data = mujoco.MjData(model)
+    joints = movable_joints(model)
+    data.qpos[model.jnt_qposadr[joints]] = qpos
+    kept = model.opt.gravity.copy()
+    down = np.array([0.0, 0.0, -9.81])
+    model.opt.gravity = quat_rotate(quat_conjugate(initial_pose(cfg)[1]), down)
+    mujoco.mj_forward(model, data)
+    model.opt.gravity = kept
+    needed = np.abs(data.qfrc_bias - data.qfrc_passive)[model.jnt_dofadr[joints]]
+    weak = np.flatnonzero(gains.driven & (needed > gains.max_effort))
+    if not len(weak):
+        return []
+    names = ", ".join(
+        f"{model.joint(joints[i]).name} {needed[i]:.4g} of {gains.max_effort[i]:.4g}" for i in weak
+    )
+    advice = "the robot sinks; give it a lighter tool, a larger max_effort, or gravcomp"
+    return [f"its weight at the initial position is more than drives bear ({names}): {advice}"]
 
 
 def _quieten(
@@ -372,15 +398,12 @@ def read_robot(cfg: ArticulationCfg) -> ModelFile:
     return file
 
 
-def _unsupported(cfg: ArticulationCfg, file: ModelFile) -> list[Problem]:
+def _unsupported(cfg: ArticulationCfg) -> list[Problem]:
     problems = []
     scale = tuple(float(s) for s in cfg.body_scale)
     if scale != (1.0, 1.0, 1.0):
         message = f"articulations cannot be scaled yet, got {list(scale)}"
         problems.append(Problem("body_scale", message))
-    if cfg.collision == "decompose" and not file.is_urdf:
-        message = "only of a URDF: an MJCF file says itself which shapes collide; leave it out"
-        problems.append(Problem("collision", message))
     return problems
 
 

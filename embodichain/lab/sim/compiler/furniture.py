@@ -57,7 +57,7 @@ def finish_table(spec: mujoco.MjSpec, cfg: TableCfg) -> None:
             pos=[i * (0.5 * length - half), j * (0.5 * width - half), -under - 0.5 * thickness],
             material=f"{TABLE}/legs",
         )
-    set_contact(body, float(cfg.friction), cfg.collision)
+    set_contact(body.geoms, float(cfg.friction), cfg.collision)
 
 
 def check_furniture(scene: SceneCfg, base: F64 | None) -> list[Problem]:

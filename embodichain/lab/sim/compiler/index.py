@@ -1,4 +1,4 @@
-"""`EntityIndex`: indices of one entity in the compiled model. Data only."""
+"""`EntityIndex`: indices of one entity in the compiled model; `VariantIndex`. Data only."""
 
 from __future__ import annotations
 
@@ -8,12 +8,39 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["F64", "EntityIndex", "Ids", "Mask"]
+__all__ = ["F64", "EntityIndex", "Ids", "Mask", "VariantIndex"]
 
 F64 = NDArray[np.float64]
 Ids = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 _NONE: Ids = np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class VariantIndex:
+    """Values of model fields with each of the K shapes of an object with G geoms.
+
+    Attributes:
+        names: (K,) names of the shapes.
+        contype: (K, G) `geom_contype`; 0 of the geoms of other shapes.
+        conaffinity: (K, G) likewise.
+        alpha: (K, G) opacity in `geom_rgba`; 0 of the geoms of other shapes.
+        materials: (K, G) `geom_matid`; -1 of the geoms of other shapes.
+        mass: (K,) kg.
+        ipos: (K, 3) centre of mass in the body's frame, m.
+        iquat: (K, 4) principal axes, wxyz.
+        inertia: (K, 3) principal moments, kg m^2.
+    """
+
+    names: tuple[str, ...]
+    contype: Ids
+    conaffinity: Ids
+    alpha: F64
+    materials: Ids
+    mass: F64
+    ipos: F64
+    iquat: F64
+    inertia: F64
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +66,7 @@ class EntityIndex:
         own_actuator_ids: All its actuators, in the model's order.
         own_ctrl_ids: (M,) columns in ctrl of all its controls, in the model's order.
         own_act_ids: (K,) columns in act of all its activations.
+        variants: The shapes of an object with `any_of`, else None.
     """
 
     uid: str
@@ -59,3 +87,4 @@ class EntityIndex:
     own_actuator_ids: Ids = field(default_factory=_NONE.copy)
     own_ctrl_ids: Ids = field(default_factory=_NONE.copy)
     own_act_ids: Ids = field(default_factory=_NONE.copy)
+    variants: VariantIndex | None = None

@@ -44,13 +44,22 @@ def match(
     if found:
         return found, []
     message = f"no {what} matches {pattern!r}; there are: {listing(names, pattern)}"
-    return (), [Problem(path, message, did_you_mean(pattern, names).strip())]
+    return (), [Problem(path, message, _closest(pattern, names))]
 
 
 def no_such(what: str, name: str, names: Sequence[str], path: str) -> Problem:
     """Return the problem that a name does not exist."""
     message = f"no {what} is called {name!r}; there are: {', '.join(names)}"
-    return Problem(path, message, did_you_mean(name, names).strip())
+    return Problem(path, message, _closest(name, names))
+
+
+def _closest(name: str, names: Sequence[str]) -> str:
+    """A hint: the closest name, or that nothing is attached under the first part of the name."""
+    first, slash, _ = name.partition("/")
+    if slash and first.isidentifier() and not any(n.startswith(f"{first}/") for n in names):
+        there = dict.fromkeys(n.partition("/")[0] for n in names if "/" in n)
+        return f"Nothing is attached as {first!r}.{did_you_mean(first, list(there))}"
+    return did_you_mean(name, names).strip()
 
 
 def exact_pattern(name: str) -> str:

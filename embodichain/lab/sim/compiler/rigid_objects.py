@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from embodichain.data import DataNotFoundError, get_data_path
-from embodichain.lab.sim.cfg import ObjectBaseCfg, RigidObjectCfg
+from embodichain.lab.sim.cfg import ObjectBaseCfg, RigidObjectCfg, VariantCfg
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import check_uid
 from embodichain.lab.sim.compiler.textures import add_textures, check_textures
 from embodichain.lab.sim.meshes.mesh_conversion import (
     MadePart,
@@ -49,6 +52,7 @@ __all__ = [
     "inertia_about_axes",
     "initial_pose",
     "set_contact",
+    "shapes_of",
 ]
 
 VISUAL_GROUP = 2
@@ -114,7 +118,56 @@ def check_pose(cfg: ObjectBaseCfg) -> list[Problem]:
 
 def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     """Return every mistake in an object's config, with paths below it."""
-    problems = check_pose(cfg)
+    problems = check_pose(cfg) + _check_attrs(cfg)
+    if cfg.any_of:
+        for name in ("shape", "body_scale", "max_convex_hull_num", "collision"):
+            if not _same(getattr(cfg, name), getattr(RigidObjectCfg(), name)):
+                message = "the object has any_of: give each of its shapes there"
+                problems.append(Problem(name, message))
+    for name, one in shapes_of(cfg).items():
+        if not cfg.any_of:
+            return problems + _check_shape(one)
+        path = f"any_of.{name}"
+        problems += check_uid(name, path, {})
+        problems += [p.below(path) for p in _check_place(cfg.any_of[name]) + _check_shape(one)]
+    return problems
+
+
+def _same(a: object, b: object) -> bool:
+    return list(a) == list(b) if isinstance(a, Sequence) and isinstance(b, Sequence) else a == b
+
+
+def _check_place(variant: VariantCfg) -> list[Problem]:
+    names = {"init_pos": "pos", "init_rot": "rot", "init_quat": "quat"}
+    found = check_pose(_place(variant))
+    return [Problem(names[p.path], p.message, p.hint) for p in found]
+
+
+def _place(variant: VariantCfg) -> ObjectBaseCfg:
+    return ObjectBaseCfg(init_pos=variant.pos, init_rot=variant.rot, init_quat=variant.quat)
+
+
+def shapes_of(cfg: RigidObjectCfg) -> dict[str, RigidObjectCfg]:
+    """Return the shapes that an object may have, each as an object of its own, by name.
+
+    The shape of an object without `any_of` has the name "".
+    """
+    found = {}
+    for name, variant in cfg.any_of.items():
+        given = {key: getattr(variant, key) for key in ("mass", "density", "dynamic_friction")}
+        given = {key: value for key, value in given.items() if value is not None}
+        own = ("shape", "body_scale", "max_convex_hull_num", "collision")
+        found[name] = dataclasses.replace(
+            cfg,
+            any_of={},
+            attrs=dataclasses.replace(cfg.attrs, **given),
+            **{key: getattr(variant, key) for key in own},
+        )
+    return found or {"": cfg}
+
+
+def _check_shape(cfg: RigidObjectCfg) -> list[Problem]:
+    problems: list[Problem] = []
     scale = np.asarray(cfg.body_scale, np.float64)
     if scale.shape != (3,) or not (scale > 0).all():
         problems.append(Problem("body_scale", f"must be 3 positive numbers, got {scale.tolist()}"))
@@ -134,6 +187,11 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     if isinstance(cfg.shape, PlaneCfg) and cfg.body_type != "static":
         message = f"a Plane must be static, got {cfg.body_type!r}"
         problems.append(Problem("body_type", message))
+    return problems
+
+
+def _check_attrs(cfg: RigidObjectCfg) -> list[Problem]:
+    problems: list[Problem] = []
     attrs = cfg.attrs
     for name in ("mass", "linear_damping", "angular_damping", "dynamic_friction"):
         value = getattr(attrs, name)
@@ -191,6 +249,10 @@ def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> li
 def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) -> None:
     """Add body `uid`, its geom ``uid/geom`` and, if dynamic, its joint ``uid/free``.
 
+    With `any_of` it has the geoms of all of these shapes, ``uid/NAME/geom``. All but the first
+    one's are invisible and without mass; `index_variants` lets them not collide, once the scene is
+    compiled: MuJoCo has bounding volumes only of geoms that collide when it compiles.
+
     Args:
         spec: The scene.
         uid: The object's name.
@@ -205,14 +267,26 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
         # A body compiled as "simple" has a diagonal mass matrix and cannot have a different centre
         # of mass per environment.
         body.simple = 0
-    scale = np.asarray(cfg.body_scale, np.float64)
-    geom = add_shape(spec, body, uid, cfg.shape, scale, number, _convex_parts(cfg))
-    attrs = cfg.attrs
-    if attrs.mass > 0:
-        geom.mass = float(attrs.mass)
-    else:
-        geom.density = float(attrs.density)
-    set_contact(body, float(attrs.dynamic_friction), attrs.enable_collision)
+    for order, (name, one) in enumerate(shapes_of(cfg).items()):
+        before, prefix = len(body.geoms), f"{uid}/{name}" if name else uid
+        scale, parts = np.asarray(one.body_scale, np.float64), _convex_parts(one)
+        geom = add_shape(spec, body, prefix, one.shape, scale, number + order, parts)
+        attrs = one.attrs
+        if attrs.mass > 0:
+            geom.mass = float(attrs.mass)
+        else:
+            geom.density = float(attrs.density)
+        geoms = body.geoms[before:]
+        set_contact(geoms, float(attrs.dynamic_friction), attrs.enable_collision)
+        if name:
+            body.userdata = [0.0]  # the index of the shape, as a field of each environment
+            place = initial_pose(_place(cfg.any_of[name]))
+            for part in geoms:
+                part.pos, part.quat = place
+        if order:
+            geom.mass = 0.0
+            for part in geoms:
+                part.rgba[3] = 0.0
 
 
 def add_shape(
@@ -357,9 +431,9 @@ def collides(geom: mujoco.MjsGeom) -> bool:
     return bool(geom.contype or geom.conaffinity)
 
 
-def set_contact(body: mujoco.MjsBody, friction: float, enabled: bool) -> None:
-    """Set the sliding friction of a body's geoms, and whether they collide."""
-    for geom in body.geoms:
+def set_contact(geoms: Sequence[mujoco.MjsGeom], friction: float, enabled: bool) -> None:
+    """Set the sliding friction of geoms, and whether they collide."""
+    for geom in geoms:
         geom.friction[0] = friction
         if not enabled:
             geom.contype = geom.conaffinity = 0

@@ -264,9 +264,6 @@ def _check(
         file = read_model(locate(cfg.fpath), cfg.collision == "decompose")
     except ConfigError as error:
         return [*problems, *(Problem(f"{path}.fpath", str(p)) for p in error.problems)], None
-    if cfg.collision == "decompose" and not file.is_urdf:
-        message = "only of a URDF: an MJCF file says itself which shapes collide; leave it out"
-        problems.append(Problem(f"{path}.collision", message))
     return problems, file
 
 

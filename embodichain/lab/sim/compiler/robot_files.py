@@ -6,7 +6,7 @@ import copy
 import re
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
@@ -16,6 +16,12 @@ import numpy as np
 
 from embodichain.data import DataNotFoundError, get_data_path, resolve_package_uri
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.mjcf_meshes import (
+    convert_meshes,
+    make_absolute,
+    missing_files,
+    split_meshes,
+)
 from embodichain.lab.sim.compiler.rigid_objects import collides
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler
 from embodichain.lab.sim.meshes.mesh_conversion import (
@@ -101,7 +107,7 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
 
     Args:
         path: The file.
-        convex_parts: Whether to split collision meshes of a URDF into convex parts.
+        convex_parts: Whether to split collision meshes into convex parts.
 
     Raises:
         ConfigError: If it is malformed; names the file and, where known, the line.
@@ -117,7 +123,7 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
         message = str(error).split(":")[0]
         raise ConfigError(f"{path}:{error.lineno}: not well-formed XML: {message}") from error
     if root.tag == "mujoco":
-        return _read_mjcf(path)
+        return _read_mjcf(path, convex_parts)
     if root.tag != "robot":
         raise ConfigError(
             f"{path}: neither URDF nor MJCF: its root is <{root.tag}>, not <robot> or <mujoco>"
@@ -175,40 +181,25 @@ def _name_elements(spec: mujoco.MjSpec) -> None:
 # -------------------------------------------------------------------------------------------- MJCF
 
 
-def _read_mjcf(path: Path) -> ModelFile:
+def _read_mjcf(path: Path, convex_parts: bool) -> ModelFile:
+    spec: mujoco.MjSpec | None = None
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compiler.fusestatic = False  # tool frames keep their bodies
         _name_elements(spec)
-        _make_absolute(spec, path.parent)
-        notes = [f"{path}: {note}" for note in _convert_meshes(spec)]
-        return ModelFile(path, False, spec, compile_quietly(spec), notes=notes)
+        make_absolute(spec, path.parent)
+        notes = [f"{path}: {note}" for note in convert_meshes(spec)]
+        model = compile_quietly(spec)
+        if convex_parts:
+            split_meshes(spec)
+            model = compile_quietly(spec)
+        return ModelFile(path, False, spec, model, notes=notes)
     except (MeshError, *MUJOCO_ERRORS) as error:
+        missing = [] if spec is None else missing_files(spec, path)
+        if missing:
+            raise ConfigError(missing) from error
         message, line = as_line(error)
         raise ConfigError(f"{path}:{line}: {message}" if line else f"{path}: {message}") from error
-
-
-def _make_absolute(spec: mujoco.MjSpec, folder: Path) -> None:
-    """Make file names of assets absolute, so that equal names of two robots do not clash."""
-    for directory, assets in (
-        (spec.meshdir, spec.meshes),
-        (spec.texturedir, spec.textures),
-        (spec.meshdir, spec.hfields),
-    ):
-        for asset in assets:
-            # MuJoCo resolves names from an <include> in another folder.
-            path = folder / directory / asset.file
-            if asset.file and path.is_file():
-                asset.file = str(path.resolve())
-
-
-def _convert_meshes(spec: mujoco.MjSpec) -> Iterator[str]:
-    """Convert meshes that MuJoCo does not read, such as ASCII STL, without colours."""
-    for mesh in spec.meshes:
-        file = Path(mesh.file)
-        if mesh.file and file.is_file() and not reads(file):
-            mesh.file = str(convert_collision(file))
-            yield f"{file}: not a mesh that MuJoCo reads: converted, its shape alone"
 
 
 # -------------------------------------------------------------------------------------------- URDF

@@ -256,7 +256,7 @@ def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg
         body = spec.body(cfg.link).add_body(name=name, pos=pos, quat=quat)
         geom = add_shape(spec, body, name, cfg.shape, _UNSCALED, number)
         geom.mass = float(cfg.mass)
-        set_contact(body, float(cfg.dynamic_friction), cfg.enable_collision)
+        set_contact(body.geoms, float(cfg.dynamic_friction), cfg.enable_collision)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     check_object,
     damping_of,
     initial_pose,
+    shapes_of,
 )
 from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, compile_quietly
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
@@ -239,7 +240,7 @@ def compile_scene(
             notes.append(f"{uid}: no shape of {links} collides, so it reports no contact")
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
-        index = entities[uid] = _index_object(model, uid, cfg)
+        index = entities[uid] = _index_object(model, spec, uid, cfg)
         if index.free_qvel_adr >= 0:
             dofs = slice(index.free_qvel_adr, index.free_qvel_adr + 6)
             model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
@@ -282,16 +283,18 @@ def _broken_meshes(objects: Mapping[str, RigidObjectCfg]) -> list[Problem]:
     """Return a problem for each mesh that MuJoCo cannot compile, with paths below its object."""
     problems: list[Problem] = []
     for uid, cfg in objects.items():
-        if not isinstance(cfg.shape, MeshCfg):
-            continue
-        alone = mujoco.MjSpec()
-        add_object(alone, uid, cfg, 0)
-        try:
-            compile_quietly(alone)
-        except MUJOCO_ERRORS as error:
-            why = as_line(error)[0].removesuffix(f" (element '{uid}/mesh')")
-            message = f"{get_data_path(cfg.shape.fpath)}: MuJoCo cannot compile it: {why}"
-            problems.append(Problem(f"{uid}.shape.fpath", message))
+        for name, one in shapes_of(cfg).items():
+            if not isinstance(one.shape, MeshCfg):
+                continue
+            alone = mujoco.MjSpec()
+            add_object(alone, uid, one, 0)
+            try:
+                compile_quietly(alone)
+            except MUJOCO_ERRORS as error:
+                why = as_line(error)[0].removesuffix(f" (element '{uid}/mesh')")
+                message = f"{get_data_path(one.shape.fpath)}: MuJoCo cannot compile it: {why}"
+                path = f"{uid}.any_of.{name}" if name else uid
+                problems.append(Problem(f"{path}.shape.fpath", message))
     return problems
 
 
@@ -357,10 +360,18 @@ def _first_controls(model: mujoco.MjModel, actuators: Ids) -> Ids:
     return columns
 
 
-def _index_object(model: mujoco.MjModel, uid: str, cfg: RigidObjectCfg) -> EntityIndex:
+def _index_object(
+    model: mujoco.MjModel, spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg
+) -> EntityIndex:
     body = int(model.body(uid).id)
     pos, quat = initial_pose(cfg)
     joint = int(model.body_jntadr[body])
+    geoms: Ids = np.flatnonzero(model.geom_bodyid == body).astype(np.int64)
+    variants = None
+    if cfg.any_of:
+        from embodichain.lab.sim.compiler.variants import index_variants  # few scenes have any
+
+        variants = index_variants(model, spec, uid, cfg, geoms)
     return EntityIndex(
         uid=uid,
         kind="object",
@@ -368,7 +379,8 @@ def _index_object(model: mujoco.MjModel, uid: str, cfg: RigidObjectCfg) -> Entit
         root_body_id=body,
         pos0=pos,
         quat0=quat,
-        geom_ids=np.flatnonzero(model.geom_bodyid == body).astype(np.int64),
+        geom_ids=geoms,
+        variants=variants,
         mocap_id=int(model.body_mocapid[body]),
         free_qpos_adr=int(model.jnt_qposadr[joint]) if joint >= 0 else -1,
         free_qvel_adr=int(model.jnt_dofadr[joint]) if joint >= 0 else -1,
@@ -384,7 +396,7 @@ def _index_world(model: mujoco.MjModel, world: World) -> dict[str, EntityIndex]:
     for uid, cfg in world.objects.items():
         root = int(model.body(PREFIX + uid).id)
         bodies: Ids = np.flatnonzero(model.body_rootid == root).astype(np.int64)
-        joints = np.flatnonzero(np.isin(model.jnt_bodyid, bodies))
+        own = _actuators_on(model, np.flatnonzero(np.isin(model.jnt_bodyid, bodies)))
         joint = int(model.body_jntadr[root]) if cfg.body_type == "dynamic" else -1
         found[uid] = EntityIndex(
             uid=uid,
@@ -397,23 +409,21 @@ def _index_world(model: mujoco.MjModel, world: World) -> dict[str, EntityIndex]:
             mocap_id=int(model.body_mocapid[root]),
             free_qpos_adr=int(model.jnt_qposadr[joint]) if joint >= 0 else -1,
             free_qvel_adr=int(model.jnt_dofadr[joint]) if joint >= 0 else -1,
-            **_actuators_on(model, joints),
+            own_actuator_ids=own,
+            own_ctrl_ids=_ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
+            own_act_ids=_ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
         )
     return found
 
 
-def _actuators_on(model: mujoco.MjModel, joints: Ids) -> dict[str, Ids]:
-    """Controls and activations of the actuators on some joints."""
+def _actuators_on(model: mujoco.MjModel, joints: Ids) -> Ids:
+    """The actuators on some joints."""
     on_joint = np.isin(
         model.actuator_trntype,
         [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)],
     )
-    own = np.flatnonzero(on_joint & np.isin(model.actuator_trnid[:, 0], joints)).astype(np.int64)
-    return {
-        "own_actuator_ids": own,
-        "own_ctrl_ids": _ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
-        "own_act_ids": _ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
-    }
+    on_these = np.isin(model.actuator_trnid[:, 0], joints)
+    return np.flatnonzero(on_joint & on_these).astype(np.int64)
 
 
 def _ranges(starts: Ids, counts: Ids) -> Ids:

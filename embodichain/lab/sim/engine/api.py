@@ -232,3 +232,9 @@ class Engine(Protocol):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken."""
+
+    def close(self) -> None:
+        """Free the simulations' memory, whatever still refers to the engine; using it is an error.
+
+        Views of states and fields stay valid, and keep the memory of the simulations as they do.
+        """

@@ -122,6 +122,12 @@ class HostEngine(Engine):
         self._any_dirty = True
         self._all_dirty = True
 
+    def close(self) -> None:
+        self.__dict__.clear()  # terms of the environment may refer to the engine until it is freed
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(f"no {name!r}" if vars(self) else "the simulation was destroyed")
+
     # -- reads -------------------------------------------------------------------------------------
 
     @property

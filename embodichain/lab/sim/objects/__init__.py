@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.objects.articulation_data import ArticulationData
     from embodichain.lab.sim.objects.entity import BatchEntity
     from embodichain.lab.sim.objects.light import Light
-    from embodichain.lab.sim.objects.rigid_object import RigidBodyData, RigidObject
+    from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
+    from embodichain.lab.sim.objects.rigid_object import RigidObject
     from embodichain.lab.sim.objects.robot import Robot
 
 __getattr__, __dir__, _ = lazy_loader.attach(
@@ -29,7 +30,8 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "articulation_data": ["ArticulationData"],
         "entity": ["BatchEntity"],
         "light": ["Light"],
-        "rigid_object": ["RigidBodyData", "RigidObject"],
+        "rigid_body_data": ["RigidBodyData"],
+        "rigid_object": ["RigidObject"],
         "robot": ["Robot"],
     },
 )

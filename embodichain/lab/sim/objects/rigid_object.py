@@ -1,4 +1,4 @@
-"""`RigidObject`: handle of one rigid body in N environments, and its `RigidBodyData`."""
+"""`RigidObject`: handle of one rigid body in N environments."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.rigid_objects import inertia_about_axes
 from embodichain.lab.sim.objects._arrays import as_env_ids, field_values, to_tensor
-from embodichain.lab.sim.objects.entity import BatchEntity, TensorRead, TensorReads
+from embodichain.lab.sim.objects.entity import BatchEntity
+from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
 from embodichain.lab.sim.objects.solid import Solid
 from embodichain.lab.sim.unavailable import not_available
 from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
@@ -22,41 +23,11 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
 
-__all__ = ["RigidBodyData", "RigidObject"]
-
-
-class RigidBodyData(TensorReads):
-    """Reads of one body: every attribute is a fresh float32 tensor.
-
-    Velocities and accelerations are those of the body's origin, in world axes.
-    """
-
-    pose = TensorRead(lambda body: np.concatenate(body.read_pose(), axis=1))
-    """(N, 7) x, y, z, qw, qx, qy, qz in the environment's frame."""
-    lin_vel = TensorRead(lambda body: body.read_velocity()[0])
-    """(N, 3) m/s."""
-    ang_vel = TensorRead(lambda body: body.read_velocity()[1])
-    """(N, 3) rad/s."""
-    vel = TensorRead(lambda body: np.concatenate(body.read_velocity(), axis=1))
-    """(N, 6) linear, then angular."""
-    lin_acc = TensorRead(lambda body: body.read_acceleration()[0])
-    """(N, 3) m/s^2 of the last physics step; zero for bodies that do not move."""
-    ang_acc = TensorRead(lambda body: body.read_acceleration()[1])
-    """(N, 3) rad/s^2 of the last physics step."""
-    acc = TensorRead(lambda body: np.concatenate(body.read_acceleration(), axis=1))
-    """(N, 6) linear, then angular."""
-    default_com_pose = TensorRead(lambda body: body.read_com_pose(compiled=True))
-    """(N, 7) compiled centre-of-mass frame in the body's frame."""
-    com_pose = TensorRead(lambda body: body.read_com_pose())
-    """(N, 7) centre-of-mass frame in the body's frame."""
-    mass = TensorRead(lambda body: body.read_inertia()[0])
-    """(N,) kg."""
-    inertia = TensorRead(lambda body: body.read_inertia()[1])
-    """(N, 3) principal moments, kg m^2."""
+__all__ = ["RigidObject"]
 
 
 class RigidObject(BatchEntity):
-    """One rigid body with one shape, in N environments.
+    """One rigid body with one shape, or in each environment one of several, in N environments.
 
     `dynamic` bodies are simulated; `kinematic` and `static` ones move only by `set_local_pose`.
     Setters keep mass, inertia and damping of the body consistent.
@@ -77,15 +48,18 @@ class RigidObject(BatchEntity):
         self._damping: F64 = np.tile(self._declared_damping, (count, 1))  # 1/s
         self._scale: F64 = np.ones((count, 3))  # relative to the compiled size
         self._zeros: F64 = np.zeros((count, 3))
-        self._mass0 = 0.0
-        self._inertia: F64 = np.zeros((count, 3))  # at the compiled mass and the current scale
+        self._mass0: F64 = np.zeros(count)  # of the present shape as compiled
+        self._inertia: F64 = np.zeros((count, 3))  # at that mass and the current scale
         self._solid: Solid | None = None
+        self._variant: NDArray[np.int64] = np.zeros(count, np.int64)  # index of the present shape
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Set the engine and the body's indices. Called once, by the simulation."""
         super().bind(engine, index)
-        self._mass0 = float(engine.model.body_mass[index.root_body_id])
+        self._mass0[:] = engine.model.body_mass[index.root_body_id]
         self._inertia[:] = engine.model.body_inertia[index.root_body_id]
+        if index.variants is not None:
+            self.write_shape(self._variant, None)
 
     @property
     def is_static(self) -> bool:
@@ -227,13 +201,14 @@ class RigidObject(BatchEntity):
 
         The inertia scales with the mass, unless ``inertia`` is False.
         """
-        moments = self._inertia[self._rows(ids)] * (mass / self._mass0)[:, None]
+        rows = self._rows(ids)
+        moments = self._inertia[rows] * (mass / self._mass0[rows])[:, None]
         self._write_inertia(ids, mass, moments if inertia else None)
 
     def write_inertia_scale(self, factor: F64, ids: EnvIndex | None) -> None:
         """Set the inertia to checked factors (n,) times that of the current mass and size."""
-        mass = self.read_inertia(ids)[0]
-        moments = self._inertia[self._rows(ids)] * (mass / self._mass0 * factor)[:, None]
+        mass, rows = self.read_inertia(ids)[0], self._rows(ids)
+        moments = self._inertia[rows] * (mass / self._mass0[rows] * factor)[:, None]
         self._write_inertia(ids, mass, moments)
 
     def get_inertia(self, env_ids: Any = None) -> torch.Tensor:
@@ -253,8 +228,8 @@ class RigidObject(BatchEntity):
                 f"{self.uid}: moments must be positive, the largest at most the sum "
                 "of the other two"
             )
-        mass = self.read_inertia(ids)[0]
-        self._inertia[self._rows(ids)] = new * (self._mass0 / mass)[:, None]
+        mass, rows = self.read_inertia(ids)[0], self._rows(ids)
+        self._inertia[rows] = new * (self._mass0[rows] / mass)[:, None]
         self._write_inertia(ids, mass, new)
 
     def _write_inertia(self, ids: EnvIndex | None, mass: F64, moments: F64 | None) -> None:
@@ -271,9 +246,19 @@ class RigidObject(BatchEntity):
         rate, (mass, moments) = self._damping[self._rows(ids)], self.read_inertia(ids)
         values = np.empty((len(mass), 6))
         values[:, :3] = (rate[:, 0] * mass)[:, None]
-        iquat = self.engine.model.body_iquat[self.index.root_body_id]
-        values[:, 3:] = rate[:, 1:] * inertia_about_axes(iquat, moments)
+        values[:, 3:] = rate[:, 1:] * self._about_axes(moments, self._rows(ids))
         self.engine.write_model("dof_damping", values, ids, self._dofs)
+
+    def _about_axes(self, moments: F64, rows: Any) -> F64:
+        """(n, 3) diagonal of the inertia tensor in the body's axes; see `inertia_about_axes`."""
+        variants = self.index.variants
+        if variants is None:
+            iquat = self.engine.model.body_iquat[self.index.root_body_id]
+            return inertia_about_axes(iquat, moments)
+        found, present = np.empty_like(moments), self._variant[rows]
+        for number, iquat in enumerate(variants.iquat):
+            found[present == number] = inertia_about_axes(iquat, moments[present == number])
+        return found
 
     def get_damping(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 2) linear and angular damping, 1/s."""
@@ -304,7 +289,57 @@ class RigidObject(BatchEntity):
         self.engine.write_model("body_iquat", pose[:, 3:], ids, self._columns(4))
         self.engine.set_const_later(ids)
 
-    # -- size ------------------------------------------------------------------------------------
+    # -- shape and size --------------------------------------------------------------------------
+
+    @property
+    def shape_names(self) -> tuple[str, ...]:
+        """Names of the shapes that the object may have; empty without `any_of`."""
+        variants = self.index.variants
+        return () if variants is None else variants.names
+
+    def get_shape(self, env_ids: Any = None) -> torch.Tensor:
+        """(n,) int64 index in `shape_names` of the present shape; 0 without `any_of`."""
+        return torch.from_numpy(self.read_shape()[self._rows(env_ids)].copy())
+
+    def set_shape(self, shape: Any, env_ids: Any = None) -> None:
+        """Give the object another of its shapes: (n,) indices in `shape_names`.
+
+        Mass, inertia and centre of mass become those of the shape; the pose does not change.
+
+        Raises:
+            ValueError: If the object has no `any_of`, or there is no such shape.
+        """
+        names = self.shape_names
+        chosen, ids = self._checked(np.asarray(shape).reshape(-1, 1), 1, env_ids, "shape")
+        if not names:
+            raise ValueError(f"{self.uid} has one shape: declare others in any_of")
+        numbers = chosen[:, 0].astype(np.int64)
+        if (numbers != chosen[:, 0]).any() or not ((numbers >= 0) & (numbers < len(names))).all():
+            message = f"indices of the shapes {', '.join(names)}, got {np.unique(chosen).tolist()}"
+            raise ValueError(f"{self.uid}: shape must be {message}")
+        self.write_shape(numbers, ids)
+
+    def read_shape(self) -> NDArray[np.int64]:
+        """(N,) index of the present shape: do not write or store."""
+        return self._variant
+
+    def write_shape(self, chosen: NDArray[np.int64], ids: EnvIndex | None) -> None:
+        """Give the object the shapes with these indices (n,), from checked arrays."""
+        variants, geoms, write = self.index.variants, self.index.geom_ids, self.engine.write_model
+        if variants is None:
+            raise ValueError(f"{self.uid} has one shape: declare others in any_of")
+        where, body = self._rows(ids), self.index.root_body_id
+        self._variant[where] = chosen
+        self._mass0[where], self._inertia[where] = variants.mass[chosen], variants.inertia[chosen]
+        one = slice(int(geoms[0]), int(geoms[-1]) + 1)
+        write("geom_contype", variants.contype[chosen], ids, one)
+        write("geom_conaffinity", variants.conaffinity[chosen], ids, one)
+        write("geom_matid", variants.materials[chosen], ids, one)
+        write("geom_rgba", variants.alpha[chosen], ids, 4 * geoms + 3)
+        write("body_user", chosen[:, None], ids, slice(body, body + 1))
+        write("body_ipos", variants.ipos[chosen], ids, self._columns(3))
+        write("body_iquat", variants.iquat[chosen], ids, self._columns(4))
+        self._write_inertia(ids, variants.mass[chosen], variants.inertia[chosen])
 
     @property
     def solid(self) -> Solid:
@@ -337,7 +372,7 @@ class RigidObject(BatchEntity):
             self.engine.set_const_later(ids)
             return
         self._inertia[where] = self.engine.model.body_inertia[self.index.root_body_id] * moments
-        mass = self._mass0 * (volume if fixed_density else np.ones_like(volume))
+        mass = self._mass0[where] * (volume if fixed_density else np.ones_like(volume))
         self.write_mass(mass, ids)
 
     def get_body_scale(self, env_ids: Any = None) -> torch.Tensor:
@@ -376,14 +411,16 @@ class RigidObject(BatchEntity):
         if given.dtype != np.bool_ or given.ndim != 1:
             raise ValueError(f"{self.uid}: enable must be booleans (n,), got {given.shape}")
         on, ids = self._checked(given[:, None], 1, env_ids, "enable")
-        for kind, numbers in (
-            ("geom", self.index.geom_ids.tolist()),
-            ("body", [self.index.root_body_id]),
-        ):
-            for name in (f"{kind}_contype", f"{kind}_conaffinity"):
-                for number in numbers:
-                    value = on * int(getattr(self.engine.model, name)[number])
-                    self.engine.write_model(name, value, ids, slice(number, number + 1))
+        geoms, body, variants = self.index.geom_ids, self.index.root_body_id, self.index.variants
+        for name in ("contype", "conaffinity"):
+            bits = getattr(self.engine.model, f"geom_{name}")[None, geoms]
+            if variants is not None:
+                bits = getattr(variants, name)[self._variant[self._rows(ids)]]
+            for column, geom in enumerate(geoms.tolist()):
+                value = on * bits[:, column : column + 1]
+                self.engine.write_model(f"geom_{name}", value, ids, slice(geom, geom + 1))
+            value = on * np.bitwise_or.reduce(bits.astype(np.int64), axis=1)[:, None]
+            self.engine.write_model(f"body_{name}", value, ids, slice(body, body + 1))
 
     def get_user_ids(self) -> torch.Tensor:
         """(N,) id of the body in segmentation images: its MuJoCo body id."""
@@ -391,9 +428,13 @@ class RigidObject(BatchEntity):
 
     def set_visible(self, visible: bool = True) -> None:
         """Show or hide the body when rendering, in all environments."""
-        for geom in self.index.geom_ids.tolist():
-            alpha = float(self.engine.model.geom_rgba[geom, 3]) if visible else 0.0
-            self.engine.write_model("geom_rgba", alpha, None, slice(4 * geom + 3, 4 * geom + 4))
+        geoms, variants = self.index.geom_ids, self.index.variants
+        alpha = self.engine.model.geom_rgba[None, geoms, 3]
+        if variants is not None:
+            alpha = variants.alpha[self._variant]
+        for column, geom in enumerate(geoms.tolist()):
+            value = alpha[:, column : column + 1] if visible else 0.0
+            self.engine.write_model("geom_rgba", value, None, slice(4 * geom + 3, 4 * geom + 4))
 
     # -- whole simulations -------------------------------------------------------------------------
 
@@ -405,10 +446,16 @@ class RigidObject(BatchEntity):
             fields: The loaded fields, (size,) each, equal in these environments; others are as
                 compiled.
         """
-        where, model = self._rows(ids), self.engine.model
+        where, model, variants = self._rows(ids), self.engine.model, self.index.variants
+        iquat = model.body_iquat[self.index.root_body_id]
+        if variants is not None:
+            present = int(field_values(model, fields, "body_user", self._columns(1))[0][0])
+            self._variant[where], self._mass0[where] = present, variants.mass[present]
+            iquat = variants.iquat[present]
         mass, _ = field_values(model, fields, "body_mass", self._columns(1))
         inertia, _ = field_values(model, fields, "body_inertia", self._columns(3))
-        self._inertia[where] = inertia * (self._mass0 / mass) if mass[0] > 0 else inertia
+        mass0 = self._mass0[where][:, None]
+        self._inertia[where] = inertia * (mass0 / mass) if mass[0] > 0 else inertia
         if len(self.index.geom_ids):
             geom = int(self.index.geom_ids[0])
             columns = slice(3 * geom, 3 * geom + 3)
@@ -417,22 +464,28 @@ class RigidObject(BatchEntity):
         if self._dofs is None:
             return
         damping, _ = field_values(model, fields, "dof_damping", self._dofs)
-        about = inertia_about_axes(model.body_iquat[self.index.root_body_id], inertia[None])[0]
+        about = inertia_about_axes(iquat, inertia[None])[0]
         rate = damping[0] / mass[0], damping[3] / about[0]
         same = np.isclose(rate, self._declared_damping, rtol=1e-9)
         self._damping[where] = np.where(same, self._declared_damping, rate)
 
-    def state_dict(self) -> dict[str, F64]:
+    def state_dict(self) -> dict[str, NDArray[Any]]:
         """Values that no model field contains (copies)."""
         self.index  # noqa: B018  (compiles, which sets the inertia)
         state = {"damping": self._damping, "scale": self._scale, "inertia": self._inertia}
-        return {name: values.copy() for name, values in state.items()}
+        found: dict[str, NDArray[Any]] = {name: values.copy() for name, values in state.items()}
+        if self.index.variants is not None:
+            found["shape"] = self._variant.copy()
+        return found
 
-    def load_state_dict(self, state: dict[str, F64]) -> None:
+    def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continue exactly where `state_dict` was taken; the engine restores model fields."""
         self._damping[...] = state["damping"]
         self._scale[...] = state["scale"]
         self._inertia[...] = state["inertia"]
+        if self.index.variants is not None:
+            self._variant[...] = state["shape"]
+            self._mass0[...] = self.index.variants.mass[self._variant]
 
     set_body_type = not_available("set_body_type", "the body type is compiled into the model")
     set_attrs = not_available("set_attrs", "use set_mass, set_friction, set_damping, set_inertia")

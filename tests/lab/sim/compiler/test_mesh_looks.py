@@ -128,16 +128,37 @@ def test_an_object_split_into_convex_parts_leaves_its_hollow_free(tmp_path, conf
     assert contacts(**config) == 0
 
 
-def test_a_urdf_can_be_split_and_an_mjcf_says_why_not(tmp_path):
+def test_collision_meshes_of_a_urdf_and_of_an_mjcf_can_be_split(tmp_path):
+    """A ball in the corner that the hull fills, where the mesh is turned, moved and scaled."""
     mesh = corner(tmp_path)
     cfg = RobotCfg(fpath=robot(tmp_path, mesh, mesh), collision="decompose")
     model = compiled(robots=[("r", cfg)])
     assert (model.geom_contype[model.geom_bodyid > 0] != 0).sum() >= 2
     mjcf = write(
-        tmp_path / "m.xml", "<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>"
+        tmp_path / "m.xml",
+        f"""<mujoco><compiler angle="degree"/><asset>
+        <mesh name="corner" file="{mesh}" scale="0.1 0.1 0.1"/></asset>
+        <worldbody><body name="base"><geom name="wall" type="mesh" mesh="corner" pos="0.5 0 0"
+          euler="0 0 90" mass="2" friction="0.7 0.01 0.001" rgba="0 1 0 1"/></body></worldbody>
+        </mujoco>""",
     )
-    with pytest.raises(ConfigError, match=r"r\.collision: only of a URDF"):
-        parse_articulation("r", RobotCfg(fpath=mjcf, collision="decompose"))
+    ball = RigidObjectCfg(init_pos=(0.5 - 0.16, 0.16, 0.05))
+    ball.shape = type(ball.shape).from_dict({"shape_type": "Sphere", "radius": 0.03})
+    found = {}
+    for kind in ("hull", "decompose"):
+        cfg = RobotCfg(fpath=mjcf, collision=kind)
+        model = compiled({"ball": ball}, robots=[("r", cfg)])
+        data = mujoco.MjData(model)
+        data.qpos[:3] = ball.init_pos
+        mujoco.mj_forward(model, data)
+        of_ball = model.body("ball").id
+        pairs = [model.geom_bodyid[c.geom] for c in data.contact]
+        found[kind] = sum(of_ball in pair for pair in pairs)
+        touching = np.flatnonzero((model.geom_contype != 0) & (model.geom_bodyid == of_ball - 1))
+        assert (model.geom_friction[touching] == [0.7, 0.01, 0.001]).all()
+        assert model.body("r/base").mass == 2
+        assert model.geom_group[model.geom("r/wall").id] == 0  # is drawn
+    assert found["hull"] > 0 and found["decompose"] == 0 and len(touching) >= 2
     with pytest.raises(ConfigError, match=r"collision: only a Mesh is split"):
         compiled({"cube": RigidObjectCfg(collision="decompose")})
 

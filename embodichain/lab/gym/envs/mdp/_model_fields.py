@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import lazy_loader
 import numpy as np
@@ -146,11 +146,23 @@ def _mass(entity: ResolvedEntity, options: Options) -> Values:
 
         return masses
 
-    return Values(names, mass[bodies], write)
+    default = mass[bodies]
+    if _shapes(asset):
+        default = np.full(len(default), np.inf)
+    return Values(names, default, write, unlimited="each of its shapes has a mass of its own")
+
+
+def _shapes(asset: Any) -> tuple[str, ...]:
+    """Names of the shapes that an object may have, if it has `any_of`."""
+    names: tuple[str, ...] = getattr(asset, "shape_names", ())
+    return names
 
 
 def _com(entity: ResolvedEntity, options: Options) -> Values:
     engine, (names, bodies) = entity.asset.engine, _bodies(entity, "its centre of mass")
+    if _shapes(entity.asset):
+        message = f"{entity.uid!r} has any_of: each of its shapes has a centre of mass of its own"
+        raise ConfigError([Problem("entity_cfg.uid", message)])
     columns = (3 * bodies[:, None] + np.arange(3)).reshape(-1)
 
     def write(ids: NDArray[np.int64]) -> Write:
@@ -188,6 +200,9 @@ def _inertia(entity: ResolvedEntity, options: Options) -> Values:
 def _scale(entity: ResolvedEntity, options: Options) -> Values:
     need_object(entity)
     asset, width = entity.asset, 1 if options.same_scale_all_axes else 3
+    if _shapes(asset):
+        message = f"{entity.uid!r} has any_of: list shapes of several sizes there"
+        raise ConfigError([Problem("entity_cfg.uid", message)])
     try:
         solid = asset.solid
     except ValueError as error:
@@ -213,7 +228,11 @@ def _friction(entity: ResolvedEntity, options: Options, axis: int) -> Values:
     """A coefficient of links or objects; geoms of a link with equal compiled values share it."""
     model = entity.asset.engine.model
     geoms = np.asarray(entity.asset.entity.geom_ids, np.int64)
-    geoms = geoms[(model.geom_contype[geoms] | model.geom_conaffinity[geoms]) != 0]
+    masks = (model.geom_contype[geoms] | model.geom_conaffinity[geoms])[None]
+    variants = entity.asset.entity.variants
+    if variants is not None:
+        masks = variants.contype | variants.conaffinity
+    geoms = geoms[masks.any(axis=0)]
     owner = model.geom_bodyid[geoms]
     names, bodies = _bodies(entity, moving=False)
     groups: list[tuple[str, NDArray[np.int64]]] = []

@@ -150,7 +150,10 @@ class JointTerm(ActionTerm):
                 f"joints {undriven} have no drive and no position servo (drive_type none, mimics, "
                 "or joints of an MJCF that its actuators or drive_pros leave alone)"
             )
-            raise ConfigError([Problem("entity_cfg", message)])
+            own = [name for name in asset.parsed.control_names if name not in self.names]
+            there = [n for n in own if n not in asset.parsed.joint_names]
+            hint = f"Its file's actuators move them: {', '.join(there)}" if there else ""
+            raise ConfigError([Problem("entity_cfg", message, hint)])
         parsed = asset.parsed
         speeds = (parsed.servos.drive >= 0) & ~parsed.driven & (parsed.stiffness == 0)
         fast = [n for n, i in zip(self.names, self._ids, strict=True) if speeds[i]]

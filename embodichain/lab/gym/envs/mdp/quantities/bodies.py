@@ -41,6 +41,7 @@ __all__ = [
     "position",
     "projected_gravity",
     "root_quat_w",
+    "shape_index",
     "speed",
     "tilt",
     "unique_quat",
@@ -142,6 +143,28 @@ def height(env: TermContext, of: Body, above: float = 0.0) -> F64:
         ``{func: height, params: {of: {uid: cube}, above: 0.05}}``
     """
     return of.position()[:, 2] - above
+
+
+@quantity()
+def shape_index(env: TermContext, entity_cfg: ResolvedEntity, one_hot: bool = False) -> F64:
+    """(N,) number of the shape that an object has, in the order of its `any_of`, from 0.
+
+    Args:
+        entity_cfg: A rigid object with `any_of`.
+        one_hot: Whether to return (N, K) instead: 1 in the column of the shape, else 0.
+
+    Raises:
+        ConfigError: If the object has no `any_of`.
+
+    Example:
+        ``{func: shape_index, params: {of: {uid: thing}, one_hot: true}}``
+    """
+    names = getattr(entity_cfg.asset, "shape_names", ())
+    if not names:
+        message = f"{entity_cfg.uid!r} has no any_of: there is one shape"
+        raise ConfigError([Problem("entity_cfg.uid", message)])
+    number: NDArray[np.int64] = entity_cfg.asset.read_shape()
+    return np.eye(len(names))[number] if one_hot else number.astype(np.float64)
 
 
 @quantity("observation")
