@@ -101,7 +101,7 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
         ConfigError: A mistake that the job would refuse, with its place.
         Exception: Any other error that would end the job.
     """
-    from embodichain.cli.jobs import check_extras, policy_of
+    from embodichain.cli.jobs import check_extras, policy_name, policy_of
     from embodichain.config.factory import make_env
 
     unseen = resolved.changed(viewer={**resolved.tree["viewer"], "name": "none"})
@@ -123,6 +123,11 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
 
                 image_topics(env, ImageOptions(**vars(root.record.images)))
             policy = policy_of(root, env)
+            if policy_name(root) == "teleop":
+                from embodichain.lab.gym.teleop import Nobody, Teleop
+
+                if isinstance(policy, Teleop):
+                    policy.operator = Nobody()
             obs, _ = env.reset()
             env.step(policy(obs, env))
         finally:
