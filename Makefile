@@ -81,7 +81,8 @@ $(LEROBOT)/.installed: Makefile
 
 lerobot: venv $(LEROBOT)/.installed
 	LEROBOT_PYTHON=$(abspath $(LEROBOT))/bin/python \
-	    $(BIN)/python -m pytest tests/recording/export/test_lerobot.py
+	    $(BIN)/python -m pytest tests/recording/export/test_lerobot.py \
+	    tests/recording/export/test_episodes.py
 
 check: test lint types imports
 

@@ -34,7 +34,9 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
 @verb(
     "export",
     ("export last --format csv", "the newest log as a table, beside it"),
-    ("export FILE --format hdf5 -o demos.hdf5", "episodes in robomimic's layout"),
+    ("export FOLDER --format robomimic", "successes, with the task's observations"),
+    ("export FILE --format lerobot --observations", "the same as a LeRobot data set"),
+    ("export FILE --format hdf5 -o demos.hdf5", "states, in robomimic's layout"),
     ("export last --format ros2 --env 2 --from 0 --to 100", "a ROS 2 bag of a part"),
     ("export last --format mp4 --camera default --size 320x240", "a film"),
     ("export policy last", "policy.onnx in the run's folder"),
@@ -45,20 +47,30 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
 @click.argument(
     "words",
     nargs=-1,
-    metavar="FILE|last | policy RUN|last|PATH [task=NAME]",
+    metavar="FILE|FOLDER|last... | policy RUN|last|PATH [task=NAME]",
     shell_complete=_complete,
 )
 @click.option(
     "--format",
     "form",
     metavar="F",
-    help="Of a log: csv, npz, parquet, hdf5, lerobot, rrd, ros2 or mp4; of a policy: onnx "
-    "(default) or torchscript.",
+    help="Of a log: csv, npz, parquet, hdf5, robomimic, lerobot, rrd, ros2 or mp4; of a policy: "
+    "onnx (default) or torchscript.",
 )
 @click.option("--output", "-o", metavar="OUT", help="A new file (lerobot: folder).")
+@click.option(
+    "--observations",
+    is_flag=True,
+    help="lerobot: the task's observations instead of states; of several logs, too. robomimic has "
+    "no other.",
+)
+@click.option("--group", metavar="G", help="The observation group. Default: policy.")
+@click.option(
+    "--failures", is_flag=True, help="With observations: all episodes, not successes only."
+)
 @click.option("--env", type=int, metavar="I", help="Of a log: only this environment.")
 @click.option("--episode", type=int, metavar="K", help="Only this episode of --env.")
-@click.option("--from", "start", type=int, default=0, metavar="T", help="First control step.")
+@click.option("--from", "start", type=int, metavar="T", help="First control step.")
 @click.option("--to", "stop", type=int, metavar="T", help="The control step to stop before.")
 @click.option(
     "--camera",
@@ -75,10 +87,66 @@ def command(**kwargs: Any) -> None:
         raise ConfigError("export what? One of: policy RUN, FILE (a log), last")
     if options.words[0] == "policy":
         _export_policy(options)
+    elif options.form is None:
+        from embodichain.recording.export.formats import EPISODE_FORMATS, FORMATS
+
+        raise ConfigError(f"--format is needed: {', '.join(FORMATS | EPISODE_FORMATS)}")
+    elif _has_observations(options):
+        _export_episodes(options)
     elif len(options.words) > 1:
         raise ConfigError(f"one log at a time: {', '.join(options.words)}")
     else:
         _export_log(options)
+
+
+def _has_observations(options: SimpleNamespace) -> bool:
+    """Whether the task's observations are exported.
+
+    Raises:
+        ConfigError: If other options do not fit.
+    """
+    if options.form == "robomimic" or options.observations:
+        named = ("env", "episode", "start", "stop", "cameras", "size")
+        given = [name for name in named if getattr(options, name) not in (None, ())]
+        if given:
+            flag = {"start": "from", "stop": "to", "cameras": "camera"}.get(given[0], given[0])
+            raise ConfigError(f"--{flag} is not for observations: they are of whole episodes")
+        return True
+    for flag in ("group", "failures"):
+        if getattr(options, flag):
+            raise ConfigError(f"--{flag} needs --observations or --format robomimic")
+    return False
+
+
+def _export_episodes(options: SimpleNamespace) -> None:
+    """Write the episodes of logs with observations; a signal leaves no file."""
+    from embodichain.recording.export.episodes import export_episodes
+
+    paths = [log_of(word).parent if word == "last" else Path(word) for word in options.words]
+    count = 0
+    with (
+        warnings_on_stderr(),
+        ProgressDisplay("export", None, "episodes", quiet=options.json) as display,
+    ):
+
+        def progress(done: int) -> None:
+            nonlocal count
+            count = done
+            if display.due:
+                display.show(done, {})
+
+        how = {"group": options.group or "policy", "failures": options.failures}
+        try:
+            path = export_episodes(paths, options.form, options.output, **how, progress=progress)
+        except Interrupted as error:
+            raise Interrupted(f"{error}; {_NOTHING}") from None
+    if options.json:
+        print_json({"file": str(path), "bytes": _size(path), "episodes": count})
+    else:
+        sys.stdout.write(f"{path}: {count} episodes, {_size(path) / 1e6:.2f} MB\n")
+
+
+_NOTHING = "nothing was written, an export is whole or not there"
 
 
 def _export_policy(options: SimpleNamespace) -> None:
@@ -132,14 +200,12 @@ def _export_log(options: SimpleNamespace) -> None:
     from embodichain.recording.api import Log
     from embodichain.recording.export.formats import Part
 
-    if options.form is None:
-        raise ConfigError("--format is needed: csv, npz, parquet, hdf5, lerobot, rrd, ros2 or mp4")
     if options.episode is not None and options.env is None:
         raise ConfigError("--episode needs --env: episodes are counted in each environment")
     form = "WIDTHxHEIGHT in pixels, such as 640x480"
     size = None if options.size is None else pair("--size", options.size, form)
     cameras = options.cameras or None
-    part = Part(options.env, options.episode, options.start, options.stop, cameras, size)
+    part = Part(options.env, options.episode, options.start or 0, options.stop, cameras, size)
     with warnings_on_stderr(), Log(log_of(options.words[0]), simulate=True) as log:
         export = _film if options.form == "mp4" else _write
         path, ended = export(log, options, part)
@@ -159,9 +225,7 @@ def _write(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
     try:
         return export(log, options.form, options.output, part), ""
     except Interrupted as error:
-        raise Interrupted(
-            f"{error}; nothing was written, an export is whole or not there"
-        ) from None
+        raise Interrupted(f"{error}; {_NOTHING}") from None
 
 
 def _film(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:

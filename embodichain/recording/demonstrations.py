@@ -11,19 +11,23 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.config.run_folder import LOG
 from embodichain.lab.sim.engine.api import F64
+from embodichain.recording.collection import CollectedEpisode, is_collection, read_collection
 from embodichain.recording.episodes import LogEpisode
+from embodichain.recording.log_error import LogError
 from embodichain.recording.observation_store import ObservationStore
+from embodichain.recording.parts import first_file
 from embodichain.recording.recorded_log import RecordedLog
 from embodichain.recording.reenactment import Reenactment, Step
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["Episode", "logs_of", "read_episodes"]
+__all__ = ["Episode", "Source", "read_episodes", "sources_of"]
 
 _IMAGE_NDIM = 3
 """Entries with more axes, time included, are images."""
@@ -82,35 +86,80 @@ class Episode:
         dones[-1:] = self.terminated or self.truncated
         return dones
 
+    def entries(self, group: str = "policy") -> dict[str, NDArray[Any]]:
+        """(T+1, ...) entries of an observation group by name, in order.
+
+        Raises:
+            ConfigError: If there is no such group.
+        """
+        if group not in self.groups:
+            known = ", ".join(self.groups) or "none"
+            raise ConfigError(f"{self.task}: no observation group {group!r}; there are: {known}")
+        return {name: self.observations[name] for name in self.groups[group]}
+
     def group(self, name: str = "policy") -> NDArray[np.float32]:
         """(T+1, K) the vector of an observation group.
 
         Raises:
             ConfigError: If there is no such group, or one of its entries is an image.
         """
-        if name not in self.groups:
-            known = ", ".join(self.groups) or "none"
-            raise ConfigError(f"{self.task}: no observation group {name!r}; there are: {known}")
-        parts = [self.observations[entry] for entry in self.groups[name]]
-        images = [e for e, p in zip(self.groups[name], parts, strict=True) if p.ndim > _IMAGE_NDIM]
+        parts = self.entries(name)
+        images = [entry for entry, values in parts.items() if values.ndim > _IMAGE_NDIM]
         if images:
             raise ConfigError(f"{self.task}: {', '.join(images)}: an image is no part of a vector")
-        flat = [part.reshape(len(part), -1).astype(np.float32) for part in parts]
+        flat = [part.reshape(len(part), -1).astype(np.float32) for part in parts.values()]
         return np.concatenate(flat, axis=1)
 
 
-def logs_of(path: str | Path) -> list[Path]:
-    """The logs of a path: a log, the manifest of one in several files, or the folder of a run.
+class Source(NamedTuple):
+    """A log, and what a collection says of it.
+
+    Attributes:
+        path: The log.
+        listed: Its episodes in the collection that it belongs to; None if it belongs to none.
+    """
+
+    path: Path
+    listed: list[CollectedEpisode] | None
+
+    @property
+    def numbers(self) -> dict[tuple[int, int], int] | None:
+        """(environment, episode) to the number of its attempt, see `Reenactment`."""
+        if self.listed is None:
+            return None
+        return {(one.env, one.episode): one.attempt for one in self.listed}
+
+
+def sources_of(path: str | Path, failures: bool = False) -> list[Source]:
+    """The logs of a path: a log, the manifest of one in several files, or a folder.
+
+    The folder of a collection has the logs with the episodes that it lists.
+
+    Args:
+        path: The path.
+        failures: Whether logs of a collection count in which no episode succeeded.
 
     Raises:
-        ConfigError: If a folder has no log.
+        ConfigError: If there is no such file, a folder has no log, or a list is damaged.
     """
     path = Path(path)
+    if not path.exists():
+        raise ConfigError(f"{path} does not exist")
+    folder = path if path.is_dir() else path.parent
+    if not is_collection(folder):
+        if path.is_dir() and not (path / LOG).exists():
+            raise ConfigError(f"{path} has no {LOG}: a run with record=none, or another folder")
+        return [Source(path / LOG if path.is_dir() else path, None)]
+    listed: dict[str, list[CollectedEpisode]] = {}
+    for one in read_collection(folder, failures=True):
+        listed.setdefault(one.log, []).append(one)
     if not path.is_dir():
-        return [path]
-    if (path / "rollout.mcap").exists():
-        return [path / "rollout.mcap"]
-    raise ConfigError(f"{path} has no log: a run with record=none, or another folder")
+        return [Source(path, listed.get(first_file(path).name, []))]
+    if not listed:
+        raise ConfigError(f"{path}: the collection has no episode yet")
+    # A log that has only failures is left out, unless there is no other.
+    good = {name for name, of in listed.items() if any(one.success for one in of)} or set(listed)
+    return [Source(folder / name, of) for name, of in listed.items() if failures or name in good]
 
 
 def read_episodes(
@@ -122,9 +171,10 @@ def read_episodes(
     """Yield the episodes of logs with the task's observations.
 
     Args:
-        paths: One or several logs or folders, see `logs_of`.
-        failures: Also yield episodes that did not succeed, or whose end is not in the log. Without
-            it, a task that does not define success has none to yield.
+        paths: One or several logs or folders, see `sources_of`.
+        failures: Also yield episodes that did not succeed; of a log that belongs to no collection,
+            also those whose end is not in it. Without it, a task that does not define success has
+            none to yield.
         progress: Called with the numbers of episodes that were yielded, and that will be, of the
             current log.
 
@@ -135,10 +185,10 @@ def read_episodes(
     """
     given = [paths] if isinstance(paths, (str, Path)) else list(paths)
     first: Episode | None = None
-    for path in [log for one in given for log in logs_of(one)]:
-        with RecordedLog(path) as log:
-            wanted = _wanted(log, failures)
-            for number, episode in enumerate(_episodes(log, wanted), start=1):
+    for source in [source for one in given for source in sources_of(one, failures)]:
+        with RecordedLog(source.path) as log:
+            wanted = _wanted(log, source, failures)
+            for number, episode in enumerate(_episodes(log, wanted, source.numbers), start=1):
                 first = first or episode
                 _require_same(first, episode)
                 yield episode
@@ -146,10 +196,20 @@ def read_episodes(
                     progress(number, len(wanted))
 
 
-def _wanted(log: RecordedLog, failures: bool) -> list[LogEpisode]:
-    """The episodes to yield."""
+def _wanted(log: RecordedLog, source: Source, failures: bool) -> list[LogEpisode]:
+    """The episodes to yield; with the success that a collection lists."""
     log.header.require_states(log.path)
     found = log.episodes
+    if source.listed is not None:
+        known = {(episode.env, episode.episode): episode for episode in found}
+        lacking = [one for one in source.listed if (one.env, one.episode) not in known]
+        if lacking:
+            one = lacking[0]
+            raise LogError(
+                f"{log.path} lacks episode {one.episode} of environment {one.env}, which the "
+                "collection lists"
+            )
+        found = [known[one.env, one.episode] for one in source.listed]
     wanted = [e for e in found if failures or e.succeeded]
     if not wanted:
         if any(e.succeeded is not None for e in found):
@@ -178,7 +238,9 @@ def _require_same(first: Episode, episode: Episode) -> None:
     )
 
 
-def _episodes(log: RecordedLog, wanted: Sequence[LogEpisode]) -> Iterator[Episode]:
+def _episodes(
+    log: RecordedLog, wanted: Sequence[LogEpisode], numbers: Mapping[tuple[int, int], int] | None
+) -> Iterator[Episode]:
     """Yield the wanted episodes of one log as they end.
 
     Observation k + 1 of the store follows from step k of the log.
@@ -187,7 +249,7 @@ def _episodes(log: RecordedLog, wanted: Sequence[LogEpisode]) -> Iterator[Episod
     ends: dict[int, list[LogEpisode]] = {}
     for episode in wanted:
         ends.setdefault(episode.last_step, []).append(episode)
-    with Reenactment(log) as play, ObservationStore() as store:
+    with Reenactment(log, numbers) as play, ObservationStore() as store:
         paths = play.env.observation_manager.paths
         groups = {name: tuple("/".join(path) for path in of) for name, of in paths.items()}
         store.add(0, play.first)

@@ -200,8 +200,9 @@ class Reenactment:
         if numbers is not None:
             coming = zip(ids.tolist(), (env.episodes.ids[ids] + 1).tolist(), strict=True)
             found = {key[0]: numbers[key] for key in coming if key in numbers}
-            streams: Any = env.streams
-            streams.renumber(np.array([*found], np.int64), np.array([*found.values()], np.int64))
+            env.streams.renumber(
+                np.array([*found], np.int64), np.array([*found.values()], np.int64)
+            )
         obs, _ = env.reset(options={"reset_ids": ids})
         return cast("Observation", obs)
 

@@ -1,59 +1,26 @@
 """Episodes read from logs have the observations that were live, bit for bit."""
 
+import json
+
 import numpy as np
 import pytest
-import torch
 
 import embodichain.recording as recording
-from embodichain.config.factory import make_env
+from embodichain.cli import main
 from embodichain.config.resolved import dump_yaml, resolve
-from embodichain.lab.gym.envs.observers import StepObserver
-from embodichain.recording import McapRecorder, RecordOptions, read_episodes
+from embodichain.recording import RecordOptions, read_episodes
+from embodichain.recording.collection import read_collection
 from embodichain.recording.log_error import LogError
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.tensor_mapping import leaves_of
-
-
-class Live(StepObserver):
-    """Stores what the policy sees: per environment and episode, first and final ones included."""
-
-    def __init__(self, env, first):
-        self.seen = {(i, 0): [self.row(first, i)] for i in range(env.num_envs)}
-
-    @staticmethod
-    def row(obs, i):
-        return {"/".join(path): np.array(leaf[i].numpy()) for path, leaf in leaves_of(obs)}
-
-    def on_step(self, env, step):
-        for i, episode in enumerate(step.episode_ids.tolist()):
-            done = step.terminated[i] or step.truncated[i]
-            self.seen[i, episode].append(self.row(step.info["final_obs"] if done else step.obs, i))
-            if done:
-                self.seen[i, episode + 1] = [self.row(step.obs, i)]
+from tests.recording.live import NOISY, record_task
 
 
 @pytest.fixture
 def record(tmp_path):
     """Records a run of a task with random actions; returns the log and the observations."""
 
-    def run(overrides, steps, name="rollout.mcap", options=None, cut=(), touch=None, said=None):
-        resolved = resolve(["num_envs=3", "seed=3", *overrides])
-        env = make_env(resolved)
-        path = tmp_path / name
-        text = dump_yaml(resolved.tree) if said is None else said
-        env.add_observer(McapRecorder(path, env, text, [], options, resolved.task_name))
-        obs, _ = env.reset()
-        live = Live(env, obs)
-        env.add_observer(live)
-        draw = torch.Generator().manual_seed(1)
-        for step in range(steps):
-            if step in cut:
-                env.truncate(np.array([step % 3]))
-            if touch is not None:
-                touch(env, step)
-            env.step(2 * torch.rand((3, *env.single_action_space.shape), generator=draw) - 1)
-        env.close()
-        return path, live.seen
+    def run(overrides, steps, name="rollout.mcap", *args, **kwargs):
+        return record_task(tmp_path / name, overrides, steps, *args, **kwargs)
 
     return run
 
@@ -64,15 +31,6 @@ def same(episode, seen):
         expected = np.stack([one[name] for one in seen])
         assert values.dtype == expected.dtype and np.array_equal(values, expected), name
     return set(episode.observations) == set(seen[0])
-
-
-NOISY = [
-    "task=reach",
-    "task.max_episode_steps=9",
-    "+task.observations.past={func: joint_position, history_length: 3, delay: [1, 2], "
-    "noise: {type: gaussian, std: 0.1}, params: {of: {uid: ur10}}}",
-    "+task.observations.latest={func: last_action, group: critic}",
-]
 
 
 def test_observations_are_those_of_the_run(record, caplog):
@@ -191,5 +149,92 @@ def test_logs_that_cannot_be_reenacted_are_refused(record, tmp_path):
         said = dump_yaml(resolve(["num_envs=3", "seed=3", *few, overrides[name]]).tree)
         path, _ = record(few, 5, f"{name}.mcap", said=said)
         refused(why, path)
-    with pytest.raises(ConfigError, match="has no log"):
+    with pytest.raises(ConfigError, match=r"has no rollout\.mcap"):
         next(read_episodes(tmp_path / "cwd"))
+
+
+def test_a_resumed_collection_is_one_data_set(tmp_path):
+    """Attempts draw by their number, whichever environment and log they are in."""
+    words = ["task=reach", "policy=random", "task.max_episode_steps=9", "seed=1", "-q"]
+    words += ["task.metrics.success.shape.below=0.3", "collect.success_steps=1", "num_envs=3"]
+    words += [NOISY[2]]
+
+    def collect(name, *more):
+        assert main(["collect", *words, f"output_dir={tmp_path / name}", *more]) == 0
+        return next((tmp_path / name).glob("*/*_reach"))
+
+    whole = collect("whole", "episodes=5")
+    parts = collect("parts", "episodes=2")
+    assert main(["collect", f"resume={parts}", "episodes=5", "-q"]) == 0
+    found = []
+    for folder in (whole, parts):
+        listed = {(e.log, e.env, e.episode): e for e in read_collection(folder, failures=True)}
+        episodes = list(read_episodes(folder, failures=True))
+        assert {(e.path.name, e.env, e.episode) for e in episodes} == set(listed)
+        numbers = {listed[e.path.name, e.env, e.episode].attempt: e for e in episodes}
+        assert len(numbers) == len(listed)
+        found.append(numbers)
+        wanted = {number for number, e in numbers.items() if e.success}
+        successes = {e.attempt for e in read_collection(folder)}
+        assert wanted == successes and len(list(read_episodes(folder))) == 5
+    assert found[0].keys() == found[1].keys()
+    for number, episode in found[0].items():
+        for name, values in episode.observations.items():
+            assert np.array_equal(values, found[1][number].observations[name])
+    alone = list(read_episodes(whole / "rollout.mcap"))
+    assert len(alone) == 5
+
+
+def test_a_pushed_episode_is_corrected_and_others_are_exact(record, caplog):
+    """Corrections are of one environment; commands, noise and delays of all stay the run's."""
+
+    def lift(env, step):
+        if step == 5:
+            goal = env.sim.engine.state("mocap_pos")[2].copy()
+            goal[-1] += 0.3
+            env.sim.engine.write("mocap_pos", goal[None], np.array([2]))
+
+    path, seen = record(NOISY, steps=18, touch=lift)
+    found = list(read_episodes(path, failures=True))
+    moved = next(e for e in found if (e.env, e.episode) == (2, 0))
+    heights = moved.observations["to_goal"][:, 2]
+    assert heights[6] - heights[5] > 0.2
+    for episode in found:
+        assert same(episode, seen[episode.env, episode.episode])
+    assert len(caplog.messages) == 1 and "1 of 54 states differ" in caplog.messages[0]
+
+
+def test_a_command_and_its_observation_are_those_of_the_run(record):
+    """The task of a walker: commands that change within an episode, gravity, contacts, events."""
+    overrides = ["task=quadruped_velocity", "task.max_episode_steps=8"]
+    path, seen = record(overrides, steps=20, cut=(5,))
+    episodes = list(read_episodes(path, failures=True))
+    assert len(episodes) >= 6
+    for episode in episodes:
+        assert same(episode, seen[episode.env, episode.episode])
+
+
+def test_the_last_episode_is_cut_where_the_log_ends(record):
+    path, seen = record(NOISY, steps=13)
+    cut = [e for e in read_episodes(path, failures=True) if not (e.terminated or e.truncated)]
+    assert [(e.env, e.episode, len(e)) for e in cut] == [(i, 1, 4) for i in range(3)]
+    for episode in cut:
+        assert episode.success is None and not episode.dones.any()
+        assert same(episode, seen[episode.env, episode.episode])
+
+
+def test_lists_of_a_collection_that_do_not_fit_its_log(record, tmp_path):
+    path, _ = record(NOISY, steps=9)
+    line = {"attempt": 0, "log": path.name, "env": 0, "episode": 0, "first_step": 0, "steps": 9}
+    line |= {"total_reward": 0.0, "success": True, "failure": None}
+    lists = tmp_path / "successes.jsonl"
+    lists.write_text(json.dumps(line | {"episode": 7}) + "\n")
+    with pytest.raises(LogError, match="lacks episode 7 of environment 0, which the collection l"):
+        list(read_episodes(tmp_path))
+    # Attempt 5 begins in another state than environment 0 did.
+    lists.write_text(json.dumps(line | {"attempt": 5}) + "\n")
+    with pytest.raises(ConfigError, match="environment 0 begins in another state than recorded"):
+        list(read_episodes(tmp_path, failures=True))
+    lists.write_text("")
+    with pytest.raises(ConfigError, match="the collection has no episode yet"):
+        list(read_episodes(tmp_path))

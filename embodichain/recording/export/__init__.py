@@ -7,5 +7,8 @@ import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    submod_attrs={"formats": ["FORMATS", "Part", "export"]},
+    submod_attrs={
+        "episodes": ["export_episodes"],
+        "formats": ["EPISODE_FORMATS", "FORMATS", "Part", "export"],
+    },
 )

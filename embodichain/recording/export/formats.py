@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import io
+import json
 import logging
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+import zipfile
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +21,9 @@ import numpy as np
 
 from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
+from embodichain.recording.log_error import LogError
 from embodichain.recording.playback import Playback, span_of
+from embodichain.recording.recorded_log import RecordedLog
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -26,17 +31,22 @@ if TYPE_CHECKING:
     from embodichain.recording.film import Filmed
 
 __all__ = [
+    "EPISODE_FORMATS",
     "FORMATS",
     "Format",
     "Part",
     "about",
     "demonstrations",
     "export",
+    "model_xml",
+    "new_file",
     "poses",
     "required",
+    "robomimic_env",
 ]
 
 _FILM_SIZE = (640, 480)
+_GYM_TYPE = 2  # robomimic's EnvType.GYM_TYPE
 _log = logging.getLogger(__name__)
 
 
@@ -84,7 +94,8 @@ class Format(NamedTuple):
 
     Attributes:
         suffix: Suffix of the file's name; empty if the format is a folder.
-        module: Module of this package with the function ``write_FORMAT(log, part, path)``.
+        module: Module of this package with the function ``write_FORMAT(log, part, path)``, or
+            ``write_episodes(data, path)`` of `EPISODE_FORMATS`; empty for a film.
         extra: Extra that installs the required packages.
     """
 
@@ -93,7 +104,7 @@ class Format(NamedTuple):
     extra: str = ""
 
 
-FORMATS: Mapping[str, Format] = {
+FORMATS: dict[str, Format] = {
     "csv": Format(".csv", "tables"),
     "npz": Format(".npz", "tables"),
     "parquet": Format(".parquet", "tables", "parquet"),
@@ -103,6 +114,11 @@ FORMATS: Mapping[str, Format] = {
     "ros2": Format(".mcap", "ros2", "ros2"),
     "mp4": Format(".mp4"),
 }
+EPISODE_FORMATS: dict[str, Format] = {
+    "lerobot": Format("", "lerobot_episodes", "lerobot"),
+    "robomimic": Format(".hdf5", "robomimic", "hdf5"),
+}
+"""Formats of `export_episodes`, with the task's observations."""
 PICTURES = ("hdf5", "lerobot", "rrd", "mp4")
 """Formats that have pictures of cameras."""
 _PACKAGES = {"rerun": "rerun-sdk"}
@@ -141,6 +157,8 @@ def export(
     if format in FORMATS and format not in PICTURES and part and (part.cameras or part.size):
         raise ConfigError(f"{format} has no pictures; formats with cameras: {', '.join(PICTURES)}")
     if format not in FORMATS:
+        if format in EPISODE_FORMATS:
+            raise ConfigError(f"{format} has the task's observations: use export_episodes")
         raise ConfigError(
             f"no format {format!r}.{did_you_mean(format, FORMATS)} Formats: {', '.join(FORMATS)}"
         )
@@ -150,7 +168,7 @@ def export(
     part = part or Part()
     log.header.require_states(log.path)
     _require_steps(log, part)
-    with _new_file(path, chosen.suffix) as partial:
+    with new_file(path, chosen.suffix) as partial:
         if chosen.module:
             module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
             getattr(module, f"write_{format}")(log, part, partial)
@@ -184,7 +202,7 @@ def _require_steps(log: Log, part: Part) -> None:
 
 
 @contextmanager
-def _new_file(path: Path, suffix: str) -> Iterator[Path]:
+def new_file(path: Path, suffix: str) -> Iterator[Path]:
     """A temporary name to write to; the complete file is renamed unless `path` exists by then."""
     if os.path.lexists(path):
         raise ConfigError(f"{path} exists; it is never replaced")
@@ -214,7 +232,10 @@ def required(module: str, format: str) -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        package, extra = _PACKAGES.get(package, package), FORMATS[format].extra
+        package, extra = (
+            _PACKAGES.get(package, package),
+            {**FORMATS, **EPISODE_FORMATS}[format].extra,
+        )
         raise ConfigError(
             f"--format {format} needs {package}: pip install 'embodichain[{extra}]'"
         ) from error
@@ -260,6 +281,24 @@ def demonstrations(log: Log, part: Part) -> list[tuple[LogEpisode, range]]:
     if not chosen:
         raise ConfigError("no episode is in the chosen range")
     return chosen
+
+
+def robomimic_env(log: RecordedLog) -> str:
+    """The attribute ``env_args`` of robomimic's files: task and config as JSON."""
+    return json.dumps({"env_name": log.task, "type": _GYM_TYPE, "env_kwargs": log.config})
+
+
+def model_xml(log: RecordedLog) -> str:
+    """The scene as XML; 6 digits, like every XML of a compiled model.
+
+    Raises:
+        LogError: If the log has none, or it is damaged.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(log.attachment("scene.mjz"))) as archive:
+            return archive.read("model.xml").decode()
+    except (zipfile.BadZipFile, KeyError) as error:
+        raise LogError(f"{log.path}: the attachment scene.mjz is damaged: {error!r}") from error
 
 
 def poses(log: Log, env: int, part: Part) -> Iterator[tuple[int, mujoco.MjData, bool]]:

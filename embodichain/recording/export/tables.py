@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
-import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing
 from itertools import chain
@@ -19,7 +17,14 @@ from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.columns import Column
-from embodichain.recording.export.formats import Part, about, demonstrations, required
+from embodichain.recording.export.formats import (
+    Part,
+    about,
+    demonstrations,
+    model_xml,
+    required,
+    robomimic_env,
+)
 from embodichain.recording.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.log_error import LogError
 from embodichain.recording.playback import Playback, Span
@@ -31,7 +36,6 @@ _BYTES = 2**26
 _ROWS = 1000
 _OBS = ("qpos", "qvel", "mocap_pos", "mocap_quat")
 _STATE = ("time", "qpos", "qvel", "act")
-_GYM = 2  # robomimic's EnvType.GYM_TYPE
 
 
 def write_csv(log: Log, part: Part, path: Path) -> None:
@@ -111,7 +115,7 @@ def write_hdf5(log: Log, part: Part, path: Path) -> None:
     """
     h5py: Any = required("h5py", "hdf5")
     episodes = demonstrations(log, part)
-    attributes = {"model_file": _model_xml(log)}
+    attributes = {"model_file": model_xml(log)}
     fields = {*_OBS, *_STATE, "actions", "rewards", "terminated", "truncated"}
     names = [name for name in log.columns if name in fields]
     cameras = cameras_of(log, part.cameras, part.size)
@@ -130,8 +134,7 @@ def write_hdf5(log: Log, part: Part, path: Path) -> None:
             if renderer is not None:
                 _draw(demo, renderer, Playback(log, episode.env), cameras, steps)
         root.attrs["total"] = sum(int(demo.attrs["num_samples"]) for demo in root.values())
-        env_args = {"env_name": log.task, "type": _GYM, "env_kwargs": log.config}
-        root.attrs.update(about(log), env_args=json.dumps(env_args))
+        root.attrs.update(about(log), env_args=robomimic_env(log))
 
 
 def _fill(demo: Any, data: LogArrays) -> None:
@@ -170,12 +173,3 @@ def _draw(
     for frame in drawn:
         for pictures, picture in zip(made, frame.pictures, strict=True):
             pictures[frame.step - steps.start] = picture
-
-
-def _model_xml(log: Log) -> str:
-    """The scene as XML; 6 digits, like every XML of a compiled model."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(log.attachment("scene.mjz"))) as archive:
-            return archive.read("model.xml").decode()
-    except (zipfile.BadZipFile, KeyError) as error:
-        raise LogError(f"{log.path}: the attachment scene.mjz is damaged: {error!r}") from error

@@ -20,7 +20,7 @@ from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState
 from embodichain.recording import McapRecorder
 from embodichain.recording.export import Part, export
-from embodichain.recording.export.lerobot import merged, of_pictures, of_values
+from embodichain.recording.export.lerobot_writer import merged, of_pictures, of_values
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL, SmallEnv
 

@@ -1,0 +1,148 @@
+"""`export_episodes`: episodes of logs, with the task's observations, as one data set."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.recording.demonstrations import Episode, read_episodes, sources_of
+from embodichain.recording.export.formats import EPISODE_FORMATS, new_file
+from embodichain.recording.recorded_log import RecordedLog
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["DataSet", "export_episodes"]
+
+
+class DataSet:
+    """The episodes that a format writes, one after another, in one pass.
+
+    Args:
+        episodes: At least one.
+        group: The observation group.
+
+    Attributes:
+        first: The first episode, which has the entries and shapes of all.
+        group: The observation group.
+        vectors: Names of the entries of the group that are no images, in order.
+        images: Names of those that are images.
+
+    Raises:
+        ConfigError: If there is no such group.
+    """
+
+    def __init__(self, episodes: Iterator[Episode], group: str) -> None:
+        self.first = next(episodes)
+        self._episodes = chain([self.first], episodes)
+        self.group = group
+        entries = self.first.entries(group)
+        self.images = [name for name, values in entries.items() if values.ndim > 3]
+        self.vectors = [name for name in entries if name not in self.images]
+
+    def __iter__(self) -> Iterator[Episode]:
+        """Yield the episodes. Can be called once."""
+        return self._episodes
+
+    def log(self) -> RecordedLog:
+        """Open the log of the first episode."""
+        return RecordedLog(self.first.path)
+
+    def vector(self, episode: Episode, name: str) -> NDArray[Any]:
+        """(T+1, K) values of an entry."""
+        values = episode.observations[name]
+        return values.reshape(len(values), -1)
+
+    def pictures(self, episode: Episode, name: str) -> NDArray[Any]:
+        """(T+1, H, W, C) values of an image; a term's channels come first."""
+        return np.moveaxis(episode.observations[name], 1, -1)
+
+    def columns(self, name: str) -> list[str]:
+        """Names of the columns of an entry: ``to_cube[0]``, or its own if there is one."""
+        width = self.vector(self.first, name).shape[1]
+        return [name] if width == 1 else [f"{name}[{i}]" for i in range(width)]
+
+    def is_of_scene(self, log: RecordedLog, name: str) -> bool:
+        """Whether an entry is about the scene, not the robot alone.
+
+        It is if the term's parameters name an object, an articulation or a command.
+
+        Args:
+            log: The log, for its config.
+            name: The entry.
+        """
+        task: Any = log.config["task"]
+        others = {uid for kind in _SCENE for uid in task.get(kind) or {}}
+        terms: Mapping[str, Any] = task.get("observations") or {}
+        found = (t for key, t in terms.items() if (t.get("name") or key) == name)
+        return any(_mentions(term.get("params"), others) for term in found)
+
+
+_SCENE = ("objects", "articulations", "commands")
+"""Sections of a task with what observations are of, besides robots."""
+
+
+def _mentions(value: Any, names: set[str]) -> bool:
+    """Whether one of these names is a string within nested maps and lists."""
+    if isinstance(value, Mapping):
+        return any(_mentions(item, names) for item in value.values())
+    if isinstance(value, (list, tuple)):
+        return any(_mentions(item, names) for item in value)
+    return isinstance(value, str) and value in names
+
+
+def export_episodes(
+    paths: str | Path | Sequence[str | Path],
+    format: str,
+    output: str | Path | None = None,
+    *,
+    group: str = "policy",
+    failures: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> Path:
+    """Write the episodes of logs with the task's observations, see `read_episodes`.
+
+    Args:
+        paths: One or several logs, or folders of runs or collections.
+        format: Key of `EPISODE_FORMATS`.
+        output: A new file, or folder if the format is one; None: next to the first log.
+        group: The observation group that is written.
+        failures: Also write episodes that did not succeed.
+        progress: Called with the number of episodes written.
+
+    Returns:
+        The file or folder.
+
+    Raises:
+        ConfigError: See `read_episodes`; or the format or the group does not exist, a package is
+            missing, or the file exists.
+        LogError: If a log has no states, or is damaged.
+        OSError: If the file cannot be written.
+    """
+    if format not in EPISODE_FORMATS:
+        hint = did_you_mean(format, EPISODE_FORMATS)
+        raise ConfigError(
+            f"{format} has no observations.{hint} Formats that have: {', '.join(EPISODE_FORMATS)}"
+        )
+    given = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    chosen = EPISODE_FORMATS[format]
+    suffix = chosen.suffix
+    first = sources_of(given[0])[0].path
+    path = Path(output) if output else first.with_name(f"{first.stem}_{format}{suffix}")
+    module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
+    write: Callable[[DataSet, Path], None] = module.write_episodes
+    with new_file(path, suffix) as partial:
+
+        def counted() -> Iterator[Episode]:
+            for number, episode in enumerate(read_episodes(given, failures=failures), start=1):
+                yield episode
+                if progress is not None:
+                    progress(number)
+
+        write(DataSet(counted(), group), partial)
+    return path
