@@ -32,8 +32,8 @@ from scipy.sparse.csgraph import connected_components
 
 REPO = Path(__file__).parents[1]
 PACKAGE = REPO / "embodichain"
-_PUBLIC = frozenset({"_asdict", "_field_defaults", "_fields", "_make", "_replace"})
-"""Documented names of named tuples, which begin with an underscore."""
+_PUBLIC = frozenset({"_asdict", "_field_defaults", "_fields", "_make", "_replace", "_predict"})
+"""Documented names of named tuples and of Stable-Baselines3's policies."""
 _OPTIMIZED = 0x1  # inspect.CO_OPTIMIZED: functions; not the bodies of modules and classes
 
 

@@ -54,7 +54,7 @@ _SAY_AFTER = 1.0
 """Seconds after which a film says how long it takes."""
 FRESH: dict[str, Any] = {
     **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
-    **{"max_steps": None, "video": None, "total_timesteps": None, "algo": None},
+    **{"max_steps": None, "video": None, "total_timesteps": None, "algo": None, "dataset": None},
     **{"output_dir": "outputs"},
 }
 """Root keys of a run's config that do not carry over to another run of it."""
@@ -334,6 +334,10 @@ def pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder they refer to now, since later runs change it."""
     from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 
+    data = resolved.tree["dataset"]
+    if data is not None:
+        paths = [data] if isinstance(data, str) else data
+        resolved = resolved.changed(dataset=[str(Path(path).resolve()) for path in paths])
     policy = resolved.tree["policy"]
     last = policy == "last"
     if not isinstance(policy, str) or not (last or named_checkpoint(policy).exists()):

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.app import command_line, job_arguments, verb
+from embodichain.cli.demonstrations import read_dataset
 from embodichain.cli.eval import Asked, brief_rows, evaluate_job, evaluation_config
 from embodichain.cli.jobs import Job, execute, start
 from embodichain.cli.output import print_facts, print_json
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["command", "summary_rows", "train_job"]
 
-MAY_CHANGE = ("total_timesteps", "checkpoint", "eval", "video", "wandb")
+MAY_CHANGE = ("total_timesteps", "dataset", "checkpoint", "eval", "video", "wandb")
 """Keys (and what is below them) that may differ from those of the run that is resumed, besides
 those that may always."""
 
@@ -98,7 +99,10 @@ def _learn(job: Job) -> dict[str, Any]:
             train(
                 *(job.resolved, job.folder, progress),
                 lambda env: job.attach_viewer(env, realtime=False),
+                lambda env: read_dataset(job, env),
             )
+    if not (job.folder / SUMMARY).is_file():
+        raise Interrupted(f"interrupted ({job.stop.stopped}) before the first update")
     summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
     return {**summary, "folder": str(job.folder)}
 

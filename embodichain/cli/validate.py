@@ -16,6 +16,7 @@ import click
 
 from embodichain.cli import process
 from embodichain.cli.app import overrides, split_overrides, verb
+from embodichain.cli.demonstrations import first_episode
 from embodichain.cli.jobs import resolved_job
 from embodichain.cli.output import print_json
 from embodichain.cli.reporting import warnings_on_stderr
@@ -100,7 +101,7 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
         ConfigError: A mistake that the job would refuse, with its place.
         Exception: Any other error that would end the job.
     """
-    from embodichain.cli.jobs import check_extras, policy_of
+    from embodichain.cli.jobs import check_extras, policy_name, policy_of
     from embodichain.config.factory import make_env
 
     unseen = resolved.changed(viewer={**resolved.tree["viewer"], "name": "none"})
@@ -110,9 +111,11 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
         env = make_env(unseen, run_dir=Path(folder))
         try:
             if verb == "train":
-                from embodichain.learning.train import check_algorithm
+                from embodichain.learning.train import check_algorithm, check_episode
 
                 check_algorithm(resolved, env)
+                if root.dataset is not None:
+                    check_episode(resolved, env, first_episode(root, env))
                 return
             if root.record.images is not None:
                 from embodichain.recording import ImageOptions
@@ -120,6 +123,11 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
 
                 image_topics(env, ImageOptions(**vars(root.record.images)))
             policy = policy_of(root, env)
+            if policy_name(root) == "teleop":
+                from embodichain.lab.gym.teleop import Nobody, Teleop
+
+                if isinstance(policy, Teleop):
+                    policy.operator = Nobody()
             obs, _ = env.reset()
             env.step(policy(obs, env))
         finally:

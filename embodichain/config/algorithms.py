@@ -15,7 +15,15 @@ from pydantic import Field
 
 from embodichain.utils.configclass import configclass
 
-__all__ = ["ALGORITHMS", "ALGO_INSTEAD", "DEFAULT_ALGORITHM", "PATTERNS", "AlgoCfg", "AnyAlgoCfg"]
+__all__ = [
+    "ALGORITHMS",
+    "ALGO_INSTEAD",
+    "DEFAULT_ALGORITHM",
+    "LEARN_FROM_DATA",
+    "PATTERNS",
+    "AlgoCfg",
+    "AnyAlgoCfg",
+]
 
 DEFAULT_ALGORITHM = "ppo"
 
@@ -67,7 +75,6 @@ class AlgoCfg:
     """Class of Stable-Baselines3: observations are one flat vector, for CnnPolicy one image, for
     MultiInputPolicy a dict."""
     learning_rate: Schedule | None = None
-    gamma: Share | None = None
     critic_groups: Annotated[list[str], Field(min_length=1)] | None = None
     """Observation groups that the critic reads; null is `policy`, the group that the policy reads.
     Needs MultiInputPolicy."""
@@ -89,15 +96,19 @@ _KEYS: dict[str, Any] = {
     "buffer_size": Count,
     "cg_damping": Positive,
     "cg_max_steps": Count,
+    "chunk_size": Count,  # actions predicted at once, the first for the current step
     "clip_range": Schedule,
     "clip_range_vf": Schedule,
     "ent_coef": NonNegative | Annotated[str, Field(pattern=_AUTO)],
     "exploration_final_eps": Share,
     "exploration_fraction": Share,
+    "ensemble_decay": NonNegative,  # of the weights of later predictions of the same action
     "exploration_initial_eps": Share,
     "gae_lambda": Share,
+    "gamma": Share,
     # Gradient steps per update; -1: as many as environment steps since the last update.
     "gradient_steps": Annotated[int, Field(ge=-1)],
+    "ignore": list[str],  # observations that the policy does not read; null: `last_action`
     "learning_starts": Annotated[int, Field(ge=0)],  # environment steps with random actions
     "line_search_max_iter": Count,
     "line_search_shrinking_factor": Share,
@@ -126,18 +137,22 @@ _KEYS: dict[str, Any] = {
     "use_rms_prop": bool,
     "use_sde": bool,
     "use_sde_at_warmup": bool,
+    "validation_share": Annotated[float, Field(ge=0, lt=1)],  # of the demonstrations
     "vf_coef": NonNegative,
 }
 # On-policy algorithms allow fewer values.
 _ON_POLICY_KEYS = {"batch_size": Annotated[int, Field(ge=2)], "ent_coef": NonNegative}
 
-_ON_POLICY = "n_steps gae_lambda normalize_advantage use_sde sde_sample_freq stats_window_size"
+_ON_POLICY = (
+    "n_steps gamma gae_lambda normalize_advantage use_sde sde_sample_freq stats_window_size"
+)
 _PPO = (
     f"{_ON_POLICY} batch_size n_epochs clip_range clip_range_vf ent_coef vf_coef max_grad_norm "
     "target_kl"
 )
 _OFF_POLICY = (
-    "buffer_size learning_starts batch_size train_freq gradient_steps optimize_memory_usage n_steps"
+    "buffer_size learning_starts batch_size gamma train_freq gradient_steps "
+    "optimize_memory_usage n_steps"
 )
 _NOISY = f"{_OFF_POLICY} noise_type noise_std"
 _ENTROPY = (
@@ -171,10 +186,19 @@ ALGORITHMS: dict[str, tuple[str, str]] = {
     ),
     "crossq": ("sb3_contrib.CrossQ", f"{_ENTROPY} policy_delay"),
     "recurrent_ppo": ("sb3_contrib.RecurrentPPO", _PPO),
+    "bc": (
+        "embodichain.learning.cloning.BehaviorCloning",
+        "batch_size chunk_size ensemble_decay validation_share ignore max_grad_norm",
+    ),
 }
 """Algorithm -> its class, and the keys of its config besides those of `AlgoCfg`."""
 
 
+LEARN_FROM_DATA = "bc", "sac", "td3", "ddpg", "tqc", "crossq"
+"""Algorithms that take demonstrations: `bc` learns from them alone, the others begin with them."""
+
+_DEFAULTS: dict[str, dict[str, Any]] = {"bc": {"learning_rate": "lin_1e-3", "normalize": "obs"}}
+"""Values of keys that are not those of the algorithm's class."""
 _POLICIES = "MlpPolicy", "CnnPolicy", "MultiInputPolicy"
 _RECURRENT = "MlpLstmPolicy", "CnnLstmPolicy", "MultiInputLstmPolicy"
 
@@ -184,6 +208,7 @@ def _config(name: str) -> type[AlgoCfg]:
     kinds = _KEYS | (_ON_POLICY_KEYS if "gae_lambda" in keys else {})
     policies = _RECURRENT if name == "recurrent_ppo" else _POLICIES
     members: dict[str, Any] = {"name": name, "policy": policies[0], **dict.fromkeys(keys)}
+    members |= _DEFAULTS.get(name, {})
     annotations = {"name": Literal[name], "policy": Literal[policies]}
     annotations |= {key: kinds[key] | None for key in keys}
     return configclass(type(name, (AlgoCfg,), {"__annotations__": annotations, **members}))

@@ -127,7 +127,8 @@ def with_warp_sizes(resolved: Resolved) -> Resolved:
     from embodichain.lab.sim.prepared_scene import PreparedScene
 
     probe = {**sim, "engine": "mujoco", "warp": dict.fromkeys(sizes)}
-    on_cpu = resolved.changed(num_envs=_PROBE_ENVS, device="cpu", sim=probe)
+    unseen = {**resolved.tree["viewer"], "name": "none"}
+    on_cpu = resolved.changed(num_envs=_PROBE_ENVS, device="cpu", sim=probe, viewer=unseen)
     env = make_env(dataclasses.replace(on_cpu, prepared=PreparedScene()))
     try:
         policy = resolve_policy("random")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +29,7 @@ from embodichain.config.algorithms import ALGORITHMS, AlgoCfg
 from embodichain.learning.asymmetric import ASYMMETRIC
 from embodichain.learning.extractors import SmallCnn
 from embodichain.learning.normalization import number_keys
+from embodichain.learning.spaces import observation_columns
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -59,6 +61,9 @@ _POLICY_INSTEAD = {
     "action_space": "it is the task's",
     "lr_schedule": "use algo.learning_rate",
     "use_sde": "use algo.use_sde",
+    "chunk_size": "use algo.chunk_size",
+    "ensemble_decay": "use algo.ensemble_decay",
+    "ignored": "use algo.ignore",
 }
 _NORMALIZE_INSTEAD = {
     "venv": "the environment is the task's",
@@ -66,6 +71,7 @@ _NORMALIZE_INSTEAD = {
     "norm_obs_keys": "every observation that is no image is normalized",
 }
 _LINEAR = "lin_"
+_log = logging.getLogger(__name__)
 _DEFAULT_STD = 0.1
 
 
@@ -140,7 +146,8 @@ class Algorithm:
             raise ConfigError(problems)
         normalize: dict[str, Any] | None = None
         if cfg.normalize:
-            normalize = {"gamma": 0.99 if cfg.gamma is None else cfg.gamma}
+            gamma = getattr(cfg, "gamma", None)
+            normalize = {"gamma": 0.99 if gamma is None else gamma}
             normalize |= {"norm_obs": cfg.normalize != "reward"}
             normalize |= {"norm_reward": cfg.normalize != "obs", **given}
         kind = getattr(cfg, "noise_type", None)
@@ -156,6 +163,11 @@ class Algorithm:
     def has_replay_buffer(self) -> bool:
         """Whether the algorithm learns from a replay buffer."""
         return issubclass(algorithm_class(self.name), OffPolicyAlgorithm)
+
+    @property
+    def is_cloning(self) -> bool:
+        """Whether the algorithm learns from demonstrations alone."""
+        return self.name == "bc"
 
     def build(self, vec_env: SB3VecEnv, seed: int | None) -> BaseAlgorithm:
         """Construct the algorithm for an environment, with `VecNormalize` if configured.
@@ -182,6 +194,9 @@ class Algorithm:
         if self.noise is not None:
             (width,) = vec_env.action_space.shape or (0,)
             arguments["action_noise"] = action_noise(*self.noise, width, vec_env.num_envs)
+        if self.is_cloning:
+            ignored = _ignored(arguments.get("ignore"), vec_env)
+            arguments["policy_kwargs"] = {**arguments["policy_kwargs"], "ignored": ignored}
         env = self._normalized(vec_env)
         algorithm: Callable[..., BaseAlgorithm] = algorithm_class(self.name)
         try:
@@ -214,6 +229,44 @@ def action_noise(kind: str, std: float | None, width: int, num_envs: int) -> Act
     noise = NormalActionNoise if kind == "normal" else OrnsteinUhlenbeckActionNoise
     base = noise(np.zeros(width), np.full(width, _DEFAULT_STD if std is None else std))
     return VectorizedActionNoise(base, num_envs) if num_envs > 1 else base
+
+
+def _ignored(names: list[str] | None, vec_env: SB3VecEnv) -> list[int | str]:
+    """What a policy of `ChunkPolicy` does not read: columns of a vector, entries of a dict.
+
+    Args:
+        names: Observations; None are those of the last action.
+        vec_env: The environment.
+
+    Raises:
+        ConfigError: If there is no such observation, or none remains.
+    """
+    manager = vec_env.base.observation_manager
+    entries = manager.group_terms(vec_env.group)
+    if names is None:
+        terms = manager.terms.values()
+        actions = [t.cfg.name or t.name for t in terms if t.spec.name == "last_action"]
+        names = [name for name in actions if name in entries]
+        if names:
+            _log.info("bc does not read %s: algo.ignore=[] would", ", ".join(names))
+    problems = [
+        Problem(
+            "algo.ignore",
+            f"there is no observation {name!r}; there are: {', '.join(entries)}",
+            did_you_mean(name, entries).strip(),
+        )
+        for name in names
+        if name not in entries
+    ]
+    if not problems and len(set(names)) == len(entries):
+        problems = [Problem("algo.ignore", "no observation remains")]
+    if problems:
+        raise ConfigError(problems)
+    if isinstance(vec_env.observation_space, Dict):
+        return list(names)
+    columns = observation_columns(vec_env.base, vec_env.group)
+    owners = [column.partition("[")[0] for column in columns]
+    return [i for i, owner in enumerate(owners) if owner in names]
 
 
 def _scheduled(value: Any) -> Any:

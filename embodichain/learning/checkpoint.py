@@ -130,6 +130,7 @@ _MARKS: tuple[tuple[str, frozenset[str]], ...] = (
     ("trpo", frozenset({"cg_max_steps"})),
     ("ppo", frozenset({"clip_range", "n_epochs"})),
     ("a2c", frozenset({"gae_lambda"})),
+    ("bc", frozenset({"ensemble_decay"})),
 )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 __all__ = ["EPISODE_WINDOW", "TrainStatistics"]
 
 EPISODE_WINDOW = 200
-"""Number of last episodes that `mean_return` and `success_rate` are taken over."""
+"""Number of last episodes that `mean_return` and `success_rate` are taken over by default."""
 
 
 class TrainStatistics:
@@ -19,6 +19,7 @@ class TrainStatistics:
 
     Args:
         total_timesteps: Length of the training in environment steps, summed over environments.
+        window: Number of last episodes that means are taken over.
 
     Attributes:
         env_steps: Environment steps taken.
@@ -27,15 +28,15 @@ class TrainStatistics:
         best: Environment steps and score of the best checkpoint; None before the first.
     """
 
-    def __init__(self, total_timesteps: int) -> None:
+    def __init__(self, total_timesteps: int, window: int = EPISODE_WINDOW) -> None:
         self.total_timesteps = total_timesteps
         self.env_steps = 0
         self.episodes = 0
         self.fractions: dict[str, float] = {}
         self.best: tuple[int, tuple[float, float]] | None = None
-        self._returns: deque[float] = deque(maxlen=EPISODE_WINDOW)
-        self._lengths: deque[int] = deque(maxlen=EPISODE_WINDOW)
-        self._successes: deque[bool] = deque(maxlen=EPISODE_WINDOW)
+        self._returns: deque[float] = deque(maxlen=window)
+        self._lengths: deque[int] = deque(maxlen=window)
+        self._successes: deque[bool] = deque(maxlen=window)
         self._before = 0.0
         self._start = time.perf_counter()
         self._end: float | None = None

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.learning.checkpoint import DIGEST, read_digest
+from embodichain.learning.chunks import ChunkMemory, blend
 from embodichain.learning.spaces import observation_box
 from embodichain.learning.trained_policy import TrainedPolicy, check_columns
 from embodichain.utils.errors import ConfigError, Problem
@@ -50,7 +51,9 @@ class PolicyMetadata:
     """The metadata of an exported file.
 
     `columns` names the input columns; `action_low` and `action_high` are the bounds of the output
-    columns; `embodichain` is the version that wrote it, `trained_in` a `TaskDigest` as JSON.
+    columns; `embodichain` is the version that wrote it, `trained_in` a `TaskDigest` as JSON. With a
+    `chunk_size` H above 1 the output is (N, H, A): actions for this step and the next ones, which
+    act as `blend` with `ensemble_decay` averages them.
     """
 
     task: str
@@ -61,6 +64,8 @@ class PolicyMetadata:
     action_high: tuple[float, ...]
     embodichain: str
     trained_in: str | None = None
+    chunk_size: int = 1
+    ensemble_decay: float = 0.0
 
     def to_json(self) -> str:
         """Return it as one JSON object."""
@@ -88,7 +93,8 @@ class ExportedPolicy(TrainedPolicy):
     """A policy from an exported file.
 
     Args:
-        network: Maps (N, K) float32 observations to (N, A) float32 actions in the task's units.
+        network: Maps (N, K) float32 observations to (N, A) float32 actions in the task's units, or
+            to (N, H, A) with a `chunk_size` H in the metadata.
         metadata: The file's metadata; None for files of other programs.
         name: Its name in messages.
 
@@ -103,14 +109,24 @@ class ExportedPolicy(TrainedPolicy):
         note = {} if metadata is None else {DIGEST: metadata.trained_in}
         super().__init__(name, group, read_digest(note, Path(name)))
         self.metadata = metadata
-        self._network = network
+        self.network = network
+        self._memory: ChunkMemory | None = None
+        self._starts: NDArray[np.bool_] | None = None
 
     def act(self, obs: F32) -> F32:
         """Return (N, A) actions for (N, K) observations, both in the task's units."""
-        return self._network(obs)
+        found = self.network(obs)
+        if self.metadata is None or self.metadata.chunk_size == 1:
+            return found
+        decay = self.metadata.ensemble_decay
+        actions, self._memory = blend(found, self._memory, self._starts, decay)
+        self._starts = np.zeros(len(actions), np.bool_)
+        return actions
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Do nothing: the policy has no state."""
+        """Forget the chunks predicted for these environments; None is all."""
+        if self._starts is not None:
+            self._starts[... if env_ids is None else env_ids] = True
 
     def _fit(self, env: BaseEnv) -> None:
         """Check the columns, and try the policy once."""
@@ -118,7 +134,9 @@ class ExportedPolicy(TrainedPolicy):
             check_columns(self.name, self.metadata.columns, env, self.group)
         shape = (env.num_envs, *observation_box(env, self.group).shape)
         try:
+            self._memory = self._starts = None
             found = np.shape(self.act(np.zeros(shape, np.float32)))
+            self.reset(None)
         except Exception as error:
             why = str(error).strip().splitlines()
             last = why[-1] if why else type(error).__name__

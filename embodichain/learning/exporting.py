@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from embodichain import __version__
 from embodichain.learning.asymmetric import actor_space
+from embodichain.learning.chunk_policy import ChunkPolicy
 from embodichain.learning.exported import (
     INPUT,
     METADATA,
@@ -87,9 +88,11 @@ def export_policy(
         action_high=tuple(network.high.tolist()),
         embodichain=__version__,
         trained_in=policy.trained_in.to_json() if policy.trained_in is not None else None,
+        **network.chunking,
     )
     observations = _observations(network)
-    wanted = policy.act(network.split(observations))
+    split = network.split(observations)
+    wanted = policy.plan(split) if network.chunking else policy.act(split)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, new=True) as temporary:
@@ -103,7 +106,12 @@ def export_policy(
 
 
 class _Network(torch.nn.Module):
-    """Maps observations (N, K) of the task to actions (N, A) of the task."""
+    """Maps observations (N, K) of the task to actions of the task.
+
+    Attributes:
+        chunking: Metadata of a policy that predicts H actions at once: its result is (N, H, A);
+            empty for other policies, with (N, A).
+    """
 
     mean: torch.Tensor
     deviation: torch.Tensor
@@ -113,6 +121,10 @@ class _Network(torch.nn.Module):
     def __init__(self, policy: LearnedPolicy, env: BaseEnv) -> None:
         super().__init__()
         self.policy = policy.model.policy.eval()
+        self.chunking: dict[str, Any] = {}
+        if isinstance(self.policy, ChunkPolicy) and self.policy.has_memory:
+            names = ("chunk_size", "ensemble_decay")
+            self.chunking = {name: getattr(self.policy, name) for name in names}
         space: Any = env.single_action_space
         statistics = policy.statistics
         self.entries = _entries(policy, env)
@@ -149,7 +161,11 @@ class _Network(torch.nn.Module):
         if self.normalizes:
             scaled = (obs.double() - self.mean) / self.deviation
             obs = scaled.clamp(-self.clip, self.clip).float()
-        action = self.policy._predict(self.split(obs), deterministic=True).clamp(-1.0, 1.0)
+        seen, policy = self.split(obs), self.policy
+        if isinstance(policy, ChunkPolicy) and self.chunking:
+            action = policy.chunks(seen).clamp(-1.0, 1.0)
+        else:
+            action = policy._predict(seen, deterministic=True).clamp(-1.0, 1.0)
         return 0.5 * ((1.0 - action) * self.low + (1.0 + action) * self.high)
 
 
@@ -191,8 +207,8 @@ def _compare(written: ExportedPolicy, observations: F32, wanted: F32, network: _
     Raises:
         RuntimeError: If the difference is too large.
     """
-    found = written.act(observations)
-    single = written.act(observations[-1:])
+    found = written.network(observations)
+    single = written.network(observations[-1:])
     half = np.maximum((network.high - network.low).numpy() / 2, 1.0)
     error = np.abs(np.concatenate([found - wanted, single - wanted[-1:]]))
     # `not <=`, so that NaN fails.

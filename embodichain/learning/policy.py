@@ -18,6 +18,7 @@ from embodichain.config.run_folder import CONFIG
 from embodichain.learning.algorithms import algorithm_class
 from embodichain.learning.asymmetric import actor_space
 from embodichain.learning.checkpoint import find_checkpoint, read_digest, read_note
+from embodichain.learning.chunk_policy import ChunkPolicy
 from embodichain.learning.exported import SUFFIXES, ExportedPolicy, load_exported
 from embodichain.learning.normalization import (
     NormalizeStatistics,
@@ -165,15 +166,34 @@ class LearnedPolicy(TrainedPolicy):
 
     def predict(self, obs: Any) -> F32:
         """Return (N, A) actions in [-1, 1] for unnormalized observations: an array, or a dict."""
-        vector = self.statistics is not None and self.statistics.norm_obs
-        seen: Any = self.statistics.normalize(obs) if vector and self.statistics else obs
         actions, self._state = self.model.predict(
-            seen, state=self._state, episode_start=self._starts, deterministic=self.deterministic
+            self._normalized(obs),
+            state=self._state,
+            episode_start=self._starts,
+            deterministic=self.deterministic,
         )
         if self._starts is not None:
             self._starts[:] = False
         result: F32 = np.asarray(actions, np.float32)
         return result
+
+    def plan(self, obs: Any) -> F32:
+        """Return (N, H, A) what a `ChunkPolicy` predicts, in units of the task last checked.
+
+        Raises:
+            RuntimeError: If the policy is another one, or was checked against no environment.
+        """
+        network = self.model.policy
+        if self._scale is None or not isinstance(network, ChunkPolicy):
+            raise RuntimeError("only a checked policy with chunks of actions has a plan")
+        chunks = network.plan(self._normalized(obs))
+        return self._scale(chunks.reshape(-1, chunks.shape[-1])).reshape(chunks.shape)
+
+    def _normalized(self, obs: Any) -> Any:
+        statistics = self.statistics
+        if statistics is None or not statistics.norm_obs:
+            return obs
+        return statistics.normalize(obs)
 
     def act(self, obs: Any) -> F32:
         """Return (N, A) actions for observations (N, ...), in units of the task last checked.
@@ -186,7 +206,7 @@ class LearnedPolicy(TrainedPolicy):
         return self._scale(self.predict(obs))
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Reset the state of a recurrent policy for these environments; None is all."""
+        """Reset the state of a policy with memory for these environments; None is all."""
         if self._starts is not None:
             self._starts[... if env_ids is None else env_ids] = True
 

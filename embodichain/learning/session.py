@@ -17,6 +17,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
 
+from embodichain.learning.cloning import BehaviorCloning
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.normalization import load_statistics, statistics_path
 from embodichain.learning.train_logs import log_episode, log_interval, make_logger
@@ -111,7 +112,8 @@ class Session:
             self._restore_exploration()
             on_boundary()
 
-        watch = _Watch(self.vec_env, self.statistics, progress, boundary)
+        judged = isinstance(model, BehaviorCloning)
+        watch = _Watch(self.vec_env, self.statistics, progress, boundary, judged=judged)
         logger = make_logger(self.run_dir, self.writers)
         model.set_logger(logger)
         interval, new = log_interval(model, total), self._restored is None
@@ -139,7 +141,11 @@ class Session:
 
 
 class _Watch(BaseCallback):
-    """Counts steps and episodes; calls `on_boundary` between an update and the next rollout."""
+    """Counts steps and episodes; calls `on_boundary` between an update and the next rollout.
+
+    With `judged`, a rollout evaluates the updates before it: `on_boundary` is called between the
+    rollout and the next update instead.
+    """
 
     def __init__(
         self,
@@ -147,6 +153,8 @@ class _Watch(BaseCallback):
         statistics: TrainStatistics,
         progress: Progress | None,
         on_boundary: Callable[[], None],
+        *,
+        judged: bool,
     ) -> None:
         super().__init__()
         # The exception that `progress` raised to stop the training.
@@ -156,9 +164,15 @@ class _Watch(BaseCallback):
         self._statistics = statistics
         self._progress = progress
         self._on_boundary = on_boundary
+        self._judged = judged
+
+    def _on_training_start(self) -> None:
+        if self._judged:
+            self._on_boundary()
 
     def _on_rollout_start(self) -> None:
-        self._on_boundary()
+        if not self._judged:
+            self._on_boundary()
         self._split.rollout_begins(self._env)
         if self.stopped is not None:
             raise self.stopped
@@ -184,6 +198,8 @@ class _Watch(BaseCallback):
             self.logger.record(f"time/{name}_fraction", round(value, 4))
         for name, value in self._env.base.curriculum_manager.values.items():
             self.logger.record(f"Curriculum/{name}", value)
+        if self._judged:
+            self._on_boundary()
 
     def end(self) -> None:
         """Called when learning ended, normally or not: counts the time since the last rollout."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -84,6 +84,21 @@ class ActionScale:
         result: F32 = half * ((1 - scaled) * self._low + (1 + scaled) * self._high)
         return result
 
+    def inverse(self, actions: ArrayLike) -> F32:
+        """Return (N, A) learner's actions of actions of the environment, clipped to [-1, 1].
+
+        Raises:
+            ValueError: If the shape is wrong.
+        """
+        given = np.array(actions, np.float32)
+        if given.ndim != 2 or given.shape[1:] != self._low.shape:
+            raise ValueError(f"actions {given.shape[1:]} instead of {self._low.shape}")
+        width = self._high - self._low
+        middle = self._low + self._high
+        scaled = given if self._identity else (2 * given - middle) / np.where(width > 0, width, 1)
+        result: F32 = np.clip(scaled, -1.0, 1.0)
+        return result
+
 
 def observation_box(env: BaseEnv, group: str) -> spaces.Box:
     """Return the space of one environment's flat observation: (K,), unbounded.
@@ -151,6 +166,37 @@ class LearnerView:
             return flat_observation(self._env, obs, self._group)
         found = named_obs(obs, self._named)
         return found[self._image] if self._image else found
+
+    def recorded(self, entries: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Return recorded observations as the learner would have received them.
+
+        Args:
+            entries: Name of an entry of the environment's observation -> (T, ...).
+
+        Returns:
+            Name -> (T, ...); the name of an observation that is one array is "".
+
+        Raises:
+            ValueError: If an entry is missing or has another shape.
+        """
+        found = {}
+        wanted = self._named or observation_dict(self._env, self._group)
+        for name, space in wanted.items():
+            if name not in entries:
+                raise ValueError(f"no observation {name!r}, there are: {', '.join(entries)}")
+            given = entries[name]
+            if given.shape[1:] != space.shape:
+                raise ValueError(
+                    f"observation {name!r} is {given.shape[1:]} instead of {space.shape}"
+                )
+            found[name] = given if space.dtype is None else given.astype(space.dtype, copy=False)
+        if self._image:
+            return {"": found[self._image]}
+        if self._named is not None:
+            return found
+        ordered = self._env.observation_manager.group_terms(self._group)
+        parts = [found[name].reshape(len(found[name]), -1) for name in ordered]
+        return {"": np.concatenate(parts, axis=1, dtype=np.float32)}
 
 
 def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:

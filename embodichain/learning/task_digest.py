@@ -11,7 +11,7 @@ import logging
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 
@@ -44,6 +44,7 @@ _NAMES = {
     "mujoco": "MuJoCo",
 }
 """Part -> prefix of the names of its values; the default is ``task.PART.``."""
+_DONE = {"training": "trained", "recording": "recorded"}
 _Difference = tuple[str, Any, Any]
 _log = logging.getLogger(__name__)
 
@@ -126,7 +127,13 @@ class TaskDigest:
 
 
 def check_unchanged(
-    name: str, trained_in: TaskDigest | None, env: BaseEnv, group: str, *, allow: bool
+    name: str,
+    trained_in: TaskDigest | None,
+    env: BaseEnv,
+    group: str,
+    *,
+    allow: bool,
+    made: Literal["training", "recording"] = "training",
 ) -> tuple[Change, ...]:
     """Compare the task that a policy was trained in with the one where it is to act.
 
@@ -136,6 +143,7 @@ def check_unchanged(
         env: The environment that it will act in.
         group: The policy's observation group.
         allow: Whether to accept changes, with a warning.
+        made: What was done in the first task, for messages: a log is compared too.
 
     Returns:
         The changes.
@@ -149,10 +157,10 @@ def check_unchanged(
     refused = [change for change in changes if change.refused]
     if refused and not allow:
         lines = "".join(f"\n  {line}" for line in _shown(refused))
-        message = f"{name} was trained in another task (training -> now):{lines}"
+        message = f"{name} was {_DONE[made]} in another task ({made} -> now):{lines}"
         raise ConfigError(f"{message}\n  {ALLOW} goes on all the same")
     for line in _shown(list(changes)):
-        _log.warning("%s: changed since training: %s", name, line)
+        _log.warning("%s: changed since %s: %s", name, made, line)
     return changes
 
 

@@ -4,30 +4,36 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterator, Mapping
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import KVWriter
 
 from embodichain.config import Resolved, make_env
-from embodichain.config.algorithms import DEFAULT_ALGORITHM, AlgoCfg
+from embodichain.config.algorithms import DEFAULT_ALGORITHM, LEARN_FROM_DATA, AlgoCfg
 from embodichain.config.resolved import thaw
 from embodichain.config.run_folder import SUMMARY
+from embodichain.config.schema import RootCfg
 from embodichain.config.validation import check_training_keys
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.managers.observation_manager import no_vector
 from embodichain.learning.algorithms import Algorithm
 from embodichain.learning.checkpoint import DIGEST, read_digest, read_note
-from embodichain.learning.episodes import TrainStatistics
+from embodichain.learning.cloning import BehaviorCloning
+from embodichain.learning.demonstrations import Demonstration, Demonstrations, fill, learn_scales
+from embodichain.learning.episodes import EPISODE_WINDOW, TrainStatistics
 from embodichain.learning.evaluation import Evaluation
 from embodichain.learning.keeper import CheckpointKeeper, find_resumable, telling_where
 from embodichain.learning.plots import draw_curves
 from embodichain.learning.session import Progress, Session
 from embodichain.learning.task_digest import TaskDigest, check_unchanged
 from embodichain.learning.train_logs import check_wandb, wandb_writers
+from embodichain.learning.training_state import buffer_of
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
@@ -38,12 +44,16 @@ __all__ = [
     "TrainSummary",
     "add_evaluation",
     "check_algorithm",
+    "check_episode",
     "check_training",
     "train",
 ]
 
 GROUP = "policy"
+DEMONSTRATIONS = "demonstrations"
+"""Key of a checkpoint's note with the checksum of the demonstrations."""
 _EVAL_KEYS = {field.name for field in dataclasses.fields(Evaluation)} - {"per_episode"}
+_log = logging.getLogger(__name__)
 TORCH_THREADS = 1
 """Threads of torch while learning: one, as networks are small and physics needs the cores."""
 
@@ -53,13 +63,15 @@ class TrainSummary:
     """The results of a training; `summary.json` has the same keys.
 
     Attributes:
-        env_steps: Environment steps, summed over environments, including those before a resume.
+        env_steps: Environment steps, summed over environments, including those before a resume. Of
+            `bc`: steps of demonstrations in batches.
         train_seconds: Wall time of learning, without start-up.
         time_fractions: Shares of the wall time since the start or the resume, see `session.PARTS`.
         success_rate: Success rate of the last 200 episodes; None without episodes.
         mean_return: Mean return of the last 200 episodes; None without episodes.
         checkpoint: Path of the final checkpoint, relative to the run folder.
         best: Path of the best checkpoint; None if no episode ended.
+        demonstrations: Number of episodes that were learned from; None without `dataset`.
         resumed_from: The checkpoint that this training was resumed from; None for a new one.
         eval: Results of the evaluation at the end, see `add_evaluation`; None without one.
         objective: The objective for a sweeper: the evaluation's success rate, or its mean return
@@ -80,6 +92,7 @@ class TrainSummary:
     status: Literal["finished", "interrupted"]
     checkpoint: str
     best: str | None = None
+    demonstrations: int | None = None
     resumed_from: str | None = None
     eval: dict[str, Any] | None = None
     objective: float | None = None
@@ -90,6 +103,7 @@ def train(
     run_dir: Path,
     progress: Progress | None = None,
     attach: Callable[[BaseEnv], None] | None = None,
+    episodes: Callable[[BaseEnv], Iterable[Demonstration]] | None = None,
 ) -> TrainSummary:
     """Train a policy in this process.
 
@@ -102,6 +116,7 @@ def train(
         progress: Called after every control step with `TrainStatistics`; may raise
             KeyboardInterrupt to stop after the current rollout and its update.
         attach: Called with the built environment, to attach observers such as viewers.
+        episodes: Reads the episodes of the config's `dataset`, for the built environment.
 
     Returns:
         The results.
@@ -118,12 +133,17 @@ def train(
         if attach is not None:
             attach(env)
         vec_env = _vec_env(env, algorithm)
+        found = None
+        if resolved.root.dataset is not None:
+            if episodes is None:
+                raise ConfigError([Problem("dataset", "give its episodes: train(episodes=...)")])
+            found = Demonstrations.of(episodes(env), vec_env)
         with (
             _torch_threads(TORCH_THREADS),
             wandb_writers(resolved.root.wandb, run_dir, thaw(resolved.tree)) as writers,
             telling_where(run_dir),
         ):
-            return _learn(resolved, algorithm, vec_env, run_dir, progress, writers)
+            return _learn(resolved, algorithm, vec_env, run_dir, progress, writers, found)
     finally:
         env.close()
 
@@ -173,6 +193,20 @@ def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
     algorithm.build(_vec_env(env, algorithm), resolved.root.seed)
 
 
+def check_episode(resolved: Resolved, env: BaseEnv, episode: Demonstration) -> None:
+    """Check that a training can learn from an episode of its data set.
+
+    Args:
+        resolved: A config of the verb `train`.
+        env: Its environment.
+        episode: The episode.
+
+    Raises:
+        ConfigError: If the episode's observations or actions are not the task's.
+    """
+    Demonstrations.of([episode], _vec_env(env, _checked_algorithm(resolved)))
+
+
 def _vec_env(env: BaseEnv, algorithm: Algorithm) -> SB3VecEnv:
     """The environment as the algorithm's policy takes it."""
     manager = env.observation_manager
@@ -209,9 +243,24 @@ def _checked_algorithm(resolved: Resolved) -> Algorithm:
     if root.checkpoint.replay_buffer and not algorithm.has_replay_buffer:
         message = f"{algorithm.name} learns from no replay buffer"
         problems.append(Problem("checkpoint.replay_buffer", message))
+    problems += _check_dataset(root)
     if problems:
         raise ConfigError(problems)
     return algorithm
+
+
+def _check_dataset(root: RootCfg) -> list[Problem]:
+    """Check that there are demonstrations if the algorithm needs them, and only if it takes any."""
+    algo = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
+    if root.dataset is None:
+        message = "bc learns from demonstrations: dataset=FOLDER of `embodichain collect`, or a log"
+        return [Problem("dataset", message)] if algo == "bc" else []
+    if algo not in LEARN_FROM_DATA:
+        message = f"{algo} learns from its own steps alone; what takes demonstrations: "
+        return [Problem("dataset", message + ", ".join(LEARN_FROM_DATA))]
+    paths = [root.dataset] if isinstance(root.dataset, str) else root.dataset
+    missing = [path for path in paths if not Path(path).exists()]
+    return [Problem("dataset", f"there is no file or folder {path!r}") for path in missing]
 
 
 def _learn(
@@ -221,6 +270,7 @@ def _learn(
     run_dir: Path,
     progress: Progress | None,
     writers: tuple[KVWriter, ...],
+    demonstrations: Demonstrations | None,
 ) -> TrainSummary:
     root, task = resolved.root, resolved.task_name
     total, seed = root.total_timesteps or 0, root.seed or 0
@@ -232,12 +282,20 @@ def _learn(
         before = read_digest(read_note(found[0]), found[0])
         check_unchanged(str(found[0]), before, vec_env.base, GROUP, allow=root.allow_changed)
     digest = TaskDigest.of(vec_env.base, GROUP)
-    statistics = TrainStatistics(total)
-    session = Session(algorithm.build(vec_env, seed), vec_env, statistics, run_dir, writers)
+    model, every = algorithm.build(vec_env, seed), _between_checkpoints(root)
+    note: dict[str, Any] = {"algo": algorithm.name, "group": GROUP, "task": task}
+    note[DIGEST] = digest.to_json()
+    if demonstrations is not None:
+        note[DEMONSTRATIONS] = demonstrations.checksum
+        if found is not None:
+            _check_same(note, found[0])
+        _give(demonstrations, model, every)
+    # An evaluation while cloning is one episode in each environment.
+    window = vec_env.num_envs if algorithm.is_cloning else EPISODE_WINDOW
+    statistics = TrainStatistics(total, window)
+    session = Session(model, vec_env, statistics, run_dir, writers)
     if found is not None:
         session.resume(*found)
-    note = {"algo": algorithm.name, "group": GROUP, "task": task, DIGEST: digest.to_json()}
-    every = root.checkpoint.every_steps or max(1, total // 10)
     keeper = CheckpointKeeper(
         session, note, every, root.checkpoint.keep, replay_buffer=root.checkpoint.replay_buffer
     )
@@ -258,6 +316,7 @@ def _learn(
         status="finished" if interrupt is None else "interrupted",
         checkpoint=checkpoint,
         best=keeper.best,
+        demonstrations=None if demonstrations is None else len(demonstrations.lengths),
         resumed_from=None if found is None else str(found[0]),
         objective=(
             statistics.mean_return if statistics.success_rate is None else statistics.success_rate
@@ -268,6 +327,36 @@ def _learn(
     if interrupt is not None:
         raise interrupt
     return summary
+
+
+def _between_checkpoints(root: RootCfg) -> int:
+    return root.checkpoint.every_steps or max(1, (root.total_timesteps or 0) // 10)
+
+
+def _give(demonstrations: Demonstrations, model: BaseAlgorithm, every: int) -> None:
+    """Let a model learn from demonstrations, or fill its replay buffer with them."""
+    count, steps = len(demonstrations.lengths), demonstrations.steps
+    if isinstance(model, BehaviorCloning):
+        model.set_demonstrations(demonstrations)
+        model.play_every = every
+        _log.info("%d demonstrations of %s steps to learn from", count, f"{steps:,}")
+        return
+    buffer, normalizer = buffer_of(model), model.get_vec_normalize_env()
+    if buffer is None:
+        raise ValueError(f"{type(model).__name__} has no replay buffer to fill")
+    added = fill(buffer, demonstrations)
+    if normalizer is not None:
+        learn_scales(normalizer, demonstrations, rewards=True)
+    again = f", {added - steps} of them twice" if added > steps else ""
+    what = f"{added:,} transitions{again}, of {count} demonstrations"
+    _log.info("the replay buffer begins with %s", what)
+
+
+def _check_same(note: Mapping[str, Any], checkpoint: Path) -> None:
+    """Check that a training goes on with the demonstrations that it began with."""
+    if read_note(checkpoint).get(DEMONSTRATIONS) != note[DEMONSTRATIONS]:
+        message = f"it has other demonstrations than those that {checkpoint} was made with"
+        raise ConfigError([Problem("dataset", message)])
 
 
 def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:

@@ -229,6 +229,24 @@ class SB3VecEnv(VecEnv):
             return [None] * self.num_envs
         return list(self.base.sim.render(None))
 
+    # -- recorded episodes -----------------------------------------------------------------------
+
+    def recorded_view(self, entries: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Return recorded observations as this environment gives them, see `LearnerView.recorded`.
+
+        Raises:
+            ValueError: If an entry is missing or has another shape.
+        """
+        return self._observed.recorded(entries)
+
+    def recorded_actions(self, actions: NDArray[Any]) -> F32:
+        """Return actions (T, A) of the task in [-1, 1].
+
+        Raises:
+            ValueError: If the shape is wrong.
+        """
+        return self._scale.inverse(actions)
+
     # -- attributes and methods of the batched environment -------------------------------------
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:

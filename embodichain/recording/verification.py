@@ -128,7 +128,8 @@ def verify(
             each camera that was read draws it, and compare its hash.
 
     Raises:
-        ConfigError: If the file is missing, empty or not MCAP, or `env` or `episode` is not in it.
+        ConfigError: If the file is missing, empty or not MCAP, or `env` or `episode` is not in it,
+            or `images` are of another engine than MuJoCo's.
         LogError: If it is not an embodichain log.
         RenderError: If `images` cannot be drawn here.
     """
@@ -136,6 +137,10 @@ def verify(
         raise ConfigError("pictures are compared in all episodes: leave the episode out")
     with LogReader(path) as reader:
         header = reader.require_header()
+        if images and header.engine != MUJOCO:
+            raise ConfigError(
+                f"pictures of {header.engine} are not compared: its poses are float32"
+            )
         selected = _select(header, env)
         report = VerifyReport(reader.path, False, 0, len(selected), engine=header.engine)
         if header.unverifiable:

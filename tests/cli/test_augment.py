@@ -95,3 +95,15 @@ def test_a_log_without_successes_has_nothing_to_repeat(capsys: pytest.CaptureFix
     assert main(["run", *words, "episodes=1", "scene_png=false", "-q"]) == 0
     assert main(["augment", "last", "episodes=2"]) == 2
     assert "has no successful episode" in capsys.readouterr().err
+
+
+def test_what_another_arm_holds_is_followed() -> None:
+    assert main(["collect", "task=hand_over", "episodes=1", "seed=3", "-q"]) == 0
+    few = Path("outputs/latest").resolve()
+    names, (source,) = read_sources(few, most=1)
+    split = [[(names[s.target], s.follows) for s in segments] for segments in source.segments]
+    giving, taking = sorted(split, key=lambda segments: segments[0][1])
+    assert giving[0] == ("bar", False)
+    assert giving[1] in [("world", False), ("table", False)]  # neither moves
+    assert taking[0] == ("bar", True)
+    assert len(read_collection(augment(str(few), "episodes=2", "seed=6"))) == 2

@@ -35,3 +35,11 @@ def test_a_port_that_is_taken_is_the_users_mistake(capsys: pytest.CaptureFixture
         assert main(["run", *SHORT, "viewer=web", f"viewer.port={port}"]) == 2
     err = capsys.readouterr().err
     assert f"viewer: cannot listen on 127.0.0.1: Port {port} is already in use" in err
+
+
+def test_teleoperation_is_validated_without_an_operator(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["validate", "task=pick_place", "policy=teleop", "viewer=web"]) == 0
+    assert main(["validate", "task=reach", "policy=teleop", "viewer=web"]) == 2
+    assert "teleop moves a tool" in capsys.readouterr().err

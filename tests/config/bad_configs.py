@@ -72,16 +72,16 @@ BAD = {
     "unknown key at the root": bad(
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, resume, collect, checkpoint, eval, wandb, video, scene_png, gym_config, "
-        "output_dir, quiet, json, traceback. Did "
+        "allow_changed, dataset, resume, collect, checkpoint, eval, wandb, video, scene_png, "
+        "gym_config, output_dir, quiet, json, traceback. Did "
         "you mean 'num_envs'?",
         overrides=("num_env=4",),
     ),
     "a task's key at the root": bad(
         "command line: rewards: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, resume, collect, checkpoint, eval, wandb, video, scene_png, gym_config, "
-        "output_dir, quiet, json, traceback. Did "
+        "allow_changed, dataset, resume, collect, checkpoint, eval, wandb, video, scene_png, "
+        "gym_config, output_dir, quiet, json, traceback. Did "
         "you mean 'task.rewards'?",
         overrides=("rewards.near.weight=2",),
     ),
@@ -213,7 +213,7 @@ BAD = {
     ),
     "unknown argument of an algorithm": bad(
         "command line: algo.learning_rte: unknown key; allowed: name, policy, "
-        "learning_rate, gamma, critic_groups, policy_kwargs, normalize, normalize_kwargs, n_steps, "
+        "learning_rate, critic_groups, policy_kwargs, normalize, normalize_kwargs, n_steps, gamma, "
         "gae_lambda, normalize_advantage, use_sde, sde_sample_freq, stats_window_size, "
         "batch_size, n_epochs, clip_range, clip_range_vf, ent_coef, vf_coef, "
         "max_grad_norm, target_kl. Did you mean 'learning_rate'?",
@@ -401,8 +401,8 @@ BAD = {
         "command line: seed: expected an integer, got 'x'",
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, resume, collect, checkpoint, eval, wandb, video, scene_png, gym_config, "
-        "output_dir, quiet, json, traceback. Did "
+        "allow_changed, dataset, resume, collect, checkpoint, eval, wandb, video, scene_png, "
+        "gym_config, output_dir, quiet, json, traceback. Did "
         "you mean 'num_envs'?",
         task="mein",
         overrides=(

@@ -7,6 +7,7 @@ import sys
 import weakref
 
 import pytest
+from mujoco.batch import Batch
 
 import embodichain
 
@@ -74,3 +75,21 @@ def test_closing_frees_the_simulation_at_once(task):
         assert engine() is None
     finally:
         gc.enable()
+
+
+def test_an_engine_that_is_still_referred_to_frees_its_simulations():
+    """As events do that store it, until the collector comes."""
+    gc.collect()
+
+    def batches() -> int:
+        return sum(type(found) is Batch for found in gc.get_objects())
+
+    before = batches()
+    env = embodichain.make("cart_pole", num_envs=2, overrides=["seed=1"])
+    env.reset()
+    engine = env.sim.engine
+    assert batches() == before + 1
+    env.close()
+    assert batches() == before
+    with pytest.raises(AttributeError, match="the simulation was destroyed"):
+        engine.step(1)

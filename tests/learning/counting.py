@@ -24,7 +24,7 @@ class CountingEnv(gym.Env):
         self.render_mode = None
         self.metadata = {"autoreset_mode": AutoresetMode[mode]}
         self.ends = np.asarray(ends)
-        self.limit = limit
+        self.limit = self.max_episode_steps = limit
         self.single_action_space = gym.spaces.Box(low, high, (2,), np.float32)
         box = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
         self.single_observation_space = gym.spaces.Dict(

@@ -61,7 +61,7 @@ def test_unknown_algorithm():
         algorithm_class("pppo")
     assert str(caught.value) == (
         "algo.name: unknown algorithm 'pppo'; allowed: ppo, a2c, sac, td3, ddpg, dqn, trpo, tqc, "
-        "crossq, recurrent_ppo Did you mean 'ppo'?"
+        "crossq, recurrent_ppo, bc Did you mean 'ppo'?"
     )
 
 

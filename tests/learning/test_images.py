@@ -16,6 +16,7 @@ from embodichain.learning import SB3VecEnv, load_policy
 from embodichain.learning.extractors import SmallCnn
 from embodichain.learning.train import train
 from embodichain.utils.errors import ConfigError
+from tests.learning.recorded import record
 
 TASK = """
 description: A goal that a camera sees.
@@ -131,6 +132,27 @@ def test_train_and_load(folder):
     with pytest.raises(ConfigError, match=r"'front': \(3, 36, 36\).*this task has .*\(3, 36, 40\)"):
         load_policy(run / summary.checkpoint, wide)
     wide.close()
+
+
+def test_cloning_from_images(folder):
+    lines = ["task=seen", "num_envs=2", "seed=1", "total_timesteps=64", "dataset=conf", "algo=bc"]
+    lines += ["algo.policy=MultiInputPolicy", "algo.chunk_size=2", "algo.batch_size=8"]
+    run = folder / "run"
+    run.mkdir()
+    resolved = resolve([*lines, "algo.validation_share=0"], "train")
+    summary = train(
+        resolved, run, episodes=lambda env: record(env, lambda obs: np.cos(obs["qpos"]), 4)
+    )
+    assert (summary.demonstrations, summary.episodes) == (2, 2 * 8)
+    env = embodichain.make("seen", 2, ["seed=1"])
+    policy = load_policy(run, env)
+    assert isinstance(policy.model.policy.features_extractor, SmallCnn)
+    seen = policy.observed(env.reset()[0], env)
+    plan = policy.plan(seen)
+    assert plan.shape == (2, 2, 6)
+    assert np.abs(policy.plan({**seen, "front": 255 - seen["front"]}) - plan).max() > 1e-4
+    assert np.abs(policy.plan({**seen, "qpos": seen["qpos"] + 1}) - plan).max() > 1e-4
+    env.close()
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,13 @@ NAMES = {
     "crossq": "sb3_contrib.CrossQ",
     "trpo": "sb3_contrib.TRPO",
     "recurrent_ppo": "sb3_contrib.RecurrentPPO",
+    "bc": "embodichain.learning.cloning.BehaviorCloning",
 }
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_zip_tells_its_algorithm(tmp_path, name):
-    package, cls = NAMES[name].split(".")
+    package, _, cls = NAMES[name].rpartition(".")
     made = getattr(pytest.importorskip(package), cls)
     env = gym.make("CartPole-v1" if name == "dqn" else "Pendulum-v1")
     policy = "MlpLstmPolicy" if name == "recurrent_ppo" else "MlpPolicy"

@@ -176,4 +176,4 @@ def _suggest(draft: Draft, config: Mapping[str, Any]) -> None:
             draft.put(("suggested", verb, name), value, (key,))
     device = config.get("device")
     if device not in (None, "cpu"):
-        draft.note(("device",), f"physics runs on the CPU, not on {device!r}")
+        draft.note(("device",), f"give it on the command line: device={device}")

@@ -32,6 +32,7 @@ else:
 __all__ = [
     "DISCARDED",
     "TELEOPERATED",
+    "Nobody",
     "Operator",
     "Teleop",
     "ToolCommand",
@@ -90,6 +91,14 @@ class Operator(Protocol):
         Raises:
             EmbodichainError: If the viewer is gone.
         """
+
+
+class Nobody:
+    """An `Operator` that asks for nothing; `validate` takes a step with it."""
+
+    def command(self, begins: bool) -> ToolCommand:
+        """Return a command at which nothing moves."""
+        return ToolCommand()
 
 
 @runtime_checkable

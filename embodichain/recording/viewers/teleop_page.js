@@ -21,6 +21,7 @@
     #teleop-handle.held { cursor: grabbing; border-color: #6fdc8c; }`;
   const HEARTBEAT = 100; // ms
   const RETRY = 1000; // ms
+  const BAR = 32; // px, Studio's bar below the picture
   const held = new Set();
   let socket = null, keys = new Set(), operator = false, status = null;
   let speed = 1, drag = null, sent = "";
@@ -107,7 +108,7 @@
     pose("tool", status.tool);
     for (const [name, value] of Object.entries(status.objects)) pose(name, value);
     if (status.handle) {
-      const [u, v] = status.handle, half = window.innerHeight / 2;
+      const [u, v] = status.handle, half = (window.innerHeight - BAR) / 2;
       handle.style.left = `${window.innerWidth / 2 + u * half}px`;
       handle.style.top = `${half - v * half}px`;
     }
@@ -200,7 +201,7 @@
   document.addEventListener("visibilitychange", release);
 
   function at(event) {
-    const half = window.innerHeight / 2;
+    const half = (window.innerHeight - BAR) / 2;
     return [(event.clientX - window.innerWidth / 2) / half, (half - event.clientY) / half];
   }
   handle.addEventListener("pointerdown", (event) => {

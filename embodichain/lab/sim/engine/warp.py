@@ -37,8 +37,9 @@ _CONSTRAINT_FORCES = frozenset({"cacc", "cfrc_int", "cfrc_ext"})
 _OVERFLOW = mjw.OverflowType
 _ROWS = int(_OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ)
 _CONTACTS = int(_OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.CCD)
-_WORLD = int(_OVERFLOW.HFIELD | _OVERFLOW.CONTACT_MATCH | _OVERFLOW.EPA_HORIZON | _OVERFLOW.TACTILE)
-"""Memory of a single world that is not enough: its result is wrong."""
+_SENSORS = int(_OVERFLOW.CONTACT_MATCH | _OVERFLOW.TACTILE)
+_COLLISIONS = int(_OVERFLOW.HFIELD | _OVERFLOW.EPA_HORIZON)
+"""Two geoms of one world whose collision was not found: its result is wrong."""
 
 
 class WarpEngine(HostEngine):
@@ -197,7 +198,7 @@ class WarpEngine(HostEngine):
         """Mark environments that diverged.
 
         Raises:
-            ConfigError: If the memory for contacts or constraints was not enough.
+            ConfigError: If the memory for contacts, constraints or sensors was not enough.
         """
         overflow = self.worlds.counts().overflow
         wild: NDArray[np.bool_] = np.zeros(self.num_envs, np.bool_)
@@ -207,7 +208,10 @@ class WarpEngine(HostEngine):
             # A state that is not finite any more may need any amount of rows.
             _require(~wild & ((overflow & _ROWS) != 0), "njmax", self.worlds.njmax)
             _require((overflow & _CONTACTS) != 0, "nconmax", self.worlds.nconmax)
-            wild |= (overflow & _WORLD) != 0
+            if (overflow & _SENSORS).any():
+                message = "contact sensors match more contacts than MuJoCo Warp keeps, 64"
+                raise ConfigError([Problem("sim.engine", f"{message}: use sim.engine=mujoco")])
+            wild |= (overflow & _COLLISIONS) != 0
         if env_ids is not None:
             wild[np.setdiff1d(np.arange(self.num_envs), env_ids)] = False
         if wild.any():
@@ -265,7 +269,7 @@ def _require(full: NDArray[np.bool_], key: str, limit: int) -> None:
 
 
 class _Diverged:
-    """Which environments diverged: their state is not finite, or their memory was not enough.
+    """Which environments diverged: their state is not finite, or a collision was not found.
 
     Args:
         num_envs: N.

@@ -15,6 +15,7 @@ from embodichain.config.composed import list_options
 from embodichain.config.factory import with_warp_sizes
 from embodichain.config.resolved import resolve
 from embodichain.recording import simulation, verify
+from embodichain.utils.errors import ConfigError
 
 pytestmark = pytest.mark.unmeasured
 
@@ -141,6 +142,8 @@ def test_a_run_and_its_log(capsys, monkeypatch):
     assert "writes and resets are identical to the bit" in str(report)
     listed = told(capsys, "replay", str(folder))
     assert "mujoco_warp" in listed and "within a tolerance" in listed
+    with pytest.raises(ConfigError, match="pictures of mujoco_warp 4"):
+        verify(folder, images=True)
     monkeypatch.setitem(simulation.TOLERANCE, "qvel", 1e-12)
     strict = verify(folder)
     assert not strict.ok and "results of physics are not MuJoCo's" in str(strict)
