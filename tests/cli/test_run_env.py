@@ -62,7 +62,7 @@ def test_it_is_run_with_a_gym_config(gym: Path, capsys: pytest.CaptureFixture[st
             ["--gym_config", "gym.yaml", "--num_evs", "2"],
             "Did you mean one of: '--num-envs', '--num_envs'?",
         ),
-        (["--gym_config", "gym.yaml", "--device", "cuda"], "cuda"),
+        (["--gym_config", "gym.yaml", "--device", "cuda"], "no CUDA device"),
         (["--gym_config", "gym.yaml", "task.max_episode_steps=0"], "max_episode_steps"),
     ],
 )
