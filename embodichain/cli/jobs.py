@@ -334,7 +334,7 @@ def pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder they refer to now, since later runs change it."""
     from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 
-    data = resolved.tree["dataset"]
+    data = resolved.tree.get("dataset")  # a run of an earlier version has none
     if data is not None:
         paths = [data] if isinstance(data, str) else data
         resolved = resolved.changed(dataset=[str(Path(path).resolve()) for path in paths])

@@ -168,7 +168,7 @@ class EvalCfg:
 class CollectCfg:
     """When `collect` ends an episode, and when it gives up."""
 
-    success_steps: PositiveInt = 10
+    success_steps: PositiveInt = 30
     """Control steps in a row with success after which an episode ends, as a success if the next
     step is one too."""
     wait_steps: Annotated[int, Field(ge=0)] = 25

@@ -10,6 +10,7 @@ import numpy as np
 from embodichain.lab.gym.expert.arms import Arm, DeclaredArm, arms_of, find_arm
 from embodichain.lab.gym.expert.instructions import EXACT, Goal, Grip, Move, Wait
 from embodichain.lab.gym.expert.program import Program, check_steps, targets_in
+from embodichain.lab.gym.expert.pushes import Pushes
 from embodichain.lab.gym.expert.reading import ReadStep
 from embodichain.lab.gym.expert.targets import WORLD, TargetPoses, target_name
 from embodichain.lab.gym.expert.trajectories import ToolPath, length
@@ -56,6 +57,7 @@ class Execution:
     Args:
         env: The environment.
         values: The steps, as in a task file.
+        pushes: Standard deviation of pushes, as a share of half the actions' range.
 
     Attributes:
         env: The environment.
@@ -66,7 +68,7 @@ class Execution:
         ConfigError: If the steps are wrong or cannot be done in this environment.
     """
 
-    def __init__(self, env: BaseEnv, values: Sequence[Any]) -> None:
+    def __init__(self, env: BaseEnv, values: Sequence[Any], pushes: float = 0.0) -> None:
         self.env, count = env, env.num_envs
         pairs = arms_of(env)
         declared = [one for one, _ in pairs]
@@ -101,6 +103,7 @@ class Execution:
         self._held: Rows = np.full(shape, -1)  # what is held, a number in _taken
         self._grasp: F64 = np.zeros((*shape, 3))  # its position in the tool's axes
         self._fresh = np.ones(count, np.bool_)
+        self._pushes = Pushes(env, self._arms, pushes) if pushes else None
         self.done: NDArray[np.bool_] = np.zeros(count, np.bool_)
         self.failures: list[str | None] = [None] * count
 
@@ -273,7 +276,7 @@ class Execution:
             action[:, arm.columns] = path.action(moves & ~self.done)
             if arm.gripper is not None:
                 action[:, arm.fingers] = self._command[:, a, None]
-        return action
+        return action if self._pushes is None else self._pushes.added(action, self.done)
 
     # -- goals -------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader
 import numpy as np
 
+from embodichain.lab.gym.envs.managers.param_types import NonNegative
 from embodichain.lab.gym.expert.execution import Execution
 from embodichain.lab.gym.expert.program import steps_of
 
@@ -34,10 +35,14 @@ class Expert:
     Args:
         steps: Steps in place of the task's: a list as in a task file, or a function ``f(env)`` that
             returns one (Python only).
+        pushes: Standard deviation of pushes, as a share of half the actions' range: in 6 % of the
+            steps begins one that adds a drawn motion of the tool to the action for four steps. The
+            expert corrects what they do, so that demonstrations show how to come back (Laskey et
+            al., "DART: Noise injection for robust imitation learning", 2017, arXiv:1703.09327).
     """
 
-    def __init__(self, steps: Any = None) -> None:
-        self._given = steps
+    def __init__(self, steps: Any = None, pushes: NonNegative = 0.0) -> None:
+        self._given, self._pushes = steps, pushes
         self._execution: Execution | None = None
 
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
@@ -49,7 +54,7 @@ class Expert:
         execution = self._execution
         if execution is None or execution.env is not env:
             steps = self._given if self._given is not None else env.cfg.expert
-            execution = self._execution = Execution(env, steps_of(steps, env))
+            execution = self._execution = Execution(env, steps_of(steps, env), self._pushes)
         return torch.from_numpy(execution.act().astype(np.float32))
 
     def reset(self, env_ids: EnvIndex | None) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
 import numpy as np
 
 from embodichain.utils.math import (
@@ -22,13 +21,10 @@ from embodichain.utils.math import (
 )
 
 if TYPE_CHECKING:
-    import ruckig
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.expert.arms import Arm
     from embodichain.lab.sim.engine.api import F64
-else:
-    ruckig = lazy_loader.load("ruckig")
 
 __all__ = ["ToolPath", "length"]
 
@@ -209,6 +205,8 @@ class ToolPath:
 
     def _profile(self, velocity: float, acceleration: float) -> F64:
         """The path parameter after each control step, from rest at 0 to rest at 1."""
+        import ruckig  # not by lazy_loader: collecting a module that is not executed yet crashes
+
         given = ruckig.InputParameter(1)
         given.current_position, given.target_position = [0.0], [1.0]
         given.max_velocity, given.max_acceleration = [float(velocity)], [float(acceleration)]

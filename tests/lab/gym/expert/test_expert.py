@@ -326,3 +326,18 @@ def test_nothing_is_placed_where_nothing_is_held():
     run = Performance("pick_place", 2, steps=[{"place": "stand"}])
     assert run.failures == ["step 1, place stand: the gripper holds nothing"] * 2
     assert len(run.actions) == 1
+
+
+def test_pushes_leave_the_path_and_the_expert_comes_back():
+    calm = Performance("pick_place")
+    pushed = Performance("pick_place", policy=Expert(pushes=0.5))
+    assert pushed.success.sum() >= 15
+    steps = min(len(calm.actions), len(pushed.actions), 60)
+    before, after = (np.stack(run.actions[:steps]) for run in (calm, pushed))
+    assert np.array_equal(before[0, :, 3:], after[0, :, 3:])  # the position alone is pushed
+    differs = (np.abs(before - after).max(axis=2) > 1e-3).any(axis=0)
+    assert differs.sum() >= 14  # of 60 steps hardly any environment has no push
+    few = Performance("pick_place", num_envs=4, policy=Expert(pushes=0.5))
+    steps = min(len(few.actions), len(pushed.actions), 60)
+    for mine, whole in zip(few.actions[:steps], pushed.actions[:steps], strict=True):
+        assert np.array_equal(mine, whole[:4])

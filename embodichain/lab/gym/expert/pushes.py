@@ -1,0 +1,66 @@
+"""`Pushes`: disturbances of an expert's motions, which it then corrects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from embodichain.lab.gym.envs.mdp.actions.joint_action import JointAction
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.expert.arms import Arm
+    from embodichain.lab.sim.engine.api import F64
+
+__all__ = ["Pushes"]
+
+_SHARE, _STEPS = 0.06, 4
+"""Of the steps in which a push can begin, and how long it lasts."""
+_STREAM = "expert/pushes"
+
+
+class Pushes:
+    """Normally distributed motions that are added to the actions of arms, for four steps each.
+
+    Tools are pushed in their position, arms with joint actions in all joints.
+
+    Args:
+        env: The environment; pushes of environment *i* do not depend on N.
+        arms: The arms.
+        size: Standard deviation as a share of half the actions' range.
+
+    Raises:
+        ConfigError: If the actions of an arm have no bounds.
+    """
+
+    def __init__(self, env: BaseEnv, arms: Sequence[Arm], size: float) -> None:
+        space: Any = env.single_action_space
+        self._env = env
+        self._low, self._high = (end.astype(np.float64) for end in (space.low, space.high))
+        self._size: F64 = np.zeros(len(self._low))
+        for arm in arms:
+            columns = np.arange(len(self._low))[arm.columns]
+            pushed = columns if isinstance(arm.term, JointAction | None) else columns[:3]
+            self._size[pushed] = 0.5 * size * (self._high - self._low)[pushed]
+        if not np.isfinite(self._size).all():
+            message = "is a share of the actions' range, and an action has no bounds"
+            raise ConfigError([Problem("policy.params.pushes", message)])
+        self._left: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
+        self._push: F64 = np.zeros((env.num_envs, len(self._low)))
+
+    def added(self, action: F64, done: NDArray[np.bool_]) -> F64:
+        """(N, A) actions with pushes, within bounds; none where nothing is left to do, (N,)."""
+        begins = self._env.rand(_STREAM).numpy() < _SHARE
+        drawn = self._env.randn(f"{_STREAM}/size", (len(self._low),)).numpy().astype(np.float64)
+        new = begins & (self._left == 0)
+        self._left[new] = _STEPS
+        self._push = np.where(new[:, None], drawn * self._size, self._push)
+        pushed = (self._left > 0) & ~done
+        self._left -= self._left > 0
+        whole = np.clip(action + self._push, self._low, self._high)
+        return np.where(pushed[:, None], whole, action)
