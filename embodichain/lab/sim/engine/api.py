@@ -210,7 +210,11 @@ class Engine(Protocol):
         """
 
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
-        """Recompute derived model constants (`mj_setConst`) immediately."""
+        """Recompute derived model constants (`mj_setConst`) immediately.
+
+        Raises:
+            ConfigError: If MuJoCo refuses the model fields of an environment.
+        """
 
     def set_const_later(self, env_ids: EnvIndex | None = None) -> None:
         """Call `set_const` before the next read or step, once for all writes until then."""

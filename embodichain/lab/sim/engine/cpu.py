@@ -27,6 +27,7 @@ from embodichain.lab.sim.engine.api import (
 )
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, ModelFields, row_layout
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler, stop_timers
+from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["KINEMATIC_STAGES", "CpuEngine", "HostEngine", "entries"]
@@ -220,7 +221,10 @@ class HostEngine(Engine):
         return fields.values(field)
 
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
-        self._call(self._batch.set_const, env_ids)
+        try:
+            self._batch.set_const(env_ids)
+        except mjbatch.SimulationError as error:  # of the model, not of a state: no divergence
+            raise ConfigError(f"model fields that MuJoCo does not take: {error}") from error
         self._mark(env_ids)
         self._notify(Write("set_const", "", env_ids, ALL, None))
 

@@ -7,6 +7,7 @@ from mujoco import batch as mjbatch
 
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS
+from embodichain.utils.errors import ConfigError
 
 XML = """
 <mujoco>
@@ -178,3 +179,13 @@ def test_constants_that_are_due_are_saved(model, persistent):
         e.write_model("dof_damping", [[0.5], [1.0], [2.0]], None, slice(0, 1))
         e.step(7)
     assert engine.rows.tobytes() == other.rows.tobytes()
+
+
+def test_fields_that_mujoco_refuses_are_an_error_not_a_divergence():
+    scene = """<mujoco><worldbody><body><freejoint/><geom size=".1"/>
+        <geom size=".1" pos=".1 0 0" contype="0" conaffinity="0"/></body></worldbody></mujoco>"""
+    engine = CpuEngine(mujoco.MjModel.from_xml_string(scene), 3)
+    engine.write_model("geom_contype", [[1, 1]], np.array([1]))
+    engine.set_const_later()
+    with pytest.raises(ConfigError, match=r"1 of 3 .*geom 1 collides but was not compiled to"):
+        engine.step(1)
