@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from embodichain.cli import main
 
@@ -38,7 +39,7 @@ def test_a_log_is_cloned_and_played(demonstrations, tmp_path, capsys, monkeypatc
     told = json.loads(capsys.readouterr().out)
     assert (told["demonstrations"], told["episodes"], told["eval"]["episodes"]) == (3, 24, 3)
     run = newest(tmp_path)
-    assert f"- {demonstrations}" in (run / "config.yaml").read_text()
+    assert yaml.safe_load((run / "config.yaml").read_text())["dataset"] == [str(demonstrations)]
     monkeypatch.chdir(tmp_path)
     assert main(["run", *HOLD, f"policy={run}", "max_steps=3", "record=none", "-q"]) == 0
 
