@@ -84,7 +84,8 @@ class Check:
 )
 def command(json: bool) -> int:
     """Run all checks and print their results."""
-    sections = _versions, _threads, _rendering, _display, _disk, _optional, _randomness
+    # _randomness is the first that imports MuJoCo: it says whether that is possible.
+    sections = _versions, _threads, _rendering, _display, _disk, _randomness, _optional
     checks = [check for section in sections for check in section()]
     if json:
         print_json({"checks": [asdict(check) for check in checks]})

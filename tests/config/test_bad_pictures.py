@@ -113,7 +113,8 @@ CAMERAS = {
     ),
     "no such camera": (
         camera("camera: arm/wrist"),
-        "camera: no camera is called 'arm/wrist'; there are: default",
+        "camera: no camera is called 'arm/wrist'; there are: default. "
+        "Nothing is attached as 'arm'.",
     ),
     "another sensor": (
         camera("width: 64", "camra"),

@@ -73,7 +73,7 @@ def test_an_unknown_suggested_algorithm(write_task: WriteTask) -> None:
         resolve(["task=mine"], "train")
     assert str(error.value) == (
         "conf/task/mine.yaml:37: task.suggested.train.algo.name: unknown algorithm 'poo';"
-        " one of: ppo, a2c, sac, td3, ddpg, dqn, trpo, tqc, crossq, recurrent_ppo. Did you mean"
+        " one of: ppo, a2c, sac, td3, ddpg, dqn, trpo, tqc, crossq, recurrent_ppo, bc. Did you mean"
         " 'ppo'?"
     )
 

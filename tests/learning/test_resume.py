@@ -287,7 +287,7 @@ def test_only_few_keys_may_change(tmp_path, monkeypatch, capsys):
 
     monkeypatch.chdir(folder(tmp_path, "here"))
     assert main(["train", "resume=last"]) == 2
-    assert "there is no training in outputs yet" in capsys.readouterr().err
+    assert "there is no training to resume yet" in capsys.readouterr().err
     assert main(["train", *SMALL, TWO, "--quiet"]) == 0
     assert main(["train", "resume=last", "seed=3", "algo.gamma=0.5"]) == 2
     error = capsys.readouterr().err

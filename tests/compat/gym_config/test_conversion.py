@@ -221,7 +221,7 @@ def test_every_section_is_converted_or_listed() -> None:
     found = notes(conversion)
     for path, words in {
         "id": "Python class of EmbodiChain's",
-        "device": "CPU",
+        "device": "device=cuda",
         "physics_config.bounce_threshold": "PhysX",
         "robot.solver_cfg.class_type": "the solver follows from the arm",
         "sensor.1": "sensors: {NAME: {sensor_type: contact",

@@ -84,7 +84,7 @@ def test_an_unchanged_orientation_is_not_written_for_observers(
         written.append(field)
         write(field, *args)
 
-    monkeypatch.setattr(engine, "write", watched)
+    vars(engine)["write"] = watched
 
     def fields_of_a_step() -> set[str]:
         written.clear()
