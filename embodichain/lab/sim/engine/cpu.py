@@ -1,7 +1,6 @@
 """`HostEngine` keeps states and models on the host; `CpuEngine` steps them with `mujoco.batch`.
 
-Methods are documented in `api`.
-Use one instance from one Python thread at a time (`mujoco.batch`).
+Methods are documented in `api`. Use an instance from one Python thread at a time (`mujoco.batch`).
 """
 
 from __future__ import annotations
@@ -108,9 +107,7 @@ class HostEngine(Engine):
         )
         self._batch.reset(stage=_STAGE_NONE)
         self._rows: F64 = self._batch.state
-        self._views: dict[str, F64] = {
-            name: self._rows[:, cols] for name, cols in self._layout.items()
-        }
+        self._views: dict[str, F64] = {n: self._rows[:, c] for n, c in self._layout.items()}
         self._fields = ModelFields(self._batch, num_envs)
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
@@ -120,8 +117,7 @@ class HostEngine(Engine):
         self._dirty = np.ones(num_envs, np.bool_)
         self._changed: NDArray[np.int64] = np.zeros(num_envs, np.int64)
         self._all_changed = 0
-        self._any_dirty = True
-        self._all_dirty = True
+        self._any_dirty = self._all_dirty = True
 
     def close(self) -> None:
         self.__dict__.clear()  # terms of the environment may refer to the engine until it is freed
