@@ -124,10 +124,10 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
                 image_topics(env, ImageOptions(**vars(root.record.images)))
             policy = policy_of(root, env)
             if policy_name(root) == "teleop":
-                from embodichain.lab.gym.teleop import Nobody, Teleop
+                from embodichain.lab.gym.teleop import IdleOperator, Teleop
 
                 if isinstance(policy, Teleop):
-                    policy.operator = Nobody()
+                    policy.operator = IdleOperator()
             obs, _ = env.reset()
             env.step(policy(obs, env))
         finally:

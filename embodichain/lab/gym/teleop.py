@@ -32,7 +32,7 @@ else:
 __all__ = [
     "DISCARDED",
     "TELEOPERATED",
-    "Nobody",
+    "IdleOperator",
     "Operator",
     "Teleop",
     "ToolCommand",
@@ -83,7 +83,7 @@ class Operator(Protocol):
     """Where commands come from: a viewer."""
 
     def command(self, begins: bool) -> ToolCommand:
-        """Return the present command. Waits while nobody operates, unless the run was stopped.
+        """Return the present command. Waits until an operator is connected or the run is stopped.
 
         Args:
             begins: Whether an episode begins: then it waits for something to be pressed, too.
@@ -93,8 +93,8 @@ class Operator(Protocol):
         """
 
 
-class Nobody:
-    """An `Operator` that asks for nothing; `validate` takes a step with it."""
+class IdleOperator:
+    """An `Operator` whose command moves nothing; `validate` takes a step with it."""
 
     def command(self, begins: bool) -> ToolCommand:
         """Return a command at which nothing moves."""
@@ -142,7 +142,7 @@ def check_teleop(terms: Mapping[str, tuple[str, Any]]) -> list[Problem]:
 
 
 class Teleop:
-    """A person moves the tool of one environment; nobody there, nothing moves.
+    """A person moves the tool of one environment; without an operator the run waits.
 
     It needs `viewer=web` or `viewer=native`, one environment, and an action that moves a tool:
     `eef_delta_pose`, `eef_pose` or `operational_space`. A `parallel_gripper` of the same robot is

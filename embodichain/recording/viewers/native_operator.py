@@ -127,7 +127,7 @@ class NativeOperator:
     def _read(self) -> ToolCommand:
         """Read all devices; returns the command of what is held, without pressed keys."""
         if not self._window.is_running:
-            raise EmbodichainError("the window was closed: nobody can operate the robot")
+            raise EmbodichainError("the window was closed, so the robot can no longer be operated")
         while True:
             try:
                 self._take(self._keys.get_nowait())

@@ -1,4 +1,4 @@
-// The operator's part of the page of `viewer=web policy=teleop`; teleop_desk.py has the messages.
+// The operator's part of the page of `viewer=web policy=teleop`; operator_pages.py has the messages.
 // It is loaded before Studio's script, so that its keys do not reach Studio.
 "use strict";
 (() => {

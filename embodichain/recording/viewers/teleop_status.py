@@ -28,7 +28,7 @@ class PageOperator:
         self._page, self._show = page, show
 
     def command(self, begins: bool) -> ToolCommand:
-        """Return the present command; waits while nobody operates, see `Operator`."""
+        """Return the present command; waits until a page operates, see `Operator`."""
         self._page.wait_for_operator(self._show)
         if begins:
             before = self._page.command

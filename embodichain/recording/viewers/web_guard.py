@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 
 from mujoco.studio.web import web_server
 
-from embodichain.recording.viewers.teleop_desk import SCRIPT, Desk
+from embodichain.recording.viewers.operator_pages import SCRIPT, OperatorPages
 from embodichain.utils.addresses import is_loopback
 
 __all__ = ["GUARDS", "Guard", "guard_serving"]
@@ -27,20 +27,20 @@ _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
 class Guard:
-    """Checks the requests to one socket, and answers those for the operator's desk.
+    """Checks the requests to one socket, and answers those for the operator's operators.
 
     Args:
         host: The address it listens on.
-        desk: The operator's place; None serves Studio's page as it is.
+        operators: The operator's place; None serves Studio's page as it is.
 
     Attributes:
         serving: Set once requests are checked.
         connections: Paths of open WebSockets.
     """
 
-    def __init__(self, host: str, desk: Desk | None = None) -> None:
+    def __init__(self, host: str, operators: OperatorPages | None = None) -> None:
         self._names = {host.lower(), *_LOOPBACK} if is_loopback(host) else None
-        self._desk = desk
+        self._operators = operators
         self.serving = threading.Event()
         self.connections: list[str] = []
 
@@ -48,16 +48,18 @@ class Guard:
         """Handle a connection; it is in `connections` while it is open."""
         path = websocket.request.path.partition("?")[0]
         self.connections.append(path)
-        desk = self._desk
+        operators = self._operators
         try:
-            await (desk.handle if desk is not None and path == _TELEOP else handler)(websocket)
+            await (operators.handle if operators is not None and path == _TELEOP else handler)(
+                websocket
+            )
         finally:
             self.connections.remove(path)
 
     def answer(self, answer: Callable[[Any, Any], Any], connection: Any, request: Any) -> Any:
         """The response to a request that is not refused; None opens a WebSocket."""
         path = request.path.partition("?")[0]
-        if self._desk is None:
+        if self._operators is None:
             return answer(connection, request)
         if path == _TELEOP:
             return None

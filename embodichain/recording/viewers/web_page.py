@@ -200,19 +200,21 @@ class WebPage:
             until: What to wait for besides.
 
         Raises:
-            EmbodichainError: If the page is gone: nobody can operate.
+            EmbodichainError: If the process that serves the page has ended.
         """
         shown = 0.0
         while not (self._controls.operated and until()) and not self._stopped():
             if self._ended:
-                raise EmbodichainError("the web viewer has ended: nobody can operate the robot")
+                raise EmbodichainError(
+                    "the web viewer has ended, so the robot can no longer be operated"
+                )
             if self.watched and time.monotonic() - shown > _SHOWN_AGAIN:
                 shown = time.monotonic()
                 show()
             time.sleep(_NAP)
 
     def tell(self, status: Mapping[str, Any]) -> None:
-        """Show an operator plain values, see `teleop_desk`; skipped if the process is behind."""
+        """Show an operator plain values, see `operator_pages`; skipped if the process is behind."""
         if self._writable.poll(0):
             self._send("status", dict(status))
 

@@ -27,7 +27,7 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
 
 from embodichain.lab.sim.compiler.views import DEFAULT_VIEW
-from embodichain.recording.viewers.teleop_desk import Desk, View, look_like, view_of
+from embodichain.recording.viewers.operator_pages import OperatorPages, View, look_like, view_of
 from embodichain.recording.viewers.web_guard import GUARDS, Guard, guard_serving
 from embodichain.recording.viewers.web_page import SPEEDS, Controls, Facts, PageOptions
 from embodichain.utils.errors import ConfigError, Problem
@@ -54,17 +54,17 @@ def main(descriptor: int) -> None:
     with Connection(descriptor) as run:
         options, num_envs, controls, model = run.recv()
         changed = threading.Event()
-        desk = Desk(changed) if options.teleop else None
-        panel = Panel(options, num_envs, controls, desk)
+        operators = OperatorPages(changed) if options.teleop else None
+        panel = Panel(options, num_envs, controls, operators)
         try:
-            studio = Studio(model, options, panel, desk=desk)
+            studio = Studio(model, options, panel, operators=operators)
         except ConfigError as error:
             run.send(("failed", error.problems[0].message))
             return
         run.send(("ready", studio.url))
         reason = "The run has ended."
         try:
-            reason = _serve(run, studio, panel, desk, changed)
+            reason = _serve(run, studio, panel, operators, changed)
         except (EOFError, OSError):
             reason = "The run is gone."
         finally:
@@ -72,7 +72,11 @@ def main(descriptor: int) -> None:
 
 
 def _serve(
-    run: Connection, studio: Studio, panel: Panel, desk: Desk | None, changed: threading.Event
+    run: Connection,
+    studio: Studio,
+    panel: Panel,
+    operators: OperatorPages | None,
+    changed: threading.Event,
 ) -> str:
     """Forward messages until there are no more; return why it ended."""
     sent, pauses = panel.controls, 0
@@ -89,8 +93,8 @@ def _serve(
                 studio.send(messages.ModelEvent(model=value))
                 continue
             if kind == "status":
-                if desk is not None:
-                    desk.tell(value)
+                if operators is not None:
+                    operators.tell(value)
                 continue
             state, facts = value
             if facts is not None:
@@ -101,11 +105,11 @@ def _serve(
         if panel.controls.paused and not studio.controlled:
             panel.resume()
         controls = dataclasses.replace(panel.controls, watched=studio.watched)
-        if desk is not None:
-            if desk.pauses != pauses:
-                pauses = desk.pauses
+        if operators is not None:
+            if operators.pauses != pauses:
+                pauses = operators.pauses
                 panel.pause()
-            command, operated = desk.command, desk.operated
+            command, operated = operators.command, operators.operated
             controls = dataclasses.replace(controls, command=command, operated=operated)
         if controls != sent:
             sent = controls
@@ -122,7 +126,7 @@ class Studio:
         model: The first model to show; copied.
         options: Address, port and title.
         plugins: Studio's viewer plugins.
-        desk: The operator's place, if the page moves a robot.
+        operators: The operator's place, if the page moves a robot.
 
     Attributes:
         url: Address of the page.
@@ -137,7 +141,7 @@ class Studio:
         model: mujoco.MjModel,
         options: PageOptions,
         *plugins: Any,
-        desk: Desk | None = None,
+        operators: OperatorPages | None = None,
     ) -> None:
         made: list[_Viewer] = []
         ready = threading.Event()
@@ -148,7 +152,7 @@ class Studio:
                     title=options.title, gfx="web", http_port=options.port or 0
                 )
                 viewer = _Viewer(
-                    options.host, desk, config, endpoint, model=model, plugins=[*plugins]
+                    options.host, operators, config, endpoint, model=model, plugins=[*plugins]
                 )
                 made.append(viewer)
             finally:
@@ -189,8 +193,10 @@ class Studio:
 class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     """Studio's web viewer, which listens on `_host`; here that is the configured address."""
 
-    def __init__(self, host: str, desk: Desk | None, *args: Any, **kwargs: Any) -> None:
-        self._address, self._desk = host, desk
+    def __init__(
+        self, host: str, operators: OperatorPages | None, *args: Any, **kwargs: Any
+    ) -> None:
+        self._address, self._operators = host, operators
         self._scene: tuple[Any, mujoco.MjvScene] | None = None  # a model, and what was made for it
         super().__init__(*args, **kwargs)
 
@@ -215,7 +221,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
         if bound not in {found[4][0] for found in socket.getaddrinfo(self._address, None)}:
             raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
         self._http_sock.listen()  # fails here, not in the server's thread, if the port is in use
-        self.guard = GUARDS[self._http_sock] = Guard(self._address, self._desk)
+        self.guard = GUARDS[self._http_sock] = Guard(self._address, self._operators)
         super()._start_server()
         if not self.guard.serving.wait(_START_SECONDS):
             self._web_server.stop()
@@ -227,8 +233,8 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
             time.sleep(_IDLE_SECONDS)
             return False
         ready: bool = super().prepare_next_frame()
-        if self._desk is not None:
-            self._desk.view = self._view()
+        if self._operators is not None:
+            self._operators.view = self._view()
         return ready
 
     def _view(self) -> View:
@@ -252,7 +258,7 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         options: Title, and whether resets are offered.
         num_envs: Number of environments to choose from.
         controls: The initial controls.
-        desk: The operator's place, whose keys replace the panel's.
+        operators: The operator's place, whose keys replace the panel's.
 
     Attributes:
         controls: Current controls; the object is replaced in the viewer's thread, by `pause` and by
@@ -260,10 +266,14 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
     """
 
     def __init__(
-        self, options: PageOptions, num_envs: int, controls: Controls, desk: Desk | None = None
+        self,
+        options: PageOptions,
+        num_envs: int,
+        controls: Controls,
+        operators: OperatorPages | None = None,
     ) -> None:
         self._options, self._num_envs, self.controls = options, num_envs, controls
-        self._desk = desk
+        self._operators = operators
         self._changing = threading.Lock()
         self._facts: Facts | None = None
         self._history: deque[Facts] = deque(maxlen=_HISTORY)
@@ -293,8 +303,8 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         self._change(paused=True, steps=self.controls.steps + self.controls.paused)
 
     def _reset(self) -> None:
-        if self._desk is not None:
-            self._desk.discard()
+        if self._operators is not None:
+            self._operators.discard()
         elif self._options.resets:
             self._change(resets=self.controls.resets + 1, reset_env=self.controls.env_id)
 
@@ -308,12 +318,12 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         self._camera.camera_index = ux.set_camera(
             self.viewer.model, self.viewer.camera, ux.TUMBLE_CAMERA_IDX
         )
-        if self._desk is not None:
+        if self._operators is not None:
             look_like(self.viewer.model, self.viewer.camera, DEFAULT_VIEW)
 
     @messages.handler  # type: ignore[untyped-decorator]
     def _on_update(self, _: messages.UpdateEvent) -> None:
-        if self._desk is not None:
+        if self._operators is not None:
             return  # the page has keys of its own
         if imgui.GetIO().WantCaptureKeyboard:
             return
@@ -349,11 +359,11 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
                 self._choose(chosen)
         if imgui.Button("Resume" if self.controls.paused else "Pause", _BUTTON):
             self.pause()
-        imgui.SetItemTooltip("Space" if self._desk is None else "Esc")
+        imgui.SetItemTooltip("Space" if self._operators is None else "Esc")
         imgui.SameLine()
         if imgui.Button("Step", _BUTTON):
             self._step()
-        key = "Right arrow: " if self._desk is None else ""
+        key = "Right arrow: " if self._operators is None else ""
         imgui.SetItemTooltip(f"{key}one control step, then a pause")
         imgui.SameLine()
         imgui.BeginDisabled(not self._options.resets)

@@ -12,7 +12,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from embodichain.lab.gym.teleop import ToolCommand
-from embodichain.recording.viewers.teleop_desk import Desk, look_like, view_of
+from embodichain.recording.viewers.operator_pages import OperatorPages, look_like, view_of
 from embodichain.recording.viewers.web_page import PageOptions, WebPage
 from embodichain.utils.errors import EmbodichainError
 from tests.recording.scene import MODEL
@@ -250,7 +250,7 @@ def test_a_run_that_is_stopped_or_lost_its_page_does_not_wait():
     stopped.close()
     lost = WebPage(MODEL, PageOptions(teleop=True))
     lost._process.kill()
-    with pytest.raises(EmbodichainError, match="nobody can operate the robot"):
+    with pytest.raises(EmbodichainError, match="can no longer be operated"):
         lost.wait_for_operator(lambda: None)
     lost.close()
 
@@ -299,16 +299,16 @@ def test_a_camera_of_the_model_gives_the_first_view():
 
 
 def test_a_drag_moves_the_goal_in_the_plane_of_the_view():
-    desk = Desk(threading.Event())
-    desk.tell(STATUS)
+    operators = OperatorPages(threading.Event())
+    operators.tell(STATUS)
     drag = {"held": [], "axes": [], "buttons": [], "speed": 1, "away": False}
 
     def take(drag_at):
-        assert desk._take(json.dumps({**drag, "drag": drag_at}))
-        return desk.command.goal
+        assert operators._take(json.dumps({**drag, "drag": drag_at}))
+        return operators.command.goal
 
     assert take({"at": [0, 0], "depth": 0}) is None  # no view yet
-    desk.view = view = view_at(90.0, 0.0)
+    operators.view = view = view_at(90.0, 0.0)
     u, v, depth = view.point(np.array(STATUS["tool"][:3]))
     start = take({"at": [u + 0.01, v], "depth": 0})  # not in the middle of the ring
     assert start == pytest.approx(STATUS["tool"][:3], abs=1e-6)
@@ -318,4 +318,4 @@ def test_a_drag_moves_the_goal_in_the_plane_of_the_view():
     nearer = take({"at": [u + 0.01, v], "depth": -0.05})
     assert nearer[1] == pytest.approx(start[1] - 0.05, abs=1e-6)
     assert take(None) is None
-    assert desk.command == ToolCommand()
+    assert operators.command == ToolCommand()

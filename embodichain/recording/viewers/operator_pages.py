@@ -1,4 +1,4 @@
-"""`Desk`: the operator's place on the page of `viewer=web`, in the process that serves it.
+"""`OperatorPages`: the operator's place on the page of `viewer=web`, in the process that serves it.
 
 Every page opens the WebSocket ``/teleop``. The first one operates, the others watch; when it goes
 or is hidden, the one that waits longest takes its place. Messages are JSON. From a page:
@@ -26,13 +26,13 @@ from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.viewers.teleop_input import CODES, PAD_HELP, OperatorInput, key_help
 from embodichain.utils.math import quat_to_matrix
 
-__all__ = ["SCRIPT", "Desk", "View", "look_like", "view_of"]
+__all__ = ["SCRIPT", "OperatorPages", "View", "look_like", "view_of"]
 
 SCRIPT = Path(__file__).with_name("teleop_page.js")
 _STALE_SECONDS = 0.5
-"""Without a message for so long, nothing counts as held."""
+"""Time without a message after which all keys count as released."""
 _LOST_SECONDS = 2.0
-"""Without a message for so long, nobody operates."""
+"""Time without a message after which the page no longer operates, and the run waits."""
 _SEND_SECONDS = 1.0 / 60.0
 _LARGEST_MESSAGE = 4096
 
@@ -102,8 +102,8 @@ class _Grab(NamedTuple):
     offset: tuple[float, float]
 
 
-class Desk:
-    """Who operates, and with which command.
+class OperatorPages:
+    """The connected pages, the one that operates, and its command.
 
     The server's thread calls `handle`; others may read `command` and `operated`, and call `tell`.
 
