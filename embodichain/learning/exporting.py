@@ -28,6 +28,7 @@ from embodichain.learning.exported import (
     PolicyMetadata,
     load_exported,
     need_onnx,
+    script_bytes,
 )
 from embodichain.learning.normalization import number_keys
 from embodichain.learning.policy import LearnedPolicy
@@ -245,10 +246,7 @@ def _write_onnx(network: _Network, example: F32, path: Path, metadata: PolicyMet
 def _write_torchscript(
     network: _Network, example: F32, path: Path, metadata: PolicyMetadata
 ) -> None:
-    with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # deprecated, but C++ programs load this format
-        traced: Any = torch.jit.trace(network, torch.from_numpy(example))  # type: ignore[no-untyped-call]
-        torch.jit.save(traced, str(path), _extra_files={METADATA: metadata.to_json()})
+    path.write_bytes(script_bytes(network, torch.from_numpy(example), metadata))
 
 
 _WRITERS: dict[Format, Callable[[_Network, F32, Path, PolicyMetadata], None]] = {

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from embodichain.config.run_folder import CONFIG
+from embodichain.config.tensor_algorithms import TENSOR_ALGORITHMS
 from embodichain.learning.algorithms import algorithm_class
 from embodichain.learning.asymmetric import actor_space
 from embodichain.learning.checkpoint import find_checkpoint, read_digest, read_note
@@ -55,7 +56,8 @@ def load_policy(
 
     Loading a zip runs code from the file: Stable-Baselines3 stores Python objects in it with
     cloudpickle. **Load only zips that you trust**, as you would run only programs that you trust; a
-    zip outside a run folder causes a warning. ONNX and TorchScript files contain no Python.
+    zip outside a run folder causes a warning. ONNX and TorchScript files, and zips of rsl_rl and
+    skrl, contain no Python.
 
     Args:
         path: A zip file, with ``NAME.normalize.npz`` beside it if observations were normalized; an
@@ -76,7 +78,7 @@ def load_policy(
     """
     file = find_checkpoint(path)
     policy: LearnedPolicy | ExportedPolicy
-    if file.suffix not in SUFFIXES:
+    if file.suffix not in SUFFIXES and read_note(file).get("algo") not in TENSOR_ALGORITHMS:
         policy = load_model(file, deterministic=deterministic)
     elif deterministic:
         policy = load_exported(file)
