@@ -56,7 +56,7 @@ class TensorAlgoCfg:
 class RslRlPpoCfg(TensorAlgoCfg):
     """Keys of ``rsl_rl_ppo``."""
 
-    name: Literal["rsl_rl_ppo"] = "rsl_rl_ppo"  # type: ignore[assignment]
+    name: Literal["rsl_rl_ppo"] = "rsl_rl_ppo"
     num_steps_per_env: PositiveInt = 24
     """Control steps of each environment between updates."""
     num_learning_epochs: PositiveInt = 5
@@ -78,7 +78,7 @@ class RslRlPpoCfg(TensorAlgoCfg):
 class SkrlPpoCfg(TensorAlgoCfg):
     """Keys of ``skrl_ppo``."""
 
-    name: Literal["skrl_ppo"] = "skrl_ppo"  # type: ignore[assignment]
+    name: Literal["skrl_ppo"] = "skrl_ppo"
     rollouts: PositiveInt = 24
     """Control steps of each environment between updates."""
     learning_epochs: PositiveInt = 5

@@ -100,19 +100,27 @@ class ExportedPolicy(TrainedPolicy):
             to (N, H, A) with a `chunk_size` H in the metadata.
         metadata: The file's metadata; None for files of other programs.
         name: Its name in messages.
+        module: The network of a TorchScript file, on tensors.
 
     Raises:
         ConfigError: The metadata are damaged.
     """
 
     def __init__(
-        self, network: Callable[[F32], F32], metadata: PolicyMetadata | None, name: str
+        self,
+        network: Callable[[F32], F32],
+        metadata: PolicyMetadata | None,
+        name: str,
+        module: torch.nn.Module | None = None,
     ) -> None:
         group = metadata.group if metadata is not None else "policy"
         note = {} if metadata is None else {DIGEST: metadata.trained_in}
         super().__init__(name, group, read_digest(note, Path(name)))
         self.metadata = metadata
+        self.algo = None if metadata is None else metadata.algo
+        self.task = None if metadata is None else metadata.task
         self.network = network
+        self.module = module
         self._memory: ChunkMemory | None = None
         self._starts: NDArray[np.bool_] | None = None
 
@@ -161,10 +169,11 @@ def load_exported(path: Path) -> ExportedPolicy:
     """
     if path.suffix in ONNX:
         return _load_onnx(path)
-    if path.suffix in TORCHSCRIPT:
-        return _load_torchscript(str(path), path)
-    with zipfile.ZipFile(path) as archive:
-        return _load_torchscript(io.BytesIO(archive.read(SCRIPT)), path)
+    if zipfile.is_zipfile(path):  # TorchScript files are, too
+        with zipfile.ZipFile(path) as archive:
+            if SCRIPT in archive.namelist():
+                return _load_torchscript(io.BytesIO(archive.read(SCRIPT)), path)
+    return _load_torchscript(str(path), path)
 
 
 def script_bytes(network: torch.nn.Module, example: torch.Tensor, about: PolicyMetadata) -> bytes:
@@ -178,7 +187,8 @@ def script_bytes(network: torch.nn.Module, example: torch.Tensor, about: PolicyM
     stream = io.BytesIO()
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # deprecated, but C++ programs load this format
-        traced: Any = torch.jit.trace(network, example)  # type: ignore[no-untyped-call]
+        scripted = isinstance(network, torch.jit.ScriptModule)
+        traced: Any = network if scripted else torch.jit.trace(network, example)  # type: ignore[no-untyped-call]
         torch.jit.save(traced, stream, _extra_files={METADATA: about.to_json()})
     return stream.getvalue()
 
@@ -236,7 +246,7 @@ def _load_torchscript(source: str | BinaryIO, path: Path) -> ExportedPolicy:
             actions: F32 = module(torch.from_numpy(obs)).numpy()
         return actions
 
-    return ExportedPolicy(act, PolicyMetadata.from_json(extra[METADATA], path), str(path))
+    return ExportedPolicy(act, PolicyMetadata.from_json(extra[METADATA], path), str(path), module)
 
 
 def _first_line(error: Exception) -> str:

@@ -90,8 +90,8 @@ class RslRlPpo:
         zeros = {n: torch.zeros(env.num_envs, *s.shape) for n, s in env.spaces.items()}
         seen = observations({name: value.to(env.device) for name, value in zeros.items()})
         groups = {"actor": [GROUP], "critic": list(env.critic_groups)}
-        network = {"hidden_dims": cfg.hidden_dims, "activation": cfg.activation}
-        network["obs_normalization"] = cfg.obs_normalization
+        names = ("hidden_dims", "activation", "obs_normalization")
+        network = {name: getattr(cfg, name) for name in names}
         gaussian = {"class_name": "GaussianDistribution", "init_std": cfg.init_std}
         actor = MLPModel(seen, groups, "actor", width, distribution_cfg=gaussian, **network)
         critic = MLPModel(seen, groups, "critic", 1, **network)
