@@ -120,7 +120,7 @@ class TensorAlgorithm:
         key = "num_mini_batches" if self.name == "rsl_rl_ppo" else "mini_batches"
         batches, steps = getattr(self.cfg, key), learner.steps * env.num_envs
         if batches > steps:
-            message = f"{steps} steps of a rollout (all environments) are less than one a batch"
+            message = f"a rollout of all environments has {steps} steps, less than {batches} batches"
             raise ConfigError([Problem(f"algo.{key}", message)])
         return learner
 
@@ -176,7 +176,8 @@ class TensorSession:
             self._generators = saved["generators"]
             self.statistics.load_state_dict(state["statistics"])
         except (KeyError, RuntimeError, ValueError) as error:
-            message = f"no training can go on from {checkpoint}, its state does not fit: {error}"
+            why = " ".join(str(error).split())
+            message = f"no training can go on from {checkpoint}, its state does not fit: {why}"
             raise ConfigError([Problem("resume", message)]) from error
         self.statistics.env_steps = state["env_steps"]
 
