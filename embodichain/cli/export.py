@@ -156,7 +156,7 @@ def _export_policy(options: SimpleNamespace) -> None:
     target, lines = one_target("export", options.words[1:])
     if target.file is None or target.file.suffix in _POLICIES.values():
         name = target.policy
-        raise ConfigError(f"policy: only checkpoints (zips) are exported, not {name}")
+        raise ConfigError(f"policy: only zips of trainings are exported, not {name}")
     if options.output is not None:
         out = Path(options.output)
     elif target.run is not None:

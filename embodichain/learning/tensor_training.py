@@ -120,7 +120,9 @@ class TensorAlgorithm:
         key = "num_mini_batches" if self.name == "rsl_rl_ppo" else "mini_batches"
         batches, steps = getattr(self.cfg, key), learner.steps * env.num_envs
         if batches > steps:
-            message = f"a rollout of all environments has {steps} steps, less than {batches} batches"
+            message = (
+                f"a rollout has {steps} steps in all environments, {batches} batches need more"
+            )
             raise ConfigError([Problem(f"algo.{key}", message)])
         return learner
 

@@ -1,4 +1,4 @@
-"""Trainings with rsl_rl and skrl: from a config to a checkpoint that plays, goes on, is exported."""
+"""Trainings with rsl_rl and skrl: checkpoints that play, go on and are exported; mistakes."""
 
 import csv
 import dataclasses
@@ -66,7 +66,9 @@ def everything(run):
             return [x for part in value.values() for x in leaves(part)]
         if isinstance(value, (list, tuple)):
             return [x for part in value for x in leaves(part)]
-        return [np.ravel(np.float64(value))] if isinstance(value, (np.ndarray, torch.Tensor)) else []
+        return (
+            [np.ravel(np.float64(value))] if isinstance(value, (np.ndarray, torch.Tensor)) else []
+        )
 
     return np.concatenate(leaves(read_tree(run / "checkpoints/final.state.npz")["training"]))
 
@@ -93,7 +95,9 @@ def test_two_updates_make_a_checkpoint_that_plays(tmp_path, algo):
     try:
         policy = load_policy(tmp_path, env)
         obs, _ = env.reset()
-        low, high = map(torch.from_numpy, (env.single_action_space.low, env.single_action_space.high))
+        low, high = map(
+            torch.from_numpy, (env.single_action_space.low, env.single_action_space.high)
+        )
         for _ in range(8):
             action = policy(obs, env)
             assert action.shape == (4, 6) and ((low <= action) & (action <= high)).all()
@@ -263,7 +267,7 @@ def test_mistakes_are_told_before_a_training(tmp_path):
     found = problems(*RSL_RL, "algo.critic_groups=[critics]")
     assert found["algo.critic_groups"].startswith("no observation is in group 'critics'")
     assert problems(*RSL_RL, "algo.num_mini_batches=33") == {
-        "algo.num_mini_batches": "a rollout of all environments has 32 steps, less than 33 batches"
+        "algo.num_mini_batches": "a rollout has 32 steps in all environments, 33 batches need more"
     }
     assert "algo.mini_batches" in problems(*SKRL, "algo.mini_batches=33")
     (tmp_path / "demonstrations").touch()
