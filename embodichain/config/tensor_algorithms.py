@@ -40,8 +40,8 @@ class TensorAlgoCfg:
     """Widths of the hidden layers of actor and critic, which are separate networks."""
     activation: Literal["elu", "gelu", "relu", "selu", "sigmoid", "tanh"] = "elu"
     init_std: PositiveFloat = 0.25
-    """Standard deviation of actions in [-1, 1] at the start. Isaac Lab's is 1 in units of the action
-    term; for a legged robot, whose actions are clipped to 4 such units, that is the same."""
+    """Standard deviation of actions in [-1, 1] at the start. Isaac Lab's is 1 in units of the
+    action term; where actions are clipped to 4 such units, that is the same."""
     obs_normalization: bool = True
     """Whether observations are normalized by their mean and standard deviation so far."""
     desired_kl: PositiveFloat | None = 0.01
