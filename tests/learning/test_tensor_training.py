@@ -223,7 +223,7 @@ def test_another_task_is_refused(tmp_path):
 
 @BOTH
 def test_what_it_learns_balances_the_pole(tmp_path, algo):
-    """With the settings that are shipped but for the noise: 11 updates, from 20 steps to hundreds."""
+    """11 updates lead from 20 steps on average to hundreds; but for the noise as shipped."""
     lines = ["task=cart_pole", algo[0], "algo.init_std=1.0", "total_timesteps=4224", "seed=1"]
     resolved = resolve([*lines, "sim.num_threads=1"], "train")
     train(resolved, tmp_path)
