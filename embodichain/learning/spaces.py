@@ -217,8 +217,7 @@ def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:
 
 def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
     """Return a group of an observation as a new (N, K) array, one flat vector per environment."""
-    rows: F32 = env.observation_manager.flatten(obs, group).numpy(force=True)
-    return rows
+    return env.observation_manager.flat_rows(obs, group)
 
 
 def require_torch_batch(env: gym.Env[Any, Any], caller: str) -> None:
