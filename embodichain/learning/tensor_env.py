@@ -102,11 +102,6 @@ class TensorEnv:
         """(A,) upper bounds of the task's actions."""
         self.step_seconds = 0.0
 
-    @property
-    def restorable(self) -> bool:
-        """Whether the environment's state can be saved and restored: on the CPU."""
-        return self.device.type == "cpu"
-
     def reset(self, seed: int | None = None) -> Groups:
         """Reset every environment; return the observation groups, (N, K) each."""
         return self.groups(self.env.reset(seed=seed)[0])

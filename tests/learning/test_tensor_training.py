@@ -140,17 +140,6 @@ def test_resumed_equals_uninterrupted(tmp_path, algo):
     assert [summary.episodes, summary.mean_return] == [before["episodes"], before["mean_return"]]
 
 
-def test_new_episodes_begin_where_the_state_of_the_environment_is_not_saved(tmp_path, monkeypatch):
-    monkeypatch.setattr(TensorEnv, "restorable", property(lambda env: False))
-    first, second = folder(tmp_path, "first"), folder(tmp_path, "second")
-    before = train(config(*SKRL, TWO), first)
-    saved = read_tree(first / "checkpoints/final.state.npz")["training"]
-    assert saved["env"] is None
-    after = train(config(*SKRL, FOUR, f"resume={first}"), second)
-    # 16 steps end 2 episodes of 7 in each of 4 environments, and so do 16 further ones.
-    assert (before.episodes, after.episodes, after.env_steps) == (8, 16, 128)
-
-
 @BOTH
 def test_seed_decides_everything(tmp_path, algo):
     folders = [folder(tmp_path, name) for name in ("first", "again", "other")]
