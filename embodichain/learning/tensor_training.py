@@ -288,7 +288,7 @@ class TensorSession:
             trained_in=note[DIGEST],
         )
         example = torch.zeros(2, len(about.columns))
-        acting = _Acting(self.learner.actor().cpu(), low, high)
+        acting = _Acting(self.learner.actor().cpu(), self.vec_env.action_scale, low, high)
         save_script(script_bytes(acting, example, about), path, note)
 
 
@@ -298,14 +298,14 @@ class _Acting(torch.nn.Module):
     low: Tensor
     high: Tensor
 
-    def __init__(self, actor: torch.nn.Module, low: Tensor, high: Tensor) -> None:
+    def __init__(self, actor: torch.nn.Module, scale: float, low: Tensor, high: Tensor) -> None:
         super().__init__()
-        self.actor = actor
+        self.actor, self.scale = actor, scale
         self.register_buffer("low", low)
         self.register_buffer("high", high)
 
     def forward(self, observations: Tensor) -> Tensor:
-        return to_bounds(self.actor(observations), self.low, self.high)
+        return to_bounds(self.actor(observations) * self.scale, self.low, self.high)
 
 
 def _get_generators(device: torch.device) -> dict[str, Any]:
