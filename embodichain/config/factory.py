@@ -126,7 +126,7 @@ def with_warp_sizes(resolved: Resolved) -> Resolved:
     from embodichain.lab.sim.engine.warp_worlds import measured_sizes
     from embodichain.lab.sim.prepared_scene import PreparedScene
 
-    probe = {**sim, "engine": "mujoco", "warp": dict.fromkeys(sizes)}
+    probe = {**sim, "engine": "mujoco", "warp": {"nconmax": None, "njmax": None}}
     unseen = {**resolved.tree["viewer"], "name": "none"}
     on_cpu = resolved.changed(num_envs=_PROBE_ENVS, device="cpu", sim=probe, viewer=unseen)
     env = make_env(dataclasses.replace(on_cpu, prepared=PreparedScene()))

@@ -26,6 +26,7 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.drives import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
+from embodichain.lab.sim.engine.arrays import Arrays, DeviceArrays
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.objects.articulation import Articulation
@@ -94,7 +95,8 @@ class SimulationManager:
 
     Attributes:
         num_envs: N.
-        device: Device of all tensors: the CPU, wherever physics runs.
+        device: Device of all tensors.
+        arrays: Where arrays are: on the host, or on the device (``sim.warp.arrays``).
         instance_id: The simulation's number among those of this process.
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
             contains no robots.
@@ -114,7 +116,9 @@ class SimulationManager:
         )
         if problems:
             raise DeviceError(problems)
-        self.device = torch.device("cpu")
+        on_device = self._engine_name == "warp" and self.sim_config.warp.arrays == "device"
+        self.arrays = DeviceArrays(str(self.sim_config.sim_device)) if on_device else Arrays()
+        self.device = self.arrays.device
         self.num_envs = int(self.sim_config.num_envs)
         if self.num_envs < 1:
             raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
@@ -269,10 +273,12 @@ class SimulationManager:
             return
         cfg, scene = self.sim_config, self._scene.compile()
         if self._engine_name == "warp":
+            from embodichain.lab.sim.engine.device import DeviceEngine
             from embodichain.lab.sim.engine.warp import WarpEngine
 
+            kind = DeviceEngine if self.arrays.on_device else WarpEngine
             sizes = str(cfg.sim_device), cfg.warp.nconmax, cfg.warp.njmax
-            self._engine = WarpEngine(scene.model, self.num_envs, cfg.num_threads, *sizes)
+            self._engine = kind(scene.model, self.num_envs, cfg.num_threads, *sizes)
         else:
             self._engine = CpuEngine(scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
         self._initial_row = scene.initial_row

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.arrays import Arrays
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.utils.random import RandomStreams
 
@@ -110,6 +111,11 @@ class TermContext(ObservedEnv, Protocol):
     @property
     def device(self) -> torch.device:
         """Device of the returned tensors."""
+        ...
+
+    @property
+    def arrays(self) -> Arrays:
+        """Makes the arrays that terms keep, where the simulation has its arrays."""
         ...
 
     @property

@@ -15,6 +15,7 @@ from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.observation import flat_space
 from embodichain.lab.gym.envs.observers import EngineRelay, EventRecord, StepObserver
 from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
+from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     )
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.arrays import Arrays
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.utils.random import RandomStreams
 
@@ -80,6 +82,11 @@ class EnvReads:
         return self.sim.device
 
     @property
+    def arrays(self) -> Arrays:
+        """Makes the arrays that terms keep, where the simulation has its arrays."""
+        return self.sim.arrays
+
+    @property
     def physics_dt(self) -> float:
         """Seconds per physics step."""
         return self.cfg.sim_cfg.physics_dt
@@ -121,12 +128,12 @@ class EnvReads:
     @property
     def elapsed_steps(self) -> torch.Tensor:
         """(N,) int32 finished control steps of the current episodes; a copy."""
-        return torch.from_numpy(self.episodes.elapsed.copy())
+        return tensor_of(self.episodes.elapsed.copy())
 
     @property
     def episode_ids(self) -> torch.Tensor:
         """(N,) int64 number of the current episode, from 0; -1 before the first reset. A copy."""
-        return torch.from_numpy(self.episodes.ids.copy())
+        return tensor_of(self.episodes.ids.copy())
 
     @property
     def last_action(self) -> torch.Tensor:

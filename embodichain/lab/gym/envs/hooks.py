@@ -19,6 +19,7 @@ from embodichain.lab.gym.envs.scene_setup import (
     add_declared_scene,
     add_declared_sensors,
 )
+from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ class EnvHooks:
 
         The default is ``info["success"]`` (or the metric called ``success``) of the last step.
         """
-        return torch.from_numpy(self.episodes.success.copy())
+        return tensor_of(self.episodes.success.copy())
 
     # -- stepping ------------------------------------------------------------------------------
 
@@ -180,7 +181,7 @@ class EnvHooks:
 
     def get_info(self, **kwargs: Any) -> dict[str, Any]:
         """Return ``elapsed_steps`` (N,) int32 and the entries of the class's hooks."""
-        info = {"elapsed_steps": torch.from_numpy(self.episodes.elapsed.copy())}
+        info = {"elapsed_steps": tensor_of(self.episodes.elapsed.copy())}
         if "compute_task_state" in self.overridden:
             name = f"{type(self).__name__}.compute_task_state"
             info |= task_state(self.compute_task_state(**kwargs), self.cfg.num_envs, name)
@@ -194,7 +195,7 @@ class EnvHooks:
 
         Either ends the episode. Declared terminations and metrics are added to them.
         """
-        none = torch.zeros(self.cfg.num_envs, dtype=torch.bool)
+        none = torch.zeros(self.cfg.num_envs, dtype=torch.bool, device=self.sim.device)
         return none, none.clone(), {}
 
     def evaluate(self, **kwargs: Any) -> Mapping[str, Any]:
@@ -206,7 +207,7 @@ class EnvHooks:
 
     def get_reward(self, obs: EnvObs, action: EnvAction, info: dict[str, Any]) -> torch.Tensor:
         """Return (N,) rewards; those of reward terms are added to them."""
-        return torch.zeros(self.cfg.num_envs)
+        return torch.zeros(self.cfg.num_envs, device=self.sim.device)
 
     def _extend_reward(
         self, rewards: torch.Tensor, obs: EnvObs, action: EnvAction, info: dict[str, Any]
@@ -216,7 +217,7 @@ class EnvHooks:
 
     def check_truncated(self, obs: EnvObs, info: dict[str, Any]) -> torch.Tensor:
         """Return (N,) bool: episodes to truncate besides those at `max_episode_steps`."""
-        return torch.zeros(self.cfg.num_envs, dtype=torch.bool)
+        return torch.zeros(self.cfg.num_envs, dtype=torch.bool, device=self.sim.device)
 
 
 OPTIONAL_HOOKS = (

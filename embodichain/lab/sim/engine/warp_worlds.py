@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
+import torch
 import warp as wp
 from numpy.typing import NDArray
 
@@ -114,6 +115,11 @@ class WarpWorlds:
     def read(self, name: str, out: F64) -> None:
         """Copy a field of `mjData` into an array (N, ...) as `mujoco.batch` shapes it."""
         out[...] = getattr(self._data, name).numpy().reshape(out.shape)
+
+    def view(self, name: str, width: int | None = None) -> torch.Tensor:
+        """A field of `mjData` of all worlds, (N, ...) or (N, width): a tensor that shares memory."""
+        tensor: torch.Tensor = wp.to_torch(getattr(self._data, name))
+        return tensor if width is None else tensor.view(self._count, width)
 
     def width(self, name: str) -> int | None:
         """Numbers of a field of `mjData` in one world; None if Warp has no such field."""

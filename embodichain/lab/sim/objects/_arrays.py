@@ -13,6 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask
+from embodichain.utils.arrays import tensor_of
+
 if TYPE_CHECKING:
     import mujoco
 
@@ -36,7 +39,7 @@ def all_finite(values: NDArray[np.floating[Any]]) -> bool:
 
 def to_tensor(array: NDArray[Any]) -> torch.Tensor:
     """Return a float32 tensor that shares no memory with ``array``."""
-    return torch.from_numpy(array.astype(np.float32))
+    return tensor_of(array.astype(np.float32))
 
 
 def field_values(
@@ -84,8 +87,8 @@ def as_env_ids(env_ids: Any, num_envs: int) -> EnvIndex | None:
     Raises:
         ValueError: If indices are unsorted, repeated, out of range or of the wrong kind.
     """
-    if env_ids is None:
-        return None
+    if env_ids is None or isinstance(env_ids, EnvMask):
+        return env_ids
     if isinstance(env_ids, torch.Tensor):
         env_ids = env_ids.detach().cpu().numpy()
     ids = np.asarray(env_ids)
@@ -124,6 +127,8 @@ def as_rows(
     Raises:
         ValueError: If the shape, the device or a value is wrong; says what is expected.
     """
+    if isinstance(values, DeviceArray):
+        return _device_rows(values, rows, width, what)
     if isinstance(values, torch.Tensor):
         if values.device.type != "cpu":
             raise ValueError(f"{what} is on {values.device}; this simulation is on cpu")
@@ -139,3 +144,10 @@ def as_rows(
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         raise ValueError(f"{what} is not finite in rows {bad[:8].tolist()}")
     return array
+
+
+def _device_rows(values: DeviceArray, rows: int, width: int, what: str) -> Any:
+    """Check shapes only: whether numbers are finite is not known without waiting."""
+    if values.shape not in ((rows, width), (width,)):
+        raise ValueError(f"{what} must have shape ({rows}, {width}), got {values.shape}")
+    return np.broadcast_to(values, (rows, width))

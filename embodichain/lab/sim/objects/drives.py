@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import F64, Columns, EnvIndex
+    from embodichain.lab.sim.engine.arrays import Arrays
     from embodichain.lab.sim.objects.entity import Handle
 
 __all__ = ["GAINS", "Drives", "JointLimits"]
@@ -47,10 +48,11 @@ class JointLimits:
     Args:
         limits: (D, 2) initial lower and upper limits of all environments.
         count: N.
+        arrays: Makes the arrays.
     """
 
-    def __init__(self, limits: F64, count: int) -> None:
-        self._sides = tuple(np.tile(side, (count, 1)) for side in limits.T)
+    def __init__(self, limits: F64, count: int, arrays: Arrays) -> None:
+        self._sides = tuple(arrays.put(np.tile(side, (count, 1))) for side in limits.T)
 
     @property
     def values(self) -> F64:
@@ -109,12 +111,12 @@ class Drives:
     def __init__(self, handle: Handle[EntityIndex], parsed: ParsedArticulation) -> None:
         self.parsed = parsed
         self._handle = handle
-        count = handle.num_instances
+        count, self._arrays = handle.num_instances, handle.host.arrays
         for name in (*GAINS, "joint_damping"):
-            setattr(self, name, np.tile(getattr(parsed, name), (count, 1)))
+            setattr(self, name, self._arrays.put(np.tile(getattr(parsed, name), (count, 1))))
         self.strength: F64 = np.ones_like(self.stiffness)
         self.target_qvel: F64 = np.zeros_like(self.stiffness)
-        self.limits = JointLimits(parsed.qpos_limits, count)
+        self.limits = JointLimits(parsed.qpos_limits, count, self._arrays)
         self.has_velocity_target = False
         self.joints: Joints = np.arange(0)
         self.control_columns: Columns = slice(0)
@@ -278,11 +280,13 @@ class Drives:
             self._note_velocities()
 
     def _note_velocities(self) -> None:
-        self.has_velocity_target = bool(self.target_qvel.any())
+        # On a device it is not known without waiting: once one is set, it counts as set.
+        self.has_velocity_target = self._arrays.on_device or bool(self.target_qvel.any())
 
     def _note_gains(self) -> None:
-        self._rated = bool((self.max_velocity < NO_LIMIT).any())
-        stiff = self.stiffness[:, self.joints] > 0
+        stiffness, fastest = (self._arrays.host(x) for x in (self.stiffness, self.max_velocity))
+        self._rated = bool((fastest < NO_LIMIT).any())
+        stiff = stiffness[:, self.joints] > 0
         self._springless = not stiff.all()
         changed = stiff != (self.parsed.stiffness[self.joints] > 0)
         self._switched = self.joints[changed.any(axis=0)]

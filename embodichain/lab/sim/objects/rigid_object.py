@@ -47,7 +47,7 @@ class RigidObject(BatchEntity):
         self._declared_damping = np.array([attrs.linear_damping, attrs.angular_damping], np.float64)
         self._damping: F64 = np.tile(self._declared_damping, (count, 1))  # 1/s
         self._scale: F64 = np.ones((count, 3))  # relative to the compiled size
-        self._zeros: F64 = np.zeros((count, 3))
+        self._zeros: F64 = host.arrays.full((count, 3), 0.0)
         self._mass0: F64 = np.zeros(count)  # of the present shape as compiled
         self._inertia: F64 = np.zeros((count, 3))  # at that mass and the current scale
         self._solid: Solid | None = None

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.engine.arrays import Arrays
 
 __all__ = [
     "BuiltTerm",
@@ -149,7 +150,7 @@ def _call(
         except ConfigError as error:
             raise _moved(error, where) from error
         if type(value) is not np.ndarray:
-            value = value.numpy(force=True)
+            value = env.arrays.of(value)
             value = value if value.dtype == np.bool_ else value.astype(np.float64)
         for shape in shapes:
             value = shape(value)
@@ -305,6 +306,10 @@ class Manager(Generic[C]):
         self.terms[name] = term
         self._changed[name] = copy.deepcopy(self._changed.get(name, {}) | changed)
         self._collect()
+
+    @property
+    def _arrays(self) -> Arrays:
+        return self.env.arrays
 
     def __len__(self) -> int:
         return len(self.terms)

@@ -16,6 +16,7 @@ from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import Delay, Noise, Past, Rows
 from embodichain.lab.gym.envs.observation import Observation, new_tensor
+from embodichain.utils.arrays import contiguous, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -94,7 +95,7 @@ class ObservationEntry:
         found = self.term.call(self._env, obs)
         if not self._checked:
             self._check(found)
-        value: NDArray[Any] = found if type(found) is np.ndarray else found.numpy(force=True)
+        value = found if type(found) is np.ndarray else self._env.arrays.of(found)
         if not self._changes:
             return value
         if value.dtype == np.float64:
@@ -218,7 +219,7 @@ class ObservationManager(Manager[ObservationCfg]):
             self._groups.setdefault(entry.term.cfg.group, {})[entry.path] = None
         self._modified = {e.path: i for i, e in enumerate(self._entries) if e.modifies}
         self._remembers = any(entry.remembers for entry in self._entries)
-        self._fresh: NDArray[np.bool_] = np.ones(env.num_envs, np.bool_)
+        self._fresh: NDArray[np.bool_] = env.arrays.full(env.num_envs, True, np.bool_)
         self.stepped: EnvIndex | None = _NONE
         # Entry, its columns if its value is (N, K), that shape, and whether it is the last of its
         # path.
@@ -368,7 +369,7 @@ class ObservationManager(Manager[ObservationCfg]):
         Raises:
             ValueError: If no term is in the group (lists the groups), or one is an image.
         """
-        return torch.from_numpy(self.flat_rows(obs, group))
+        return tensor_of(self.flat_rows(obs, group))
 
     def flat_rows(self, obs: Mapping[Any, Any], group: str = "policy") -> NDArray[np.float32]:
         """`flatten` as an array."""
@@ -379,10 +380,10 @@ class ObservationManager(Manager[ObservationCfg]):
         if layout is not None and isinstance(obs, Observation) and obs.layout is layout:
             columns = layout.groups.get(group)
             if columns is not None and obs.packed:
-                return np.ascontiguousarray(obs.rows[:, columns])
+                return contiguous(obs.rows[:, columns])
         count, paths = self.num_envs, self._paths(group)
         entries = [obs[p].reshape(count, -1).to(torch.float32) for p in paths]
-        rows: NDArray[np.float32] = torch.cat(entries, dim=1).numpy(force=True)
+        rows: NDArray[np.float32] = self._arrays.of(torch.cat(entries, dim=1))
         return rows
 
     def state_dict(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.math import (
     euler_xyz_to_quat,
     quat_conjugate,
@@ -36,7 +37,7 @@ _QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
 
 def _quat_to_rpy(quat: F64) -> F64:
     """Roll, pitch, yaw about fixed axes (R = Rz Ry Rx), (..., 3), of wxyz quaternions."""
-    w, x, y, z = np.ascontiguousarray(np.moveaxis(quat, -1, 0))
+    w, x, y, z = contiguous(np.moveaxis(quat, -1, 0))
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
@@ -107,7 +108,7 @@ class AbsolutePose:
             Position (N, 3) and orientation (N, 4) or None, if that is free.
         """
         given = np.minimum(np.maximum(action.numpy(), self.low), self.high).astype(np.float64)
-        pos, turned = np.ascontiguousarray(given[:, :3]), np.ascontiguousarray(given[:, 3:])
+        pos, turned = contiguous(given[:, :3]), contiguous(given[:, 3:])
         quat: F64 | None = None
         if self._rotation == "keep":
             quat = self._kept
@@ -263,7 +264,7 @@ class RelativePose(MotionColumns):
             Position (N, 3) and orientation (N, 4) or None, if that is free.
         """
         value = self.value(action).astype(np.float64)
-        shift = np.ascontiguousarray(value[:, :3])
+        shift = contiguous(value[:, :3])
         turn = None
         if self._rotation == "command":
             turn = rotvec_to_quat(value[:, 3:])

@@ -30,6 +30,7 @@ from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.lab.sim.solvers.chain import matmul
 from embodichain.lab.sim.solvers.least_squares import Target, pose_error
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
     quat_conjugate,
@@ -281,7 +282,7 @@ class EefDeltaPose(EefTerm):
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets by (N, A) actions."""
-        value = np.ascontiguousarray(self._columns.value(action).T, np.float64)
+        value = contiguous(self._columns.value(action).T, np.float64)
         commanded = self._commanded()
         frames = self._solver.frames(commanded)
         start = self._solver.frames(self._asset.read_qpos()) if self._measured else frames

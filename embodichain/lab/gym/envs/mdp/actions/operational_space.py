@@ -25,6 +25,7 @@ from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Efforts, JointTerm
 from embodichain.lab.sim.solvers.arm_dynamics import ArmDynamics
 from embodichain.lab.sim.solvers.impedance import Impedance
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -246,7 +247,7 @@ class OperationalSpace(JointTerm):
             axes = self._solver.root_pose()[1]
         elif self._frame == "tool":
             axes = self._dynamics.pose()[:, 3:]
-        wanted = np.ascontiguousarray(self._impedance.efforts(self._error, axes).T)
+        wanted = contiguous(self._impedance.efforts(self._error, axes).T)
         self._saturated |= (self._efforts.write(wanted) != wanted).any(axis=1)
 
     def metrics(self) -> Mapping[str, F64]:

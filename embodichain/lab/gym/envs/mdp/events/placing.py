@@ -17,6 +17,7 @@ from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_conjugate, quat_multiply, quat_rotate
 
@@ -305,7 +306,7 @@ class RandomizeObjectPositionInShell(Term):
         """Draw and write the positions of these environments."""
         drawn = self._shell(env.event_manager, env_ids)
         # Contiguous columns: numpy may round a strided transcendental function differently.
-        radius, azimuth, rise = (np.ascontiguousarray(drawn[:, i]) for i in range(3))
+        radius, azimuth, rise = (contiguous(drawn[:, i]) for i in range(3))
         radius = np.cbrt(radius)
         flat = radius * np.sqrt(np.maximum(0.0, 1.0 - rise * rise))
         offset = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), radius * rise], axis=1)

@@ -36,7 +36,7 @@ class EpisodeTimer:
 
     def __init__(self, env: TermContext) -> None:
         self._env = env
-        self._timer = Timer(env.num_envs, env.step_dt)
+        self._timer = Timer(env.num_envs, env.step_dt, env.arrays)
         self._seen: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
         """Counted control steps of the episode."""
 

@@ -16,6 +16,7 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._rows import norm, squares, total
 from embodichain.lab.gym.envs.mdp.shapes import gaussian_kernel
 from embodichain.lab.sim.body_motion import Frame
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_to_matrix
 
@@ -233,7 +234,7 @@ def tilt(env: TermContext, of: Body) -> F64:
     """
     up = of.axes()[:, 2]
     # Exact at both ends, unlike an arc cosine. With the copy, rounding does not depend on N.
-    found: F64 = np.arctan2(norm(up[:, :2]), np.ascontiguousarray(up[:, 2]))
+    found: F64 = np.arctan2(norm(up[:, :2]), contiguous(up[:, 2]))
     return found
 
 

@@ -56,7 +56,7 @@ class _Joined(Term):
 
     def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
         """(N,)."""
-        found = [np.asarray(call(env, obs, action, info)) for call in self._calls]
+        found = [env.arrays.of(call(env, obs, action, info)) for call in self._calls]
         value: NDArray[Any] = found[0].astype(self._dtype)
         for other in found[1:]:
             value = self._join_two(value, other.astype(self._dtype))

@@ -19,6 +19,7 @@ from embodichain.lab.gym.envs.managers.param_types import (
 )
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import wrapped
 
@@ -201,7 +202,7 @@ def joint_sin_cos(env: TermContext, of: Joints) -> F64:
         ``{func: joint_sin_cos, params: {of: {uid: ur10}}}``
     """
     # Contiguous: numpy may round a strided transcendental function differently.
-    qpos = np.ascontiguousarray(of.qpos())
+    qpos = contiguous(of.qpos())
     return np.concatenate([np.sin(qpos), np.cos(qpos)], axis=1)
 
 

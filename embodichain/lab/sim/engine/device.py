@@ -1,0 +1,267 @@
+"""`DeviceEngine`: `Engine` on MuJoCo Warp whose arrays are on its device. Methods are as in `api`.
+
+Importing this module imports Warp (extra ``gpu``).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.api import ALL, F64, Columns
+from embodichain.lab.sim.engine.cpu import KINEMATIC_STAGES, entries
+from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, HostTransferError
+from embodichain.lab.sim.engine.warp import (
+    COLLISION_BITS,
+    CONSTRAINT_FORCES,
+    LARGEST,
+    ROW_BITS,
+    WarpEngine,
+    require_memory,
+)
+
+__all__ = ["DeviceEngine"]
+
+
+class DeviceEngine(WarpEngine):
+    """N simulations of one model; states and fields are `DeviceArray`, views of Warp's memory.
+
+    Nothing is copied from or to the host in a step, and nothing waits for the device. Environments
+    are None (all) or an `EnvMask`. Model fields are kept on the host, as in `HostEngine`: writing
+    them copies values to the host, and waits.
+
+    An overflow of memory for contacts or constraints is reported by the next steps, as soon as the
+    device has computed it.
+
+    Args:
+        model: The compiled scene.
+        num_envs: N.
+        num_threads: Threads on the host, which compute derived constants; 0 is every core.
+        device: ``cpu``, ``cuda`` or ``cuda:N``.
+        nconmax: Contacts for each environment; None is Warp's estimate.
+        njmax: Rows of constraints for each environment; None is Warp's estimate.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_envs: int,
+        num_threads: int = 0,
+        device: str = "cpu",
+        nconmax: int | None = None,
+        njmax: int | None = None,
+    ) -> None:
+        super().__init__(model, num_envs, num_threads, device, nconmax, njmax)
+        self.device = torch.device(device)
+        self.worlds.upload(self._rows)
+        self._time = torch.zeros((num_envs, 1), dtype=torch.float64, device=self.device)
+        self._states = {
+            name: DeviceArray(self._time if name == "time" else self.worlds.view(name, width))
+            for name, columns in self._layout.items()
+            if (width := columns.stop - columns.start)
+        }
+        empty = torch.zeros((num_envs, 0), device=self.device)
+        self._states |= {n: DeviceArray(empty) for n in self._layout if n not in self._states}
+        self._kept: dict[str, tuple[DeviceArray, DeviceArray]] = {}
+        self._wild = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
+        self._overflow = torch.zeros(num_envs, dtype=torch.int32, device=self.device)
+        # Written by the device and read by the host without waiting.
+        pinned = self.device.type == "cuda"
+        self._seen = torch.zeros(num_envs, dtype=torch.int32, pin_memory=pinned)
+        self._derived_views: dict[str, DeviceArray] = {}
+
+    # -- reads -------------------------------------------------------------------------------------
+
+    @property
+    def rows(self) -> F64:
+        raise HostTransferError("state rows of the host do not exist: use host_rows()")
+
+    def host_rows(self) -> F64:
+        """Copy the states to the host, (N, nstate) float64; waits for the device."""
+        rows: F64 = np.zeros_like(self._rows)
+        for name, columns in self._layout.items():
+            rows[:, columns] = self._states[name].host()
+        return rows
+
+    @property
+    def versions(self) -> NDArray[np.int64]:
+        return np.full(self.num_envs, self.version)
+
+    def state(self, name: str) -> Any:
+        return self._states[name]
+
+    def derived(self, name: str) -> Any:
+        found = self._derived_views.get(name)
+        if found is None:
+            shape = self._empty(name).shape
+            found = DeviceArray(self.worlds.view(name).reshape(shape))
+            self._derived_views[name] = found
+            self._only_kinematics &= name in KINEMATIC_STAGES and name != "sensordata"
+            self._any_dirty = True
+        if self._any_dirty:
+            self._refresh()
+        return found
+
+    def _refresh(self) -> None:
+        self._upload()
+        if self._only_kinematics:
+            self.worlds.kinematics()
+        else:
+            self.worlds.position_and_velocity()
+        self._any_dirty = False
+
+    def acceleration(self, name: str) -> Any:
+        found = self._kept.get(name)
+        if found is None:
+            shape = self._empty(name).shape
+            if name in CONSTRAINT_FORCES:
+                self.worlds.want_constraint_forces()
+            self._upload()
+            self.worlds.forward()
+            self._any_dirty = True
+            output = DeviceArray(self.worlds.view(name).reshape(shape))
+            found = self._kept[name] = output, output.copy()
+        return found[1]
+
+    def _keep_accelerations(self, env_ids: Any) -> None:
+        for output, copy in self._kept.values():
+            copy[ALL if env_ids is None else env_ids] = output
+
+    def cast_rays(self, *args: Any, **kwargs: Any) -> Any:
+        raise HostTransferError("rays have no form on a device: use sim.warp.arrays=host")
+
+    # -- physics -----------------------------------------------------------------------------------
+
+    def step(self, nstep: int, env_ids: Any = None) -> None:
+        if env_ids is not None:
+            message = "physics steps of some environments have no form on a device"
+            raise HostTransferError(f"{message}: use sim.warp.arrays=host")
+        self._upload()
+        self.worlds.step(nstep)
+        self._time += nstep * self._timestep
+        self._check_states()
+        self._mark(None)
+        self._keep_accelerations(None)
+
+    @property
+    def _timestep(self) -> Any:
+        steps = self.model_values("opt.timestep").reshape(-1)
+        if len(steps) > 1:
+            raise HostTransferError("timesteps that differ between environments: use host arrays")
+        return float(steps[0])
+
+    def _check_states(self) -> None:
+        """Mark environments that diverged, and memory that was not enough, on the device."""
+        overflow = self.worlds.view("overflow")
+        wild = (overflow & COLLISION_BITS) != 0
+        for name in ("qpos", "qvel"):
+            if name in self._states:
+                finite = (self._states[name].tensor.abs() < LARGEST).all(dim=1)
+                wild = wild | ~finite
+        self._wild |= wild
+        # A state that is not finite any more may need any amount of rows.
+        self._overflow |= torch.where(wild, overflow & ~ROW_BITS, overflow)
+
+    def check_memory(self) -> None:
+        """Report overflows that the host has seen; does not wait for the device.
+
+        Raises:
+            ConfigError: If the memory for contacts, constraints or sensors was not enough.
+        """
+        if self._seen.any():
+            require_memory(self._seen.numpy(), self.worlds)
+        self._seen.copy_(self._overflow, non_blocking=True)
+
+    def forward(self, env_ids: Any = None) -> None:
+        self._upload()
+        self.worlds.forward()
+        self._check_states()
+        self._keep_accelerations(env_ids)
+        self._any_dirty = not self._only_kinematics  # sensors of all stages share an array
+        self.version += 1
+
+    def take_diverged(self) -> Any:
+        found = DeviceArray(self._wild.clone())
+        self._wild.zero_()
+        return found
+
+    def reset(self, env_ids: Any = None) -> None:
+        self._write_row(self._default_row, env_ids, np.arange(len(self._default_row)))
+        self._wild[...] = False if env_ids is None else self._wild & ~env_ids.mask
+        self._mark(env_ids)
+
+    # -- writes ------------------------------------------------------------------------------------
+
+    def write(self, field: str, values: Any, env_ids: Any = None, columns: Columns = ALL) -> None:
+        if field == "row":
+            places = np.arange(len(self._default_row))[columns]
+            self._write_row(values, env_ids, places)
+        else:
+            self._states[field][entries(env_ids, columns)] = values
+        self._mark(env_ids)
+
+    def _write_row(self, values: Any, env_ids: Any, places: NDArray[np.int64]) -> None:
+        """Set columns of state rows, (k,) or (N, k), from an array of the host."""
+        numbers = np.asarray(values, np.float64)
+        for name, columns in self._layout.items():
+            here = (places >= columns.start) & (places < columns.stop)
+            if not here.any():
+                continue
+            part, into = numbers[..., here], places[here] - columns.start
+            if part.ndim > 1:
+                part = DeviceArray(torch.from_numpy(part.copy()).to(self.device))
+            where: Any = ALL if len(into) == columns.stop - columns.start else into
+            self._states[name][entries(env_ids, where)] = part
+
+    def write_model(
+        self, field: str, values: Any, env_ids: Any = None, columns: Columns = ALL
+    ) -> None:
+        super().write_model(field, *self._on_host(values, env_ids), columns)
+
+    def set_const_later(self, env_ids: Any = None) -> None:
+        super().set_const_later(self._on_host(0, env_ids)[1])
+
+    def set_const(self, env_ids: Any = None) -> None:
+        super().set_const(self._on_host(0, env_ids)[1])
+
+    def _on_host(self, values: Any, env_ids: Any) -> tuple[Any, Any]:
+        """Values (n, k) and environments (n,) on the host; waits for the device."""
+        if isinstance(values, DeviceArray):
+            values = values.host()
+        if isinstance(env_ids, EnvMask):
+            env_ids = np.flatnonzero(env_ids.mask.cpu().numpy())
+            if np.ndim(values) > 1:
+                values = values[env_ids]
+        return values, env_ids
+
+    def _mark(self, env_ids: Any) -> None:
+        self.version += 1
+        self._any_dirty = True
+
+    def _upload(self) -> None:
+        if self._fields.stale:
+            self._set_const_now()
+        if self._model_changed:
+            self._model_changed = False
+            self._rows[...] = self.host_rows()
+            self._put_fields()
+
+    # -- whole simulations -------------------------------------------------------------------------
+
+    def data_of(self, env_id: int) -> mujoco.MjData:
+        self._rows[...] = self.host_rows()
+        return super().data_of(env_id)
+
+    def state_dict(self) -> dict[str, Any]:
+        if self._fields.stale:
+            self._set_const_now()
+        return {
+            "rows": self.host_rows(),
+            "model": self.model_fields(),
+            "warning": self._batch.warning.copy(),
+            "acceleration": {name: copy.host() for name, (_, copy) in self._kept.items()},
+        }

@@ -1,0 +1,43 @@
+"""Functions that take numpy arrays and arrays on a device (`DeviceArray`) alike."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import torch
+else:
+    torch = lazy_loader.load("torch")
+
+__all__ = ["may_be_set", "contiguous", "is_host", "tensor_of"]
+
+
+def is_host(array: Any) -> bool:
+    """Whether an array, or anything else, is not on a device."""
+    return not hasattr(array, "tensor")
+
+
+def may_be_set(mask: Any) -> bool:
+    """Whether a flag of a mask is set; True on a device, where that is not known."""
+    return not is_host(mask) or bool(mask.any())
+
+
+def tensor_of(array: Any) -> torch.Tensor:
+    """Return a tensor that shares memory with an array, where the array is."""
+    found: torch.Tensor = torch.from_numpy(array) if is_host(array) else array.tensor
+    return found
+
+
+def contiguous(array: Any, dtype: Any = None) -> NDArray[Any]:
+    """Return numbers in order of their indices, on the host as `numpy.ascontiguousarray`.
+
+    Rounding of numpy's functions depends on the order in memory; that of a device does not.
+    """
+    if is_host(array):
+        return np.ascontiguousarray(array, dtype)
+    found: NDArray[Any] = array if dtype is None else array.astype(dtype, copy=False)
+    return found
