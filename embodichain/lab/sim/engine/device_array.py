@@ -309,6 +309,10 @@ class DeviceArray(NDArrayOperatorsMixin):
         shape = (*self.shape[:axis], *places.shape, *self.shape[axis + 1 :])
         return DeviceArray(found.reshape(shape))
 
+    def swapaxes(self, first: int, second: int) -> DeviceArray:
+        """With two axes exchanged; a view."""
+        return DeviceArray(self.tensor.transpose(first, second))
+
     def any(self, axis: Any = None, keepdims: bool = False) -> DeviceArray:
         """Whether any is set."""
         return DeviceArray(_reduced(torch.any, self.tensor, axis, keepdims))
@@ -403,7 +407,7 @@ _UNARY: dict[np.ufunc, Callable[[Any], torch.Tensor]] = {
     np.isnan: torch.isnan, np.isinf: torch.isinf, np.floor: torch.floor, np.ceil: torch.ceil,
     np.rint: torch.round, np.square: torch.square, np.cosh: torch.cosh, np.log1p: torch.log1p,
     np.arccos: torch.acos, np.arcsin: torch.asin, np.sign: torch.sign, np.tan: torch.tan,
-    np.positive: torch.clone, np.deg2rad: torch.deg2rad, np.radians: torch.deg2rad,
+    np.positive: torch.clone, np.cbrt: lambda x: torch.sign(x) * torch.abs(x) ** (1.0 / 3.0), np.deg2rad: torch.deg2rad, np.radians: torch.deg2rad,
 }  # fmt: skip
 _BINARY: dict[np.ufunc, Callable[[Any, Any], torch.Tensor]] = {
     np.add: torch.add, np.subtract: torch.sub, np.multiply: torch.mul, np.divide: torch.div,

@@ -310,6 +310,8 @@ def _mask(env_ids: EnvMask) -> torch.Tensor:
     Raises:
         TypeError: If environments are not a mask.
     """
+    if isinstance(env_ids, DeviceArray):
+        return env_ids.tensor
     if not isinstance(env_ids, EnvMask):
         raise TypeError(f"environments on a device are an EnvMask, got {type(env_ids).__name__}")
     return env_ids.mask

@@ -15,6 +15,7 @@ from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
 from embodichain.lab.sim.objects.solid import Solid
 from embodichain.lab.sim.unavailable import not_available
+from embodichain.utils.arrays import may_be_set
 from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ class RigidObject(BatchEntity):
             return
         self.engine.write("qvel", 0.0, ids, dofs)
         self.engine.write("qacc_warmstart", 0.0, ids, dofs)
-        if self.engine.state("xfrc_applied")[:, self._columns(6)].any():
+        if may_be_set(self.engine.state("xfrc_applied")[:, self._columns(6)]):
             self.engine.write("xfrc_applied", 0.0, ids, self._columns(6))
 
     # -- mass, inertia, damping --------------------------------------------------------------------

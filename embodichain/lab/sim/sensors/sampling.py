@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import Engine, EnvIndex
+    from embodichain.lab.sim.engine.arrays import Arrays
 
 __all__ = ["Readings", "Sampler"]
 
@@ -30,6 +31,7 @@ class Sampler:
 
     Args:
         engine: The engine.
+        arrays: Makes the arrays.
         measure: Takes (n,) environments, or None for all, and returns arrays (n, ...); they may be
             live views, which are valid until the engine's `version` changes.
         rate: Hz of simulated time; None is no rate.
@@ -41,6 +43,7 @@ class Sampler:
     def __init__(
         self,
         engine: Engine,
+        arrays: Arrays,
         measure: Callable[[EnvIndex | None], Readings],
         rate: float | None,
         of_positions: bool = False,
@@ -51,8 +54,8 @@ class Sampler:
         self._of_positions = of_positions
         self._version = -1
         self._readings: Readings = ()
-        self._times = np.full(engine.num_envs, np.inf)
-        self._versions = np.full(engine.num_envs, -1)
+        self._times = arrays.full(engine.num_envs, np.inf)
+        self._versions = arrays.full(engine.num_envs, -1, np.int64)
 
     def read(self) -> Readings:
         """Return arrays (N, ...): do not write or store."""

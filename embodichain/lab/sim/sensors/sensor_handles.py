@@ -93,7 +93,9 @@ class BaseSensor(Handle["SensorIndex"]):
 
     @cached_property
     def _sampler(self) -> Sampler:
-        return Sampler(self.engine, self._measure, self.cfg.rate, self.of_positions)
+        return Sampler(
+            self.engine, self.host.arrays, self._measure, self.cfg.rate, self.of_positions
+        )
 
     def _readings(self) -> Readings:
         """(N, ...) what `_measure` returns, at the sensor's rate: do not write or store."""

@@ -248,7 +248,8 @@ class ActionManager(Manager[ActionTermCfg]):
             return call
         pipeline = self._pipelines.get(name)
         if pipeline is None:
-            pipeline = ActionPipeline(name, cfg, term.instance.action_dim, self.env.streams)
+            width = term.instance.action_dim
+            pipeline = ActionPipeline(name, cfg, width, self.env.streams, self._arrays)
             self._pipelines[name] = pipeline
         pipeline.hold = term.instance.hold
         return lambda action: call(pipeline(action))

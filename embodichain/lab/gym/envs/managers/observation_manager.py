@@ -16,7 +16,7 @@ from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import Delay, Noise, Past, Rows
 from embodichain.lab.gym.envs.observation import Observation, new_tensor
-from embodichain.utils.arrays import contiguous, tensor_of
+from embodichain.utils.arrays import contiguous, may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -69,10 +69,10 @@ class ObservationEntry:
         self._noise: Noise | None = None
         self._delay: Delay | None = None
         if cfg.delay not in (0, [0, 0]):
-            self._delay = Delay(cfg.delay, f"{self.key}.delay", env.streams)
+            self._delay = Delay(cfg.delay, f"{self.key}.delay", env.streams, env.arrays)
         self._past: Past | None = None
         if cfg.history_length:
-            self._past = Past(env.num_envs, cfg.history_length)
+            self._past = Past(env.num_envs, cfg.history_length, env.arrays)
         self._flat = cfg.flatten_history_dim
         self.remembers = bool(self._delay or self._past or self._noise_cfg is not None)
         self._changes = self.remembers or self._clip is not None or self._scale is not None
@@ -145,7 +145,9 @@ class ObservationEntry:
             self._scale = np.broadcast_to(np.float32(self._scale), tuple(value.shape)).copy()
         if self._noise_cfg is not None:
             shape = tuple(value.shape[1:])
-            self._noise = Noise(self._noise_cfg, shape, self.key, self._env.streams)
+            self._noise = Noise(
+                self._noise_cfg, shape, self.key, self._env.streams, self._env.arrays
+            )
         self._checked = True
 
     # -- saving --------------------------------------------------------------------------------
@@ -315,7 +317,7 @@ class ObservationManager(Manager[ObservationCfg]):
         if not self._remembers:
             return _BETWEEN_STEPS
         stepped, self.stepped = self.stepped, _NONE
-        fresh = self._fresh if self._fresh.any() else None
+        fresh = self._fresh if may_be_set(self._fresh) else None
         if fresh is not None and (stepped is None or len(stepped)):
             self._fresh = fresh.copy()
             self._fresh[slice(None) if stepped is None else stepped] = False

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.param_types import Box3
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
@@ -186,7 +187,7 @@ class MotionColumns:
     """Columns of actions that are motions of a tool: scale x clamp(action, clip).
 
     Args:
-        num_envs: N.
+        env: The environment.
         rotation: ``command``, ``keep`` or ``free``, as of `eef_delta_pose`.
         scale: m and rad per unit of action; None is 0.02 m and 0.1 rad.
         clip: Bounds of the action; None is [-1, 1].
@@ -198,7 +199,7 @@ class MotionColumns:
 
     def __init__(
         self,
-        num_envs: int,
+        env: TermContext,
         rotation: Literal["command", "keep", "free"],
         scale: PerJoint | None,
         clip: JointClip | None,
@@ -207,7 +208,7 @@ class MotionColumns:
         self.names = ("x", "y", "z", *(("rx", "ry", "rz") if turns else ()))
         if scale is None:
             scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
-        affine = Affine(self.names, num_envs, scale, 0.0, clip or [-1.0, 1.0], what="column")
+        affine = Affine(self.names, env, scale, 0.0, clip or [-1.0, 1.0], what="column")
         self.low, self.high = affine.low, affine.high
         self.value = affine.value
         self._action_for = affine.action_for
@@ -228,7 +229,7 @@ class RelativePose(MotionColumns):
 
     Args:
         solver: The kinematics of the tool.
-        num_envs: N.
+        env: The environment.
         frame: Of the motion: ``base``, ``world`` or ``tool``, as of `eef_delta_pose`.
         rotation: As of `MotionColumns`.
         scale: Likewise.
@@ -238,13 +239,13 @@ class RelativePose(MotionColumns):
     def __init__(
         self,
         solver: ArmSolver,
-        num_envs: int,
+        env: TermContext,
         frame: Literal["base", "world", "tool"],
         rotation: Literal["command", "keep", "free"],
         scale: PerJoint | None,
         clip: JointClip | None,
     ) -> None:
-        super().__init__(num_envs, rotation, scale, clip)
+        super().__init__(env, rotation, scale, clip)
         self._solver, self._frame, self._rotation = solver, frame, rotation
 
     def motion_for(self, quat: F64, shift: F64, turn: F64) -> F64:

@@ -265,7 +265,7 @@ class EefDeltaPose(EefTerm):
         super().__init__(env, entity_cfg, max_velocity, posture_gain)
         self._frame, self._rotation = frame, rotation
         self._measured = reference == "qpos"
-        columns = MotionColumns(self._count, rotation, scale, clip)
+        columns = MotionColumns(env, rotation, scale, clip)
         self.names, self.low, self.high = columns.names, columns.low, columns.high
         self._columns, self.orientation = columns, tool_orientation(rotation)
         self.tool_speeds = columns.largest(1.0 / env.step_dt)

@@ -135,7 +135,7 @@ class JointTerm(ActionTerm):
         driven: bool = True,
         positions: bool = True,
     ) -> None:
-        self._period = env.step_dt
+        self._period, self._arrays = env.step_dt, env.arrays
         asset = entity.asset
         if not hasattr(asset, "parsed"):
             raise ConfigError([Problem("entity_cfg.uid", f"{entity.uid!r} has no joints")])

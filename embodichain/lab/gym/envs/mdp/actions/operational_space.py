@@ -131,7 +131,7 @@ class OperationalSpace(JointTerm):
             _refuse(given, ("position_range",), "delta")
             if rotation == "quat" or rotation == "rpy":
                 raise ConfigError([Problem("rotation", f"{rotation} is for command: pose")])
-            poses = RelativePose(solver, count, frame, rotation, scale, clip)
+            poses = RelativePose(solver, env, frame, rotation, scale, clip)
         self._poses, self.names, self.low, self.high = poses, poses.names, poses.low, poses.high
         self._solver, self._frame = solver, frame
         self._measured, self._keeps = reference == "qpos", rotation == "keep"

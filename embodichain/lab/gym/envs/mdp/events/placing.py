@@ -144,8 +144,9 @@ class ResetRootStateUniform(Term):
         self._asset = asset = entity_cfg.asset
         index = asset.entity
         self._floats = index.free_qvel_adr >= 0
-        self._pos0: F64 = np.tile(np.asarray(index.pos0, np.float64), (env.num_envs, 1))
-        self._quat0: F64 = np.tile(np.asarray(index.quat0, np.float64), (env.num_envs, 1))
+        count, put = env.num_envs, env.arrays.put
+        self._pos0: F64 = put(np.tile(np.asarray(index.pos0, np.float64), (count, 1)))
+        self._quat0: F64 = put(np.tile(np.asarray(index.quat0, np.float64), (count, 1)))
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the root states of these environments."""
@@ -161,7 +162,7 @@ class ResetRootStateUniform(Term):
             velocity = self._velocity(env.event_manager, env_ids)
             write_root_velocity(asset, velocity, env_ids)
         elif self._floats:
-            write_root_velocity(asset, np.zeros((count, 6)), env_ids)
+            write_root_velocity(asset, np.zeros_like(pos[:, :1]) * np.zeros(6), env_ids)
 
 
 @register_term("event", name="randomize_pose")
@@ -209,8 +210,10 @@ class RandomizePose(Term):
             message = "relative_to needs relative_position: true"
             raise ConfigError([Problem("relative_position", message)])
         base = np.asarray(asset.entity.pos0, np.float64)
-        self._pos0: F64 = np.tile(base, (env.num_envs, 1))
-        self._quat0: F64 = np.tile(np.asarray(asset.entity.quat0, np.float64), (env.num_envs, 1))
+        count, put = env.num_envs, env.arrays.put
+        self._pos0: F64 = put(np.tile(base, (count, 1)))
+        quat0 = np.asarray(asset.entity.quat0, np.float64)
+        self._quat0: F64 = put(np.tile(quat0, (count, 1)))
         self._near = relative_to
         self._position: Uniform | None = None
         if position_range is not None:
@@ -299,7 +302,7 @@ class RandomizeObjectPositionInShell(Term):
         ]
         self._shell = Uniform("shell", *bounds)
         quat = np.asarray(self._asset.entity.quat0, np.float64)
-        self._quat: F64 = np.tile(quat, (env.num_envs, 1))
+        self._quat: F64 = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
         self._stop = None if self._asset.is_non_dynamic else self._asset.stop
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:

@@ -119,7 +119,7 @@ class FeetAirTime(Term):
     ) -> None:
         self._sensor, self._command, self._force = sensor, command_name, force_threshold
         self._least, self._min_command, self._dt = threshold, min_command, env.step_dt
-        self._air: F64 = np.zeros((env.num_envs, len(sensor.names)))
+        self._air: F64 = env.arrays.full((env.num_envs, len(sensor.names)), 0.0)
 
     def __call__(self) -> F64:
         """(N,) s; the clocks of the feet advance by one control step."""
