@@ -198,7 +198,9 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
     # -- indexing --------------------------------------------------------------------------------
 
     def __getitem__(self, key: Any) -> DeviceArray:
-        keys, _ = _index(key, self.tensor.device)
+        keys, mask = _index(key, self.tensor.device)
+        if mask is not None:  # a copy, as from numpy's indices
+            return DeviceArray(self.tensor[keys].clone())
         if any(isinstance(k, torch.Tensor) and k.dtype == torch.bool for k in keys):
             refuse("rows of the device were selected by a mask")
         if any(isinstance(k, slice) and k.step is not None and k.step < 0 for k in keys):
@@ -245,11 +247,7 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
         """Numbers at indices (any shape) along an axis."""
         found = indices if isinstance(indices, DeviceArray) else np.asarray(indices, np.int64)
         places = operand(found, self.tensor.device)
-        if isinstance(places, int):
-            return DeviceArray(self.tensor.select(axis, places))
-        axis %= self.ndim
-        shape = (*self.shape[:axis], *places.shape, *self.shape[axis + 1 :])
-        return DeviceArray(self.tensor.index_select(axis, places.reshape(-1)).reshape(shape))
+        return DeviceArray(self.tensor[(*[slice(None)] * (axis % self.ndim), places)])
 
     def swapaxes(self, first: int, second: int) -> DeviceArray:
         """With two axes exchanged; a view."""

@@ -23,6 +23,10 @@ def _cbrt(x: torch.Tensor) -> torch.Tensor:
     return torch.sign(x) * torch.abs(x) ** (1.0 / 3.0)
 
 
+def _sign(x: torch.Tensor) -> torch.Tensor:
+    return torch.where(torch.isnan(x), x, torch.sign(x))
+
+
 UNARY: dict[np.ufunc, Callable[[Any], torch.Tensor]] = {
     np.absolute: torch.abs,
     np.arccos: torch.acos,
@@ -45,7 +49,7 @@ UNARY: dict[np.ufunc, Callable[[Any], torch.Tensor]] = {
     np.positive: torch.clone,
     np.radians: torch.deg2rad,
     np.rint: torch.round,
-    np.sign: torch.sign,
+    np.sign: _sign,
     np.sin: torch.sin,
     np.sqrt: torch.sqrt,
     np.square: torch.square,
