@@ -18,7 +18,7 @@ __all__ = ["may_be_set", "contiguous", "is_host", "tensor_of"]
 
 def is_host(array: Any) -> bool:
     """Whether an array, or anything else, is not on a device."""
-    return not hasattr(array, "tensor")
+    return not hasattr(type(array), "tensor")
 
 
 def may_be_set(mask: Any) -> bool:

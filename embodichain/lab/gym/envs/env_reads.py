@@ -87,6 +87,12 @@ class EnvReads:
         return self.sim.arrays
 
     @property
+    def revision(self) -> tuple[int, ...]:
+        """Numbers that change when a step is computed in another way: limit, terms, model."""
+        managers = (manager.revision for manager in self.managers.values())
+        return self.episodes.limit, getattr(self.sim.engine, "revision", 0), *managers
+
+    @property
     def physics_dt(self) -> float:
         """Seconds per physics step."""
         return self.cfg.sim_cfg.physics_dt

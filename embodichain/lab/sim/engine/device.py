@@ -5,16 +5,20 @@ Importing this module imports Warp (extra ``gpu``).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import mujoco
 import numpy as np
 import torch
+import warp as wp
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import ALL, F64, Columns
 from embodichain.lab.sim.engine.cpu import KINEMATIC_STAGES, entries
 from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, HostTransferError
+from embodichain.lab.sim.engine.torch_stream import torch_stream
 from embodichain.lab.sim.engine.warp import (
     COLLISION_BITS,
     CONSTRAINT_FORCES,
@@ -36,6 +40,10 @@ class DeviceEngine(WarpEngine):
 
     An overflow of memory for contacts or constraints is reported by the next steps, as soon as the
     device has computed it.
+
+    Attributes:
+        revision: Increases when model fields were copied to the device, or more fields are
+            computed: recorded steps are then out of date.
 
     Args:
         model: The compiled scene.
@@ -73,6 +81,7 @@ class DeviceEngine(WarpEngine):
         pinned = self.device.type == "cuda"
         self._seen = torch.zeros(num_envs, dtype=torch.int32, pin_memory=pinned)
         self._derived_views: dict[str, DeviceArray] = {}
+        self.revision = 0
 
     # -- reads -------------------------------------------------------------------------------------
 
@@ -100,6 +109,7 @@ class DeviceEngine(WarpEngine):
             shape = self._empty(name).shape
             found = DeviceArray(self.worlds.view(name).reshape(shape))
             self._derived_views[name] = found
+            self.revision += 1
             self._only_kinematics &= name in KINEMATIC_STAGES and name != "sensordata"
             self._any_dirty = True
         if self._any_dirty:
@@ -108,11 +118,24 @@ class DeviceEngine(WarpEngine):
 
     def _refresh(self) -> None:
         self._upload()
-        if self._only_kinematics:
-            self.worlds.kinematics()
-        else:
-            self.worlds.position_and_velocity()
+        with self._stream():
+            if self._only_kinematics:
+                self.worlds.kinematics()
+            else:
+                self.worlds.position_and_velocity()
         self._any_dirty = False
+
+    def _stream(self) -> Any:
+        """Launch Warp's kernels on torch's stream, in the order of the calls."""
+        return wp.ScopedStream(torch_stream(self.device), sync_enter=False)
+
+    @contextmanager
+    def recording(self) -> Iterator[None]:
+        """Record launches into a graph that torch has begun; nothing computed before is reused."""
+        self._mark(None)
+        stream = torch_stream(self.device)
+        with self._stream(), wp.ScopedCapture(stream=stream, external=True):
+            yield
 
     def acceleration(self, name: str) -> Any:
         found = self._kept.get(name)
@@ -121,10 +144,12 @@ class DeviceEngine(WarpEngine):
             if name in CONSTRAINT_FORCES:
                 self.worlds.want_constraint_forces()
             self._upload()
-            self.worlds.forward()
+            with self._stream():
+                self.worlds.forward()
             self._any_dirty = True
             output = DeviceArray(self.worlds.view(name).reshape(shape))
             found = self._kept[name] = output, output.copy()
+            self.revision += 1
         return found[1]
 
     def _keep_accelerations(self, env_ids: Any) -> None:
@@ -141,7 +166,8 @@ class DeviceEngine(WarpEngine):
             message = "physics steps of some environments have no form on a device"
             raise HostTransferError(f"{message}: use sim.warp.arrays=host")
         self._upload()
-        self.worlds.step(nstep)
+        with self._stream():
+            self.worlds.step(nstep)
         self._time += nstep * self._timestep
         self._check_states()
         self._mark(None)
@@ -178,7 +204,8 @@ class DeviceEngine(WarpEngine):
 
     def forward(self, env_ids: Any = None) -> None:
         self._upload()
-        self.worlds.forward()
+        with self._stream():
+            self.worlds.forward()
         self._check_states()
         self._keep_accelerations(env_ids)
         self._any_dirty = not self._only_kinematics  # sensors of all stages share an array
@@ -248,7 +275,9 @@ class DeviceEngine(WarpEngine):
         if self._model_changed:
             self._model_changed = False
             self._rows[...] = self.host_rows()
-            self._put_fields()
+            self.revision += 1
+            with self._stream():
+                self._put_fields()
 
     # -- whole simulations -------------------------------------------------------------------------
 
