@@ -28,6 +28,7 @@ from embodichain.lab.sim.engine.device_values import (
     NUMPY_TYPES,
     HostTransferError,
     TensorHolder,
+    constants,
     of_one_type,
     operand,
     reduced,
@@ -35,7 +36,7 @@ from embodichain.lab.sim.engine.device_values import (
     torch_type,
 )
 
-__all__ = ["DeviceArray", "EnvMask", "HostTransferError", "on_device"]
+__all__ = ["DeviceArray", "EnvMask", "HostTransferError", "constant", "on_device"]
 
 
 class EnvMask:
@@ -342,3 +343,8 @@ def on_device(array: Any, device: torch.device) -> DeviceArray:
     """Copy an array of the host to a device: floating point numbers as float32."""
     values = np.asarray(array)
     return DeviceArray(torch.from_numpy(np.array(values)).to(device, torch_type(values.dtype)))
+
+
+def constant(array: NDArray[Any], device: torch.device) -> DeviceArray:
+    """Copy an array of the host to a device, once for each content: do not write to the result."""
+    return DeviceArray(constants.get(array, device))

@@ -135,17 +135,20 @@ def _clip(device: torch.device, a: Any, a_min: Any = None, a_max: Any = None) ->
     return found
 
 
-def _full_like(device: torch.device, a: Any, fill_value: Any, dtype: Any = None) -> torch.Tensor:
+def _full_like(
+    device: torch.device, a: Any, fill_value: Any, dtype: Any = None, *, shape: Any = None
+) -> torch.Tensor:
     like, fill = operand(a, device), operand(fill_value, device)
     kept = like.dtype if dtype is None else torch_type(dtype)
+    lengths = like.shape if shape is None else shape
     if isinstance(fill, torch.Tensor):
-        return fill.to(kept).expand(like.shape).clone()
-    return torch.full_like(like, fill, dtype=kept)
+        return fill.to(kept).expand(lengths).clone()
+    return torch.full(lengths, fill, dtype=kept, device=device)
 
 
 def _like(value: float) -> Callable[..., torch.Tensor]:
-    def make(device: torch.device, a: Any, dtype: Any = None) -> torch.Tensor:
-        return _full_like(device, a, value, dtype)
+    def make(device: torch.device, a: Any, dtype: Any = None, *, shape: Any = None) -> torch.Tensor:
+        return _full_like(device, a, value, dtype, shape=shape)
 
     return make
 

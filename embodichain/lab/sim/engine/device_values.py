@@ -19,6 +19,7 @@ __all__ = [
     "NUMPY_TYPES",
     "HostTransferError",
     "TensorHolder",
+    "constants",
     "of_one_type",
     "operand",
     "reduced",
@@ -85,7 +86,7 @@ def torch_type(dtype: Any) -> torch.dtype:
     return found
 
 
-class _Constants:
+class Constants:
     """Copies on devices of small arrays of the host, by their contents.
 
     Those that a CUDA graph reads are never freed.
@@ -96,8 +97,11 @@ class _Constants:
         self._captured: dict[tuple[Any, ...], torch.Tensor] = {}
 
     def get(self, array: NDArray[Any], device: torch.device) -> torch.Tensor:
-        if array.nbytes > _LARGEST_CONSTANT:
-            refuse(f"an array of the host of shape {array.shape} met one of the device")
+        """Return the copy of an array; do not write to it.
+
+        Raises:
+            HostTransferError: If there is none yet, and a CUDA graph is being captured.
+        """
         key = (array.tobytes(), array.shape, array.dtype, device)
         found = self._captured.get(key)
         if found is not None:
@@ -125,7 +129,8 @@ def _capturing() -> bool:
     return torch.cuda.is_available() and torch.cuda.is_current_stream_capturing()
 
 
-_constants = _Constants()
+constants = Constants()
+"""Of this process."""
 
 
 def operand(value: Any, device: torch.device) -> Any:
@@ -137,7 +142,9 @@ def operand(value: Any, device: torch.device) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
-        return value.item() if value.ndim == 0 else _constants.get(value, device)
+        if value.nbytes > _LARGEST_CONSTANT:
+            refuse(f"an array of the host of shape {value.shape} met one of the device")
+        return value.item() if value.ndim == 0 else constants.get(value, device)
     if isinstance(value, (list, tuple)):
         return operand(np.asarray(value), device)
     return value

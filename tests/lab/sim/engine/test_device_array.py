@@ -15,6 +15,7 @@ from embodichain.lab.sim.engine.device_array import (
     DeviceArray,
     EnvMask,
     HostTransferError,
+    constant,
     on_device,
 )
 from embodichain.lab.sim.engine.device_functions import BINARY, FUNCTIONS, REDUCTIONS, UNARY
@@ -123,7 +124,7 @@ FUNCTION_EXAMPLES = {
         ((FLAGS, FLAGS, 3), {}),
         ((FLAGS, True, False), {}),
     ],
-    np.zeros_like: [((COUNTS,), {}), ((X, np.int64), {})],
+    np.zeros_like: [((COUNTS,), {}), ((X, np.int64), {}), ((X,), {"shape": (2, 3)})],
 }
 
 
@@ -344,7 +345,7 @@ def test_it_has_no_other_attributes():
 
 def test_constants_are_copied_once_and_the_oldest_forgotten(monkeypatch):
     monkeypatch.setattr(device_values, "_MOST_CONSTANTS", 2)
-    known = device_values._Constants()
+    known = device_values.Constants()
     first = known.get(Y, DEVICE)
     assert known.get(Y.copy(), DEVICE) is first
     second = known.get(Y[0], DEVICE)
@@ -352,11 +353,13 @@ def test_constants_are_copied_once_and_the_oldest_forgotten(monkeypatch):
     known.get(Y[1], DEVICE)
     assert known.get(Y, DEVICE) is first and known.get(Y[0], DEVICE) is not second
     assert known.get(Y[0].astype(np.int64), DEVICE).dtype == torch.int64
+    large = np.zeros((1, 20000))  # refused in expressions, see above
+    assert constant(large, DEVICE).tensor is constant(large.copy(), DEVICE).tensor
 
 
 def test_a_captured_step_keeps_its_constants_and_makes_none(monkeypatch):
     monkeypatch.setattr(device_values, "_MOST_CONSTANTS", 1)
-    known = device_values._Constants()
+    known = device_values.Constants()
     first = known.get(Y, DEVICE)
     monkeypatch.setattr(device_values, "_capturing", lambda: True)
     assert known.get(Y, DEVICE) is first
