@@ -105,13 +105,14 @@ REDUCTIONS: dict[np.ufunc, Callable[..., torch.Tensor]] = {
 
 
 def _where(device: torch.device, condition: Any, x: Any, y: Any) -> torch.Tensor:
-    return torch.where(operand(condition, device), *of_one_type(device, x, y))
+    first, second = of_one_type(device, x, y)
+    return torch.where(operand(condition, device), first, second)
 
 
 def _broadcast(device: torch.device, *values: Any) -> list[torch.Tensor]:
     """Operands as tensors of one type and shape."""
     parts = of_one_type(device, *values)
-    shape = torch.broadcast_shapes(*(part.shape for part in parts))
+    shape = np.broadcast_shapes(*(tuple(part.shape) for part in parts))
     return [part.expand(shape) for part in parts]
 
 
