@@ -154,7 +154,7 @@ class StepGraph:
         try:
             with (
                 torch.cuda.graph(graph, capture_error_mode="thread_local"),
-                self._engine.recording(),
+                self._engine.recording() as self._memory,
             ):
                 self._result = run(self._action)
                 self._keep()
