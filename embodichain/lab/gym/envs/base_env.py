@@ -22,7 +22,12 @@ from embodichain.lab.gym.envs import restoring, scene_setup
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.env_reads import EnvReads
 from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals, zeroed
-from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks, set_extensions
+from embodichain.lab.gym.envs.hooks import (
+    EnvHooks,
+    overridden_hooks,
+    require_masks,
+    set_extensions,
+)
 from embodichain.lab.gym.envs.judging import StateDump, StepJudge, as_mask, none_set, reset_ids
 from embodichain.lab.gym.envs.managers.action_manager import (
     ActionCheck,
@@ -130,6 +135,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self._closed = False
         self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
+            if self.arrays.on_device:
+                require_masks(self, self.metadata["autoreset_mode"])
             self._build_scene(kwargs)
             self._build_managers()
             self._start(kwargs)
@@ -451,7 +458,9 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         Raises:
             ConfigError: If the log has no such moment, or it is of another scene.
+            HostTransferError: If arrays are on the device.
         """
+        self.require_host("recorded states are")
         snapshot = restoring.snapshot_of(log, env, episode, step)
         found = as_env_ids(env_ids, self.num_envs)
         ids = self.arrays.every(self.num_envs) if found is None else found

@@ -11,6 +11,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import torch
+from gymnasium.vector import AutoresetMode
 
 from embodichain.lab.gym.envs.judging import task_state
 from embodichain.lab.gym.envs.managers.action_manager import drive_robot
@@ -19,6 +20,7 @@ from embodichain.lab.gym.envs.scene_setup import (
     add_declared_scene,
     add_declared_sensors,
 )
+from embodichain.lab.sim.engine.device_array import HostTransferError
 from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvAction, EnvObs
 
-__all__ = ["EnvHooks", "overridden_hooks", "set_extensions"]
+__all__ = ["EnvHooks", "overridden_hooks", "require_masks", "set_extensions"]
 
 
 class EnvHooks:
@@ -233,6 +235,24 @@ def overridden_hooks(cls: type[EnvHooks]) -> frozenset[str]:
     return frozenset(
         name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(EnvHooks, name)
     )
+
+
+def require_masks(env: EnvHooks, mode: AutoresetMode) -> None:
+    """Refuse what needs indices of environments, where environments are masks on a device.
+
+    Args:
+        env: An environment with arrays on the device.
+        mode: Its autoreset mode.
+
+    Raises:
+        HostTransferError: If it overrides `_initialize_episode`, or steps some environments only.
+    """
+    if type(env)._initialize_episode is not EnvHooks._initialize_episode:
+        what = f"{type(env).__name__}._initialize_episode takes indices of environments"
+        raise HostTransferError(f"{what}: use sim.warp.arrays=host")
+    if mode is AutoresetMode.NEXT_STEP:
+        what = "autoreset mode NEXT_STEP steps some environments only"
+        raise HostTransferError(f"{what}: use sim.warp.arrays=host")
 
 
 def set_extensions(env: object, extensions: dict[str, Any]) -> None:

@@ -16,6 +16,7 @@ from embodichain.cli import main
 from embodichain.config.composed import list_options
 from embodichain.config.factory import with_warp_sizes
 from embodichain.config.resolved import resolve
+from embodichain.lab.sim.engine.device_array import HostTransferError
 from embodichain.recording import simulation, verify
 from embodichain.utils.errors import ConfigError
 
@@ -25,6 +26,8 @@ FEW = ["cart_pole", "quadruped_velocity"]
 ALL = os.environ.get("EMBODICHAIN_TEST_WARP") == "all"
 TASKS = list_options("task") if ALL else FEW
 N, STEPS, EPISODE = 2, 40, 25
+NO_DEVICE_FORM: dict[str, str] = {}
+"""Tasks that need the host, and what says so."""
 TIE = 1e-6
 """Metres: closer bodies touch or do not, by rounding."""
 
@@ -54,24 +57,30 @@ def play(task, engine, steps, *overrides):
     env = embodichain.make(task, num_envs=N, overrides=lines)
     try:
         env.reset()
-        sim, space = env.sim.engine, env.single_action_space
+        sim, space, host = env.sim.engine, env.single_action_space, env.arrays.host
         touching = Touching(sim)
-        sim.listeners.append(touching)
+        if not env.arrays.on_device:
+            sim.listeners.append(touching)
         rng = np.random.default_rng(5)
         low, high = np.maximum(space.low, -1), np.minimum(space.high, 1)
-        played = {"start": sim.rows.copy(), "name": sim.name}
-        found = {key: [] for key in ("qpos", "qvel", "reward", "done", "diverged", "tied")}
+        played = {"start": sim.host_rows() if env.arrays.on_device else sim.rows.copy()}
+        played["name"] = sim.name
+        keys = ("qpos", "qvel", "obs", "reward", "done", "diverged", "success", "tied")
+        found = {key: [] for key in keys}
         for _ in range(steps):
             action = rng.uniform(low, high, (N, *space.shape)).astype(np.float32)
-            _, reward, terminated, truncated, info = env.step(torch.from_numpy(action))
-            done = (terminated | truncated).numpy().copy()
+            given = torch.from_numpy(action).to(env.device)
+            obs, reward, terminated, truncated, info = env.step(given)
+            done = (terminated | truncated).cpu().numpy().copy()
             found["tied"].append(touching.tied.copy())
             touching.tied[done] = False
             found["done"].append(done)
-            found["diverged"].append(info["diverged"].numpy().copy())
-            found["reward"].append(reward.numpy().copy())
+            found["obs"].append(host(obs.rows).copy())
+            found["reward"].append(reward.cpu().numpy().copy())
+            for key in ("diverged", "success"):
+                found[key].append(info[key].cpu().numpy().copy())
             for key in ("qpos", "qvel"):
-                found[key].append(sim.state(key).copy())
+                found[key].append(host(sim.state(key)).copy())
         fields = sim.model_fields()
     finally:
         env.close()
@@ -94,6 +103,28 @@ def test_a_task_is_the_same_on_both_engines(task):
         error = np.abs(warp[key] - cpu[key]).reshape(STEPS, N, -1).max(axis=-1, initial=0)
         assert error[clear].max(initial=0) < bound, key
         assert np.isfinite(error).all()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_task_is_the_same_with_arrays_on_the_device(task):
+    """The same engine and draws; terms compute in float32 instead of float64."""
+    lines = (f"task.max_episode_steps={EPISODE}", "sim.warp.nconmax=256", "sim.warp.njmax=512")
+    if task in NO_DEVICE_FORM:
+        with pytest.raises((HostTransferError, ConfigError), match=NO_DEVICE_FORM[task]):
+            play(task, "warp", 1, *lines, "sim.warp.arrays=device")
+        return
+    host = play(task, "warp", STEPS, *lines, "sim.warp.arrays=host")
+    device = play(task, "warp", STEPS, *lines, "sim.warp.arrays=device")
+    for key in ("done", "diverged", "success"):
+        np.testing.assert_array_equal(device[key], host[key])
+    assert host["done"].any() and not host["diverged"].any()
+    np.testing.assert_allclose(device["start"], host["start"], rtol=0, atol=1e-6)
+    clear = ~host["tied"]
+    for key, bound in (("qpos", 1e-5), ("qvel", 1e-3), ("obs", 1e-3), ("reward", 1e-4)):
+        error = np.abs(device[key] - host[key]).reshape(STEPS, N, -1).max(axis=-1, initial=0)
+        assert error[clear].max(initial=0) < bound, key
+        assert np.isfinite(error).all()
+        assert host[key].any()
 
 
 def test_what_events_draw_is_the_same_to_the_bit():
