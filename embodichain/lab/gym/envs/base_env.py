@@ -477,7 +477,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         Subclasses that add state extend it.
         """
-        return {
+        state = {
             "num_envs": self.num_envs,
             "control_step": self.control_step,
             "np_random": self.np_random.bit_generator.state,
@@ -485,6 +485,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             "managers": {name: manager.state_dict() for name, manager in self.managers.items()},
             **{name: part.state_dict() for name, part in self._parts().items()},
         }
+        saved: dict[str, Any] = self.arrays.saved(state)
+        return saved
 
     def _parts(self) -> dict[str, Any]:
         return {"sim": self.sim, "streams": self.streams, "episodes": self.episodes}
@@ -500,6 +502,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
                 f"this state is of {saved['num_envs']} environments, "
                 f"the environment has {self.num_envs}"
             )
+        saved = self.arrays.loaded(saved)
         for name, part in self._parts().items():
             part.load_state_dict(saved[name])
         self.np_random.bit_generator.state = saved["np_random"]

@@ -6,7 +6,7 @@ on the host and with `DeviceArray` on a device.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -18,6 +18,9 @@ from embodichain.lab.sim.engine.device_values import torch_type
 from embodichain.utils.random import RandomStreams
 
 __all__ = ["Arrays", "DeviceArrays"]
+
+_ON_DEVICE = "on_device"
+"""Key of an array of the device in a saved state."""
 
 
 class Arrays:
@@ -72,6 +75,14 @@ class Arrays:
         """Make random streams whose draws are arrays of this kind."""
         return RandomStreams(seed, count)
 
+    def saved(self, state: Any) -> Any:
+        """Return a state of maps and lists in which every array is on the host."""
+        return state
+
+    def loaded(self, state: Any) -> Any:
+        """Return a state with its arrays where they were before `saved`."""
+        return state
+
 
 class DeviceArrays(Arrays):
     """Arrays on a device.
@@ -121,3 +132,17 @@ class DeviceArrays(Arrays):
         from embodichain.lab.sim.engine.device_streams import DeviceStreams
 
         return cast("RandomStreams", DeviceStreams(seed, count, str(self.device)))
+
+    def saved(self, state: Any) -> Any:
+        if isinstance(state, DeviceArray):
+            return {_ON_DEVICE: state.host()}
+        if isinstance(state, Mapping):
+            return {key: self.saved(part) for key, part in state.items()}
+        return type(state)(map(self.saved, state)) if type(state) in (list, tuple) else state
+
+    def loaded(self, state: Any) -> Any:
+        if isinstance(state, Mapping):
+            if state.keys() == {_ON_DEVICE}:
+                return DeviceArray(torch.from_numpy(state[_ON_DEVICE].copy()).to(self.device))
+            return {key: self.loaded(part) for key, part in state.items()}
+        return type(state)(map(self.loaded, state)) if type(state) in (list, tuple) else state
