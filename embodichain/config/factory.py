@@ -122,7 +122,7 @@ def with_warp_sizes(resolved: Resolved) -> Resolved:
         ConfigError: As `make_env` does.
     """
     sim = thaw(resolved.tree["sim"])
-    sizes = sim["warp"]
+    sizes = vars(resolved.root.sim.warp)
     if sim["engine"] != "warp" or None not in sizes.values():
         return resolved
     import numpy as np

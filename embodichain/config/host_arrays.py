@@ -58,5 +58,5 @@ def with_arrays(resolved: Resolved, arrays: str) -> Resolved:
     """Return the config with a value of `sim.warp.arrays`, if it runs on Warp."""
     if resolved.tree["sim"]["engine"] != "warp":
         return resolved
-    sim = thaw(resolved.tree["sim"])
-    return resolved.changed(sim={**sim, "warp": {**sim["warp"], "arrays": arrays}})
+    warp = {**vars(resolved.root.sim.warp), "arrays": arrays}
+    return resolved.changed(sim={**thaw(resolved.tree["sim"]), "warp": warp})
