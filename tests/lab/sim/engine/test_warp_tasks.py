@@ -192,7 +192,7 @@ def test_a_run_and_its_log(capsys, monkeypatch):
 
 
 def test_a_training_with_arrays_on_the_device_and_its_evaluation(capsys):
-    """The evaluation is logged, so that its arrays are on the host; resuming continues on the device."""
+    """An evaluation is logged: its arrays are on the host. Resuming continues on the device."""
     sizes = ("sim.warp.nconmax=16", "sim.warp.njmax=16", "num_envs=2", "algo.n_steps=32")
     lines = (*sizes, "task.max_episode_steps=9", "eval.episodes=2", "seed=4", "algo.batch_size=32")
     told(capsys, "train", "task=cart_pole", "sim.engine=warp", *lines, "total_timesteps=64")
