@@ -12,8 +12,8 @@ from embodichain.lab.gym.envs import BaseEnv, StepObserver
 from embodichain.lab.gym.policies import resolve_policy
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.vector import NumpyVectorEnv
-from embodichain.lab.sim.engine.arrays import DeviceArrays
 from embodichain.lab.sim.engine.device_array import DeviceArray, HostTransferError
+from embodichain.lab.sim.engine.device_arrays import DeviceArrays
 from embodichain.learning.plain_state import read_tree, write_tree
 from tests.helpers.warp_scene import DEVICE
 
@@ -91,9 +91,11 @@ class Starts(BaseEnv):
 
 
 def test_what_takes_indices_of_environments_is_refused(env):
-    with pytest.raises(HostTransferError, match=r"Starts\._initialize_episode takes indices of"):
+    with pytest.raises(HostTransferError, match=r"Starts\._initialize_episode takes indices on"):
         Starts(env.cfg)
-    with pytest.raises(HostTransferError, match="NEXT_STEP steps some environments only"):
+    with pytest.raises(
+        HostTransferError, match="NEXT_STEP steps some environments only, on the host"
+    ):
         BaseEnv(env.cfg, autoreset_mode=AutoresetMode.NEXT_STEP)
 
 

@@ -14,9 +14,7 @@ from embodichain.lab.gym.envs.episodes import Episodes
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.observation import flat_space
 from embodichain.lab.gym.envs.observers import EngineRelay, EventRecord, StepObserver
-from embodichain.lab.sim.engine.device_array import HostTransferError
-from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
-from embodichain.utils.arrays import tensor_of
+from embodichain.utils.arrays import as_env_ids, tensor_of, to_tensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -33,8 +31,8 @@ if TYPE_CHECKING:
     )
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.engine.arrays import Arrays
     from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 
 __all__ = ["EnvReads"]
@@ -254,22 +252,13 @@ class EnvReads:
 
     # -- observers -----------------------------------------------------------------------------
 
-    def require_host(self, what: str) -> None:
-        """Check that arrays are on the host.
-
-        Raises:
-            HostTransferError: If they are on the device; says what needs the host.
-        """
-        if self.arrays.on_device:
-            raise HostTransferError(f"{what} on the host: use sim.warp.arrays=host")
-
     def add_observer(self, observer: StepObserver) -> None:
         """Attach an observer; it is called after those attached before.
 
         Raises:
             HostTransferError: If arrays are on the device.
         """
-        self.require_host("observers read arrays")
+        self.arrays.require_host("observers read arrays")
         if not self.observers:
             self.sim.engine.listeners.append(EngineRelay(self))
         self.observers.append(observer)

@@ -20,7 +20,6 @@ from embodichain.lab.gym.envs.scene_setup import (
     add_declared_scene,
     add_declared_sensors,
 )
-from embodichain.lab.sim.engine.device_array import HostTransferError
 from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -225,7 +224,7 @@ class EnvHooks:
 OPTIONAL_HOOKS = (
     *("get_obs", "_extend_obs", "_get_sensor_obs", "_step_action", "get_reward", "_extend_reward"),
     *("check_truncated", "_hook_after_sim_step", "compute_task_state", "evaluate", "get_info"),
-    *("_setup_robot", "_prepare_scene"),
+    *("_setup_robot", "_prepare_scene", "_initialize_episode"),
 )
 """Hooks with special treatment where a class does not override them: most are not called."""
 
@@ -248,11 +247,10 @@ def require_masks(env: EnvHooks, mode: AutoresetMode) -> None:
         HostTransferError: If it overrides `_initialize_episode`, or steps some environments only.
     """
     if type(env)._initialize_episode is not EnvHooks._initialize_episode:
-        what = f"{type(env).__name__}._initialize_episode takes indices of environments"
-        raise HostTransferError(f"{what}: use sim.warp.arrays=host")
+        name = type(env).__name__
+        env.sim.arrays.require_host(f"{name}._initialize_episode takes indices")
     if mode is AutoresetMode.NEXT_STEP:
-        what = "autoreset mode NEXT_STEP steps some environments only"
-        raise HostTransferError(f"{what}: use sim.warp.arrays=host")
+        env.sim.arrays.require_host("autoreset mode NEXT_STEP steps some environments only,")
 
 
 def set_extensions(env: object, extensions: dict[str, Any]) -> None:

@@ -1,8 +1,4 @@
-"""`Arrays`: where the arrays of a simulation are, and how they are made: host or device.
-
-Code that keeps an array between steps makes it here, so that the same code runs with numpy's arrays
-on the host and with `DeviceArray` on a device.
-"""
+"""`DeviceArrays`: `Arrays` on a device."""
 
 from __future__ import annotations
 
@@ -14,74 +10,14 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, on_device
-from embodichain.lab.sim.engine.device_values import torch_type
+from embodichain.lab.sim.engine.device_values import HostTransferError, torch_type
+from embodichain.utils.arrays import Arrays
 from embodichain.utils.random import RandomStreams
 
-__all__ = ["Arrays", "DeviceArrays"]
+__all__ = ["DeviceArrays"]
 
 _ON_DEVICE = "on_device"
 """Key of an array of the device in a saved state."""
-
-
-class Arrays:
-    """Arrays of numpy, on the host.
-
-    Attributes:
-        device: Device of the tensors.
-        on_device: Whether arrays are `DeviceArray`, and environments `EnvMask`.
-    """
-
-    on_device = False
-
-    def __init__(self) -> None:
-        self.device = torch.device("cpu")
-
-    def full(self, shape: int | Sequence[int], value: Any, dtype: Any = np.float64) -> Any:
-        """Make an array with one value everywhere."""
-        return np.full(shape, value, dtype)
-
-    def put(self, array: Any) -> Any:
-        """Return a copy of an array of the host."""
-        return np.array(array)
-
-    def host(self, array: Any) -> NDArray[Any]:
-        """Return an array on the host; from a device it is a copy, which waits for the device."""
-        found: NDArray[Any] = array
-        return found
-
-    def of(self, values: Any) -> Any:
-        """Return an array that shares memory with a tensor or an array, if its type allows."""
-        if isinstance(values, np.ndarray):
-            return values
-        return values.numpy(force=True) if isinstance(values, torch.Tensor) else np.asarray(values)
-
-    def where(self, mask: Any) -> Any:
-        """Return the environments where a mask (N,) is set: sorted indices."""
-        return np.flatnonzero(mask)
-
-    def every(self, count: int) -> Any:
-        """Return all environments, of `count`."""
-        return np.arange(count)
-
-    def environments(self, ids: NDArray[np.int64], count: int) -> Any:
-        """Return environments, of `count`, from their sorted indices."""
-        return ids
-
-    def are_all(self, ids: Any, count: int) -> bool:
-        """Whether environments are known to be all, of `count`."""
-        return len(ids) == count
-
-    def streams(self, seed: int, count: int) -> RandomStreams:
-        """Make random streams whose draws are arrays of this kind."""
-        return RandomStreams(seed, count)
-
-    def saved(self, state: Any) -> Any:
-        """Return a state of maps and lists in which every array is on the host."""
-        return state
-
-    def loaded(self, state: Any) -> Any:
-        """Return a state with its arrays where they were before `saved`."""
-        return state
 
 
 class DeviceArrays(Arrays):
@@ -132,6 +68,9 @@ class DeviceArrays(Arrays):
         from embodichain.lab.sim.engine.device_streams import DeviceStreams
 
         return cast("RandomStreams", DeviceStreams(seed, count, str(self.device)))
+
+    def require_host(self, what: str) -> None:
+        raise HostTransferError(f"{what} on the host: use sim.warp.arrays=host")
 
     def saved(self, state: Any) -> Any:
         if isinstance(state, DeviceArray):
