@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode
 
 import embodichain
 from embodichain.lab.gym.envs import BaseEnv, StepObserver
+from embodichain.lab.gym.envs.snapshot import Snapshot
 from embodichain.lab.gym.policies import resolve_policy
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.vector import NumpyVectorEnv
@@ -69,7 +70,7 @@ def test_some_environments_can_be_reset(env):
 
 REFUSED = {
     "observers read arrays on the host": lambda env: env.add_observer(StepObserver()),
-    "recorded states are on the host": lambda env: env.restore(None),
+    "recorded states are on the host": lambda env: env.restore(object.__new__(Snapshot)),
     "numpy's arrays are on the host": lambda env: NumpyVectorEnv(env),
 }
 

@@ -22,12 +22,7 @@ from embodichain.lab.gym.envs import restoring, scene_setup
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.env_reads import EnvReads
 from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals
-from embodichain.lab.gym.envs.hooks import (
-    EnvHooks,
-    overridden_hooks,
-    require_masks,
-    set_extensions,
-)
+from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks, set_extensions
 from embodichain.lab.gym.envs.judging import (
     StateDump,
     StepJudge,
@@ -134,13 +129,11 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         # EmbodiChain shares one class-level list between all environments of a process.
         self.active_joint_ids = list(type(self).active_joint_ids)
         self.sensors, self._detached_uids = {}, []
-        self.overridden = overridden_hooks(type(self))
+        self.overridden = overridden_hooks(self)
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool, device=self.device)
         self._closed = self.arrays_moved = False
         self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
-            if self.arrays.on_device:
-                require_masks(self, self.metadata["autoreset_mode"])
             self._build_scene(kwargs)
             self._build_managers()
             self._start(kwargs)
@@ -461,9 +454,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         Raises:
             ConfigError: If the log has no such moment, or it is of another scene.
-            HostTransferError: If arrays are on the device.
         """
-        self.arrays.require_host("recorded states are")
         snapshot = restoring.snapshot_of(log, env, episode, step)
         found = as_env_ids(env_ids, self.num_envs)
         ids = self.arrays.every(self.num_envs) if found is None else found

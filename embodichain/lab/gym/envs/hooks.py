@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvAction, EnvObs
 
-__all__ = ["EnvHooks", "overridden_hooks", "require_masks", "set_extensions"]
+__all__ = ["EnvHooks", "overridden_hooks", "set_extensions"]
 
 
 class EnvHooks:
@@ -50,6 +50,7 @@ class EnvHooks:
     """
 
     cfg: EnvCfg
+    metadata: dict[str, Any]
     sim: SimulationManager
     robot: Robot | None
     active_joint_ids: list[int] = []
@@ -229,28 +230,22 @@ OPTIONAL_HOOKS = (
 """Hooks with special treatment where a class does not override them: most are not called."""
 
 
-def overridden_hooks(cls: type[EnvHooks]) -> frozenset[str]:
-    """Return which of `OPTIONAL_HOOKS` a class overrides."""
-    return frozenset(
-        name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(EnvHooks, name)
-    )
-
-
-def require_masks(env: EnvHooks, mode: AutoresetMode) -> None:
-    """Refuse what needs indices of environments, where environments are masks on a device.
-
-    Args:
-        env: An environment with arrays on the device.
-        mode: Its autoreset mode.
+def overridden_hooks(env: EnvHooks) -> frozenset[str]:
+    """Return which of `OPTIONAL_HOOKS` an environment's class overrides.
 
     Raises:
-        HostTransferError: If it overrides `_initialize_episode`, or steps some environments only.
+        HostTransferError: If arrays are on the device, where environments are masks, and it takes
+            indices of environments, or resets in the next step.
     """
-    if type(env)._initialize_episode is not EnvHooks._initialize_episode:
-        name = type(env).__name__
-        env.sim.arrays.require_host(f"{name}._initialize_episode takes indices")
-    if mode is AutoresetMode.NEXT_STEP:
-        env.sim.arrays.require_host("autoreset mode NEXT_STEP steps some environments only,")
+    cls, arrays = type(env), env.sim.arrays
+    found = frozenset(
+        name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(EnvHooks, name)
+    )
+    if "_initialize_episode" in found:
+        arrays.require_host(f"{cls.__name__}._initialize_episode takes indices")
+    if env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
+        arrays.require_host("autoreset mode NEXT_STEP steps some environments only,")
+    return found
 
 
 def set_extensions(env: object, extensions: dict[str, Any]) -> None:
