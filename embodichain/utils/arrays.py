@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 else:
     torch = lazy_loader.load("torch")
 
-__all__ = ["may_be_set", "contiguous", "is_host", "tensor_of"]
+__all__ = ["contiguous", "is_host", "may_be_set", "tensor_of", "zeros"]
 
 
 def is_host(array: Any) -> bool:
@@ -29,6 +29,15 @@ def may_be_set(mask: Any) -> bool:
 def tensor_of(array: Any) -> torch.Tensor:
     """Return a tensor that shares memory with an array, where the array is."""
     found: torch.Tensor = torch.from_numpy(array) if is_host(array) else array.tensor
+    return found
+
+
+def zeros(shape: tuple[int, ...], like: Any) -> NDArray[np.float64]:
+    """Return zeros, where an array is: float64, on a device in the type of its numbers."""
+    if is_host(like):
+        return np.zeros(shape)
+    tensor = like.tensor
+    found: NDArray[np.float64] = type(like)(tensor.new_zeros(shape))
     return found
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, on_device
+from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, constant, on_device
 from embodichain.utils.random import RandomStreams
 
 __all__ = ["Arrays", "DeviceArrays"]
@@ -39,6 +39,10 @@ class Arrays:
     def put(self, array: Any) -> Any:
         """Return a copy of an array of the host."""
         return np.array(array)
+
+    def constant(self, array: NDArray[Any]) -> Any:
+        """Return an array of the host, which seldom changes, where arrays are: do not write."""
+        return array
 
     def host(self, array: Any) -> NDArray[Any]:
         """Return an array on the host; from a device it is a copy, which waits for the device."""
@@ -93,6 +97,9 @@ class DeviceArrays(Arrays):
 
     def put(self, array: Any) -> Any:
         return on_device(array, self.device)
+
+    def constant(self, array: NDArray[Any]) -> Any:
+        return constant(array, self.device)
 
     def host(self, array: Any) -> NDArray[Any]:
         found: NDArray[Any] = array.host() if isinstance(array, DeviceArray) else array

@@ -15,7 +15,7 @@ import torch
 import warp as wp
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import ALL, F64, Columns
+from embodichain.lab.sim.engine.api import ALL, F64, Columns, RayHits
 from embodichain.lab.sim.engine.cpu import KINEMATIC_STAGES, entries
 from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, HostTransferError
 from embodichain.lab.sim.engine.torch_stream import torch_stream
@@ -156,8 +156,24 @@ class DeviceEngine(WarpEngine):
         for output, copy in self._kept.values():
             copy[ALL if env_ids is None else env_ids] = output
 
-    def cast_rays(self, *args: Any, **kwargs: Any) -> Any:
-        raise HostTransferError("rays have no form on a device: use sim.warp.arrays=host")
+    def cast_rays(
+        self,
+        origins: Any,
+        directions: Any,
+        geoms: NDArray[np.bool_],
+        env_ids: Any = None,
+        *,
+        normal: bool = False,
+    ) -> RayHits:
+        self.derived("geom_xpos")  # the kinematics of the current state
+        rays = np.broadcast_shapes(origins.shape, directions.shape, (1, 1, 3))[1]
+        starts, ways = (
+            np.broadcast_to(part, (self.num_envs, rays, 3)).tensor.contiguous()
+            for part in (origins, directions)
+        )
+        with self._stream():
+            distance, geom, normals = map(DeviceArray, self.worlds.cast(starts, ways, geoms))
+        return RayHits(distance, geom, normals if normal else None)
 
     # -- physics -----------------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ import torch
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
-__all__ = ["DeviceArray", "EnvMask", "HostTransferError", "on_device"]
+__all__ = ["DeviceArray", "EnvMask", "HostTransferError", "constant", "on_device"]
 
 _TORCH_TYPES: dict[np.dtype[Any], torch.dtype] = {
     np.dtype(np.float64): torch.float32,  # physics is float32 on a device
@@ -97,8 +97,6 @@ class _Constants:
         self._known: OrderedDict[tuple[Any, ...], torch.Tensor] = OrderedDict()
 
     def get(self, array: NDArray[Any], device: torch.device) -> torch.Tensor:
-        if array.nbytes > _LARGEST_CONSTANT:
-            _refuse(f"an array of the host of shape {array.shape} met one of the device")
         key = (array.tobytes(), array.shape, array.dtype, device)
         found = self._known.get(key)
         if found is None:
@@ -121,6 +119,11 @@ def on_device(array: Any, device: torch.device) -> DeviceArray:
     return DeviceArray(torch.from_numpy(np.array(values)).to(device, _TORCH_TYPES[values.dtype]))
 
 
+def constant(array: NDArray[Any], device: torch.device) -> DeviceArray:
+    """Copy an array of the host to a device, once for each content: do not write to the result."""
+    return DeviceArray(_constants.get(array, device))
+
+
 def _operand(value: Any, device: torch.device) -> Any:
     """A tensor on the device, or a Python number."""
     if isinstance(value, DeviceArray):
@@ -130,6 +133,8 @@ def _operand(value: Any, device: torch.device) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
+        if value.nbytes > _LARGEST_CONSTANT:
+            _refuse(f"an array of the host of shape {value.shape} met one of the device")
         return value.item() if value.ndim == 0 else _constants.get(value, device)
     if isinstance(value, (list, tuple)):
         return _operand(np.asarray(value), device)

@@ -201,37 +201,47 @@ class WarpWorlds:
             Distances (N, R) in lengths of the direction and geom ids (N, R), -1 for none; normals
             (N, R, 3), 0 for none.
         """
-        model, shape = self._model, origins.shape[:2]
+        device = str(self._device)
+        starts, ways = (torch.from_numpy(part).to(device) for part in (origins, directions))
+        distance, geom, normal = (part.cpu().numpy() for part in self.cast(starts, ways, geoms))
+        return distance, geom, normal
+
+    def cast(
+        self, origins: torch.Tensor, directions: torch.Tensor, geoms: NDArray[np.bool_]
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Intersect rays as `rays` does, with contiguous float32 tensors on the device."""
+        model, (count, each) = self._model, origins.shape[:2]
         key = geoms.tobytes()
+        distance = torch.empty((count, each), device=origins.device)
+        geom = torch.empty((count, each), dtype=torch.int32, device=origins.device)
+        normal = torch.empty((count, each, 3), device=origins.device)
+        none = torch.full((each,), -1, dtype=torch.int32, device=origins.device)
+        lengths = torch.linalg.vector_norm(directions, dim=-1)
+        units = directions / lengths[..., None]
         with wp.ScopedDevice(self._device):
             if key not in self._groups:  # geoms are chosen by group
                 self._groups[key] = wp.array(np.where(geoms, 0, 5), dtype=int)
             kept, model.geom_group = model.geom_group, self._groups[key]
-            distance, geom = wp.zeros(shape, dtype=float), wp.zeros(shape, dtype=int)
-            normal = wp.zeros(shape, dtype=wp.vec3)
-            lengths = np.linalg.norm(directions, axis=-1)
-            units = directions / lengths[..., None]
             try:
                 mjw.rays(
                     model,
                     self._data,
-                    wp.array(origins, dtype=wp.vec3),
-                    wp.array(units.astype(np.float32), dtype=wp.vec3),
+                    wp.from_torch(origins, wp.vec3),
+                    wp.from_torch(units, wp.vec3),
                     _FIRST_GROUP,
                     True,
-                    wp.full(shape[1], -1, dtype=int),
-                    distance,
-                    geom,
-                    normal,
+                    wp.from_torch(none),
+                    wp.from_torch(distance),
+                    wp.from_torch(geom),
+                    wp.from_torch(normal, wp.vec3),
                 )
             finally:
                 model.geom_group = kept
-        found, ids = distance.numpy(), geom.numpy()
-        hit = ids >= 0
+        hit = geom >= 0
         return (
-            np.where(hit, found / lengths, -1.0),
-            ids,
-            np.where(hit[..., None], normal.numpy(), 0.0),
+            torch.where(hit, distance / lengths, -1.0),
+            geom,
+            torch.where(hit[..., None], normal, 0.0),
         )
 
     # -- the model ---------------------------------------------------------------------------------

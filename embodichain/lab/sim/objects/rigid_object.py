@@ -15,7 +15,7 @@ from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
 from embodichain.lab.sim.objects.solid import Solid
 from embodichain.lab.sim.unavailable import not_available
-from embodichain.utils.arrays import may_be_set
+from embodichain.utils.arrays import may_be_set, tensor_of
 from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
 
 if TYPE_CHECKING:
@@ -181,9 +181,13 @@ class RigidObject(BatchEntity):
         mass = self.engine.model_field("body_mass")[rows, self.index.root_body_id].copy()
         return mass, self.engine.model_field("body_inertia")[rows, self._columns(3)].copy()
 
+    def _tensor(self, values: F64, env_ids: Any) -> torch.Tensor:
+        """Rows of values (N, ...) of the host as a float32 tensor, on the device of tensors."""
+        return to_tensor(self.host.arrays.constant(values)[self._rows(env_ids)])
+
     def get_mass(self, env_ids: Any = None) -> torch.Tensor:
         """(n,) kg."""
-        return to_tensor(self.read_inertia()[0][self._rows(env_ids)])
+        return self._tensor(self.read_inertia()[0], env_ids)
 
     def set_mass(self, mass: Any, env_ids: Any = None) -> None:
         """Set the mass (n,) in kg; the inertia scales with it.
@@ -214,7 +218,7 @@ class RigidObject(BatchEntity):
 
     def get_inertia(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 3) principal moments of inertia, kg m^2."""
-        return to_tensor(self.read_inertia()[1][self._rows(env_ids)])
+        return self._tensor(self.read_inertia()[1], env_ids)
 
     def set_inertia(self, inertia: Any, env_ids: Any = None) -> None:
         """Set the principal moments of inertia (n, 3) in kg m^2.
@@ -263,7 +267,7 @@ class RigidObject(BatchEntity):
 
     def get_damping(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 2) linear and angular damping, 1/s."""
-        return to_tensor(self._damping[self._rows(env_ids)])
+        return self._tensor(self._damping, env_ids)
 
     def set_damping(self, damping: Any, env_ids: Any = None) -> None:
         """Set linear and angular damping, (n, 2) in 1/s."""
@@ -300,7 +304,7 @@ class RigidObject(BatchEntity):
 
     def get_shape(self, env_ids: Any = None) -> torch.Tensor:
         """(n,) int64 index in `shape_names` of the present shape; 0 without `any_of`."""
-        return torch.from_numpy(self.read_shape()[self._rows(env_ids)].copy())
+        return tensor_of(self.host.arrays.constant(self.read_shape())[self._rows(env_ids)].copy())
 
     def set_shape(self, shape: Any, env_ids: Any = None) -> None:
         """Give the object another of its shapes: (n,) indices in `shape_names`.
@@ -378,7 +382,7 @@ class RigidObject(BatchEntity):
 
     def get_body_scale(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 3) scale of the shape."""
-        return to_tensor((np.asarray(self.cfg.body_scale) * self._scale)[self._rows(env_ids)])
+        return self._tensor(np.asarray(self.cfg.body_scale) * self._scale, env_ids)
 
     def set_body_scale(self, scale: Any, env_ids: Any = None) -> None:
         """Set the shape's scale (n, 3); mass and inertia change at constant density.
@@ -396,7 +400,7 @@ class RigidObject(BatchEntity):
     def get_friction(self, env_ids: Any = None) -> torch.Tensor:
         """(n,) sliding friction coefficient."""
         column = 3 * int(self.index.geom_ids[0])
-        return to_tensor(self.engine.model_field("geom_friction")[self._rows(env_ids), column])
+        return self._tensor(self.engine.model_field("geom_friction")[:, column], env_ids)
 
     def set_friction(self, friction: Any, env_ids: Any = None) -> None:
         """Set the sliding friction (n,); a contact takes the larger value of its two bodies."""
@@ -425,7 +429,8 @@ class RigidObject(BatchEntity):
 
     def get_user_ids(self) -> torch.Tensor:
         """(N,) id of the body in segmentation images: its MuJoCo body id."""
-        return torch.full((self.num_instances,), self.index.root_body_id, dtype=torch.int32)
+        ids = (self.num_instances,), self.index.root_body_id
+        return torch.full(*ids, dtype=torch.int32, device=self.device)
 
     def set_visible(self, visible: bool = True) -> None:
         """Show or hide the body when rendering, in all environments."""

@@ -18,6 +18,7 @@ from pydantic import GetCoreSchemaHandler
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.lab.sim.body_motion import BodyMotion, Frame, origin_velocities
+from embodichain.utils.arrays import is_host
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
 from embodichain.utils.type_errors import from_dict
@@ -185,6 +186,21 @@ class ResolvedEntity:
         inset = 0.5 * (1.0 - soft_ratio) * width
         return low + inset, high - inset
 
+    def qpos_ranges(self) -> tuple[F64, F64]:
+        """Low and high position limits in force, (N, K) each.
+
+        Raises:
+            ConfigError: If a joint has no limits.
+        """
+        low, high = self.asset.drives.limits.of(self._columns, None)
+        limited = self._unchecked(np.isfinite(low) & np.isfinite(high), "ranges")
+        if not limited.all():
+            pairs = zip(self.joint_names, limited.all(axis=0), strict=True)
+            missing = ", ".join(name for name, fine in pairs if not fine)
+            message = f"joints of {self.uid!r} without position limits: {missing}"
+            raise ConfigError([Problem(self.path, message)])
+        return low, high
+
     def qvel_limits(self) -> F64:
         """(N, K) rad/s or m/s: the smaller of the drive's maximum and the file's limit.
 
@@ -209,8 +225,21 @@ class ResolvedEntity:
         self._require_limits(np.isfinite(limits), what)
         return limits
 
+    @cached_property
+    def _checked(self) -> set[str]:
+        return set()
+
+    def _unchecked(self, limited: NDArray[np.bool_], what: str) -> NDArray[np.bool_]:
+        """Whether joints have limits, to be checked; from a device, which then waits, only once."""
+        if is_host(limited):
+            return limited
+        if what in self._checked:
+            return np.ones(1, np.bool_)
+        self._checked.add(what)
+        return self.asset.host.arrays.host(limited)
+
     def _require_limits(self, limited: NDArray[np.bool_], what: str) -> None:
-        if not limited.any():
+        if not self._unchecked(limited, what).any():
             names = ", ".join(self.joint_names)
             message = f"none of the joints picked of {self.uid!r} has limits of {what}: {names}"
             raise ConfigError([Problem(self.path, message)])
