@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import torch
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["contiguous", "is_host", "may_be_set", "tensor_of", "zeros"]
 
@@ -28,16 +25,19 @@ def may_be_set(mask: Any) -> bool:
 
 def tensor_of(array: Any) -> torch.Tensor:
     """Return a tensor that shares memory with an array, where the array is."""
-    found: torch.Tensor = torch.from_numpy(array) if is_host(array) else array.tensor
+    if is_host(array):
+        import torch  # scenes are checked without it
+
+        return torch.from_numpy(array)
+    found: torch.Tensor = array.tensor
     return found
 
 
 def zeros(shape: tuple[int, ...], like: Any) -> NDArray[np.float64]:
     """Return zeros, where an array is: float64, on a device in the type of its numbers."""
-    if is_host(like):
-        return np.zeros(shape)
-    tensor = like.tensor
-    found: NDArray[np.float64] = type(like)(tensor.new_zeros(shape))
+    found: NDArray[np.float64] = (
+        np.zeros(shape) if is_host(like) else type(like)(like.tensor.new_zeros(shape))
+    )
     return found
 
 

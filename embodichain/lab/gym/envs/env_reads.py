@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.managers.action_manager import ActionManager
+    from embodichain.lab.gym.envs.managers.manager import Manager
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.managers.value_managers import (
         MetricManager,
@@ -63,6 +64,7 @@ class EnvReads:
     control_step: int
     observation_space: gym.Space[Any]
     action_manager: ActionManager
+    managers: dict[str, Manager[Any]]
     metric_manager: MetricManager
     reward_manager: RewardManager
     termination_manager: TerminationManager

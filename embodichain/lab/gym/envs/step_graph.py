@@ -13,7 +13,7 @@ from __future__ import annotations
 import gc
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 
@@ -22,6 +22,8 @@ from embodichain.lab.sim.engine.device_array import DeviceArray
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv, Step
+    from embodichain.lab.gym.envs.observation import Observation
+    from embodichain.lab.sim.engine.device import DeviceEngine
 
 __all__ = ["StepGraph"]
 
@@ -44,6 +46,7 @@ class StepGraph:
 
     def __init__(self, env: BaseEnv) -> None:
         self._env = env
+        self._engine = cast("DeviceEngine", env.sim.engine)
         self._steps = 0
         self._graph: torch.cuda.CUDAGraph | None = None
         self._kept: dict[Path, Any] = {}
@@ -66,7 +69,7 @@ class StepGraph:
             What `run` returns. Observation, reward and flags are copies; ``info`` is valid until
             the next step.
         """
-        self._env.sim.engine.check_memory()
+        self._engine.check_memory()
         self._steps += 1
         if self.reason or self._steps <= _WARM_UP:
             return run(action)
@@ -84,9 +87,10 @@ class StepGraph:
             self._restore_addresses()
         self._action.copy_(action)
         self._graph.replay()
-        obs, *numbers, info = self._result
-        rows = obs.rows.copy()
-        return (obs.with_rows(rows), *(part.clone() for part in numbers), dict(info))
+        obs, reward, terminated, truncated, info = self._result
+        seen = cast("Observation", obs)
+        copies = reward.clone(), terminated.clone(), truncated.clone()
+        return seen.with_rows(seen.rows.copy()), *copies, dict(info)
 
     def _observe(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
         """Take a step, and find the arrays that it reads and replaces."""
@@ -135,7 +139,7 @@ class StepGraph:
 
     def _record(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> None:
         """Record a step; its launches run when the graph is replayed."""
-        env, engine = self._env, self._env.sim.engine
+        env = self._env
         places = self._places()[0]
         self._action = action.clone()
         for path in self._changing:  # each its own memory: two places may hold the same array
@@ -148,7 +152,10 @@ class StepGraph:
         gc.collect()
         gc.disable()  # what it frees would be recorded
         try:
-            with torch.cuda.graph(graph, capture_error_mode="thread_local"), engine.recording():
+            with (
+                torch.cuda.graph(graph, capture_error_mode="thread_local"),
+                self._engine.recording() as self._memory,
+            ):
                 self._result = run(self._action)
                 self._keep()
         except (TypeError, ValueError, RuntimeError) as error:

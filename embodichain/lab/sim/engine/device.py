@@ -30,13 +30,15 @@ from embodichain.lab.sim.engine.warp import (
 
 __all__ = ["DeviceEngine"]
 
+_OF_ACTUATORS = frozenset({"qfrc_actuator", "actuator_force"})
+
 
 class DeviceEngine(WarpEngine):
     """N simulations of one model; states and fields are `DeviceArray`, views of Warp's memory.
 
     Nothing is copied from or to the host in a step, and nothing waits for the device. Environments
     are None (all) or an `EnvMask`. Model fields are kept on the host, as in `HostEngine`: writing
-    them copies values to the host, and waits.
+    them copies values to the host, and waits. `forward` computes a field when it is next read.
 
     An overflow of memory for contacts or constraints is reported by the next steps, as soon as the
     device has computed it.
@@ -74,6 +76,8 @@ class DeviceEngine(WarpEngine):
         }
         empty = torch.zeros((num_envs, 0), device=self.device)
         self._states |= {n: DeviceArray(empty) for n in self._layout if n not in self._states}
+        # Fields that `forward` has to compute, and for which environments, when they are read.
+        self._late: dict[str, EnvMask | None] = {}
         self._kept: dict[str, tuple[DeviceArray, DeviceArray]] = {}
         self._wild = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._overflow = torch.zeros(num_envs, dtype=torch.int32, device=self.device)
@@ -130,12 +134,16 @@ class DeviceEngine(WarpEngine):
         return wp.ScopedStream(torch_stream(self.device), sync_enter=False)
 
     @contextmanager
-    def recording(self) -> Iterator[None]:
-        """Record launches into a graph that torch has begun; nothing computed before is reused."""
+    def recording(self) -> Iterator[Any]:
+        """Record launches into a graph that torch has begun; nothing computed before is reused.
+
+        Yields:
+            An object that owns memory of the graph, to be kept as long as the graph.
+        """
         self._mark(None)
         stream = torch_stream(self.device)
-        with self._stream(), wp.ScopedCapture(stream=stream, external=True):
-            yield
+        with self._stream(), wp.ScopedCapture(stream=stream, external=True) as capture:
+            yield capture
 
     def acceleration(self, name: str) -> Any:
         found = self._kept.get(name)
@@ -150,11 +158,22 @@ class DeviceEngine(WarpEngine):
             output = DeviceArray(self.worlds.view(name).reshape(shape))
             found = self._kept[name] = output, output.copy()
             self.revision += 1
+        if name in self._late:
+            self._compute_late(name)
         return found[1]
 
-    def _keep_accelerations(self, env_ids: Any) -> None:
-        for output, copy in self._kept.values():
-            copy[ALL if env_ids is None else env_ids] = output
+    def _compute_late(self, name: str) -> None:
+        """Compute a field where `forward` was called after the last step."""
+        env_ids = self._late.pop(name)
+        with self._stream():
+            if name in _OF_ACTUATORS:  # needs neither contacts nor the solver
+                self.worlds.actuation()
+            else:
+                self.worlds.forward()
+        if self._only_kinematics:
+            self._any_dirty = False
+        output, copy = self._kept[name]
+        copy[ALL if env_ids is None else env_ids] = output
 
     def cast_rays(
         self,
@@ -187,7 +206,9 @@ class DeviceEngine(WarpEngine):
         self._time += nstep * self._timestep
         self._check_states()
         self._mark(None)
-        self._keep_accelerations(None)
+        self._late.clear()
+        for output, copy in self._kept.values():
+            copy[...] = output
 
     @property
     def _timestep(self) -> Any:
@@ -219,12 +240,10 @@ class DeviceEngine(WarpEngine):
         self._seen.copy_(self._overflow, non_blocking=True)
 
     def forward(self, env_ids: Any = None) -> None:
-        self._upload()
-        with self._stream():
-            self.worlds.forward()
-        self._check_states()
-        self._keep_accelerations(env_ids)
-        self._any_dirty = not self._only_kinematics  # sensors of all stages share an array
+        for name in self._kept:
+            before = self._late.get(name, env_ids)
+            both = env_ids is not None and before is not None
+            self._late[name] = EnvMask(env_ids.mask | before.mask) if both else None
         self.version += 1
 
     def take_diverged(self) -> Any:
