@@ -161,7 +161,9 @@ def matrix_to_quat(m: F64) -> F64:
     """
     flat = _floats(m).reshape(-1, 9)
     count = len(flat)
-    if is_host(flat) and flat.tobytes() == _UNTURNED * count:  # most poses set from Python: 10 times faster
+    if (
+        is_host(flat) and flat.tobytes() == _UNTURNED * count
+    ):  # most poses set from Python: 10 times faster
         q = np.zeros((count, 4))
         q[:, 0] = 1.0
         return q.reshape(*m.shape[:-2], 4)

@@ -253,7 +253,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             return
         where = None if self.arrays.are_all(ids, self.num_envs) else ids
         self._task_success = self.is_task_success()
-        self.curriculum_manager.compute(where)
+        if not self.arrays.on_device:
+            self.curriculum_manager.compute(where)
         self.sim.reset_objects_state(where, excluded_uids=self._detached_uids)
         for manager in self.managers.values():
             manager.reset(where)
@@ -320,6 +321,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         """
         if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
+        if self.arrays.on_device:  # which environments were reset is not known
+            self.curriculum_manager.compute(None)
         checked, given = self._check_action(action)
         if self._graph is not None and isinstance(checked, torch.Tensor) and not kwargs:
             return self._graph.step(lambda a: self._step(*self._check_action(a), {}), checked)

@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, constant, on_device
+from embodichain.lab.sim.engine.device_values import torch_type
 from embodichain.utils.random import RandomStreams
 
 __all__ = ["Arrays", "DeviceArrays"]
@@ -91,9 +92,8 @@ class DeviceArrays(Arrays):
             self.device = torch.device("cuda", torch.cuda.current_device())
 
     def full(self, shape: int | Sequence[int], value: Any, dtype: Any = np.float64) -> Any:
-        made = on_device(np.zeros(0, dtype), self.device).tensor
         lengths = (shape,) if isinstance(shape, int) else tuple(shape)
-        return DeviceArray(torch.full(lengths, value, dtype=made.dtype, device=self.device))
+        return DeviceArray(torch.full(lengths, value, dtype=torch_type(dtype), device=self.device))
 
     def put(self, array: Any) -> Any:
         return on_device(array, self.device)

@@ -15,7 +15,7 @@ from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
 from embodichain.lab.sim.objects.solid import Solid
 from embodichain.lab.sim.unavailable import not_available
-from embodichain.utils.arrays import may_be_set, tensor_of
+from embodichain.utils.arrays import may_be_set
 from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
 
 if TYPE_CHECKING:
@@ -181,13 +181,9 @@ class RigidObject(BatchEntity):
         mass = self.engine.model_field("body_mass")[rows, self.index.root_body_id].copy()
         return mass, self.engine.model_field("body_inertia")[rows, self._columns(3)].copy()
 
-    def _tensor(self, values: F64, env_ids: Any) -> torch.Tensor:
-        """Rows of values (N, ...) of the host as a float32 tensor, on the device of tensors."""
-        return to_tensor(self.host.arrays.constant(values)[self._rows(env_ids)])
-
     def get_mass(self, env_ids: Any = None) -> torch.Tensor:
         """(n,) kg."""
-        return self._tensor(self.read_inertia()[0], env_ids)
+        return to_tensor(self.read_inertia()[0][self._rows(env_ids)])
 
     def set_mass(self, mass: Any, env_ids: Any = None) -> None:
         """Set the mass (n,) in kg; the inertia scales with it.
@@ -218,7 +214,7 @@ class RigidObject(BatchEntity):
 
     def get_inertia(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 3) principal moments of inertia, kg m^2."""
-        return self._tensor(self.read_inertia()[1], env_ids)
+        return to_tensor(self.read_inertia()[1][self._rows(env_ids)])
 
     def set_inertia(self, inertia: Any, env_ids: Any = None) -> None:
         """Set the principal moments of inertia (n, 3) in kg m^2.
@@ -267,7 +263,7 @@ class RigidObject(BatchEntity):
 
     def get_damping(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 2) linear and angular damping, 1/s."""
-        return self._tensor(self._damping, env_ids)
+        return to_tensor(self._damping[self._rows(env_ids)])
 
     def set_damping(self, damping: Any, env_ids: Any = None) -> None:
         """Set linear and angular damping, (n, 2) in 1/s."""
@@ -304,7 +300,7 @@ class RigidObject(BatchEntity):
 
     def get_shape(self, env_ids: Any = None) -> torch.Tensor:
         """(n,) int64 index in `shape_names` of the present shape; 0 without `any_of`."""
-        return tensor_of(self.host.arrays.constant(self.read_shape())[self._rows(env_ids)].copy())
+        return torch.from_numpy(self.read_shape()[self._rows(env_ids)].copy())
 
     def set_shape(self, shape: Any, env_ids: Any = None) -> None:
         """Give the object another of its shapes: (n,) indices in `shape_names`.
@@ -382,7 +378,7 @@ class RigidObject(BatchEntity):
 
     def get_body_scale(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 3) scale of the shape."""
-        return self._tensor(np.asarray(self.cfg.body_scale) * self._scale, env_ids)
+        return to_tensor((np.asarray(self.cfg.body_scale) * self._scale)[self._rows(env_ids)])
 
     def set_body_scale(self, scale: Any, env_ids: Any = None) -> None:
         """Set the shape's scale (n, 3); mass and inertia change at constant density.
@@ -400,7 +396,7 @@ class RigidObject(BatchEntity):
     def get_friction(self, env_ids: Any = None) -> torch.Tensor:
         """(n,) sliding friction coefficient."""
         column = 3 * int(self.index.geom_ids[0])
-        return self._tensor(self.engine.model_field("geom_friction")[:, column], env_ids)
+        return to_tensor(self.engine.model_field("geom_friction")[self._rows(env_ids), column])
 
     def set_friction(self, friction: Any, env_ids: Any = None) -> None:
         """Set the sliding friction (n,); a contact takes the larger value of its two bodies."""
@@ -429,8 +425,7 @@ class RigidObject(BatchEntity):
 
     def get_user_ids(self) -> torch.Tensor:
         """(N,) id of the body in segmentation images: its MuJoCo body id."""
-        ids = (self.num_instances,), self.index.root_body_id
-        return torch.full(*ids, dtype=torch.int32, device=self.device)
+        return torch.full((self.num_instances,), self.index.root_body_id, dtype=torch.int32)
 
     def set_visible(self, visible: bool = True) -> None:
         """Show or hide the body when rendering, in all environments."""

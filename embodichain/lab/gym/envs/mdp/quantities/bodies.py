@@ -165,9 +165,7 @@ def shape_index(env: TermContext, entity_cfg: ResolvedEntity, one_hot: bool = Fa
         message = f"{entity_cfg.uid!r} has no any_of: there is one shape"
         raise ConfigError([Problem("entity_cfg.uid", message)])
     number: NDArray[np.int64] = entity_cfg.asset.read_shape()
-    rows = np.eye(len(names))[number] if one_hot else number.astype(np.float64)
-    found: F64 = env.arrays.constant(rows)
-    return found
+    return np.take(np.eye(len(names)), number, axis=0) if one_hot else number.astype(np.float64)
 
 
 @quantity("observation")
