@@ -56,8 +56,9 @@ READINGS = {
 SHAPED: dict[str, Any] = {
     "l1": "l1", "l2": "l2", "norm": "norm", "negative": ["norm", "negative"], "tanh": {"tanh": 0.5},
     "gaussian": {"gaussian": 0.5}, "above": {"above": 0.1}, "below": {"below": 0.1},
-    "within": {"within": [-1, 1]}, "outside": {"outside": [-1.6, 1]}, "excess": ["norm", {"excess": 0.3}],
-    "clip": ["norm", {"clip": [-1, 1]}], "at_most": ["norm", {"at_most": 0.5}], "rate": ["norm", "rate"],
+    "within": {"within": [-1, 1]}, "outside": {"outside": [-1.6, 1]},
+    "excess": ["norm", {"excess": 0.3}], "rate": ["norm", "rate"],
+    "clip": ["norm", {"clip": [-1, 1]}], "at_most": ["norm", {"at_most": 0.5}],
     "tolerance": ["norm", {"tolerance": {"margin": 3.0}}],
 }  # fmt: skip
 OTHERS: list[tuple[str, dict[str, Any]]] = [

@@ -23,8 +23,6 @@ from embodichain.utils.arrays import contiguous
 from embodichain.utils.math import wrapped
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
