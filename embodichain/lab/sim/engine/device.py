@@ -27,6 +27,7 @@ from embodichain.lab.sim.engine.warp import (
     WarpEngine,
     require_memory,
 )
+from embodichain.utils.arrays import tensor_of
 
 __all__ = ["DeviceEngine"]
 
@@ -186,13 +187,12 @@ class DeviceEngine(WarpEngine):
     ) -> RayHits:
         self.derived("geom_xpos")  # the kinematics of the current state
         rays = np.broadcast_shapes(origins.shape, directions.shape, (1, 1, 3))[1]
-        starts, ways = (
-            np.broadcast_to(part, (self.num_envs, rays, 3)).tensor.contiguous()
-            for part in (origins, directions)
-        )
+        shape = (self.num_envs, rays, 3)
+        starts, ways = (tensor_of(np.broadcast_to(x, shape)) for x in (origins, directions))
         with self._stream():
-            distance, geom, normals = map(DeviceArray, self.worlds.cast(starts, ways, geoms))
-        return RayHits(distance, geom, normals if normal else None)
+            found = self.worlds.cast(starts.contiguous(), ways.contiguous(), geoms)
+        hits: list[Any] = [DeviceArray(part) for part in found]
+        return RayHits(hits[0], hits[1], hits[2] if normal else None)
 
     # -- physics -----------------------------------------------------------------------------------
 

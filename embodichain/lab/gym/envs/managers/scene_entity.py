@@ -195,7 +195,8 @@ class ResolvedEntity:
         low, high = self.asset.drives.limits.of(self._columns, None)
         limited = self._unchecked(np.isfinite(low) & np.isfinite(high), "ranges")
         if not limited.all():
-            pairs = zip(self.joint_names, limited.all(axis=0), strict=True)
+            every = np.asarray(limited.all(axis=0))
+            pairs = zip(self.joint_names, every, strict=True)
             missing = ", ".join(name for name, fine in pairs if not fine)
             message = f"joints of {self.uid!r} without position limits: {missing}"
             raise ConfigError([Problem(self.path, message)])
@@ -236,7 +237,8 @@ class ResolvedEntity:
         if what in self._checked:
             return np.ones(1, np.bool_)
         self._checked.add(what)
-        return self.asset.host.arrays.host(limited)
+        copy: NDArray[np.bool_] = self.asset.host.arrays.host(limited)
+        return copy
 
     def _require_limits(self, limited: NDArray[np.bool_], what: str) -> None:
         if not self._unchecked(limited, what).any():
