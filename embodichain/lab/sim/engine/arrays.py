@@ -87,9 +87,8 @@ class DeviceArrays(Arrays):
     on_device = True
 
     def __init__(self, device: str) -> None:
-        self.device = torch.device(device)
-        if self.device.type == "cuda" and self.device.index is None:
-            self.device = torch.device("cuda", torch.cuda.current_device())
+        current = f"cuda:{torch.cuda.current_device()}" if device == "cuda" else device
+        self.device = torch.device(current)
 
     def full(self, shape: int | Sequence[int], value: Any, dtype: Any = np.float64) -> Any:
         lengths = (shape,) if isinstance(shape, int) else tuple(shape)
@@ -106,11 +105,9 @@ class DeviceArrays(Arrays):
         return found
 
     def of(self, values: Any) -> Any:
-        if isinstance(values, DeviceArray):
-            return values
         if isinstance(values, torch.Tensor):
             return DeviceArray(values.detach())
-        return on_device(values, self.device)
+        return values if isinstance(values, DeviceArray) else on_device(values, self.device)
 
     def where(self, mask: Any) -> Any:
         return EnvMask(mask.tensor)

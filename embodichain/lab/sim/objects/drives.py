@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drive_cfg import NO_LIMIT
-from embodichain.lab.sim.objects._arrays import columns_of, field_values
+from embodichain.lab.sim.engine.columns import columns_of
+from embodichain.lab.sim.objects._arrays import field_values
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
