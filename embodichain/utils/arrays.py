@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 else:
     torch = lazy_loader.load("torch")
 
-__all__ = ["may_be_set", "contiguous", "is_host", "tensor_of"]
+__all__ = ["contiguous", "is_host", "may_be_set", "precise", "tensor_of"]
 
 
 def is_host(array: Any) -> bool:
@@ -40,4 +40,10 @@ def contiguous(array: Any, dtype: Any = None) -> NDArray[Any]:
     if is_host(array):
         return np.ascontiguousarray(array, dtype)
     found: NDArray[Any] = array if dtype is None else array.astype(dtype, copy=False)
+    return found
+
+
+def precise(array: Any) -> NDArray[Any]:
+    """Return numbers as float64 on a device too, where arrays are float32 otherwise."""
+    found: NDArray[Any] = array if is_host(array) else type(array)(array.tensor.double())
     return found

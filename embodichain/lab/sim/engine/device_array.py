@@ -252,11 +252,13 @@ class DeviceArray(NDArrayOperatorsMixin):
     # -- indexing ----------------------------------------------------------------------------------
 
     def __getitem__(self, key: Any) -> DeviceArray:
-        keys, _ = _index(key, self.tensor.device)
+        keys, mask = _index(key, self.tensor.device)
         if not _reversed_step(keys):
             if any(isinstance(k, torch.Tensor) and k.dtype == torch.bool for k in keys):
                 _refuse("rows of the device were selected by a mask")
-            return DeviceArray(self.tensor[keys])
+            found = self.tensor[keys]
+            # As numpy's selection by indices it is a copy: `x[env_ids] -= 1` changes it in place.
+            return DeviceArray(found if mask is None else found.clone())
         places = [
             torch.arange(self.tensor.shape[axis], device=self.tensor.device)[
                 range(*k.indices(self.tensor.shape[axis]))
@@ -465,9 +467,13 @@ def _clip(device: torch.device, a: Any, a_min: Any, a_max: Any) -> torch.Tensor:
 
 
 def _like(value: float) -> Callable[..., torch.Tensor]:
-    def make(device: torch.device, a: Any, dtype: Any = None) -> torch.Tensor:
-        kept = None if dtype is None else _TORCH_TYPES[np.dtype(dtype)]
-        return torch.full_like(_operand(a, device), value, dtype=kept)
+    def make(
+        device: torch.device, a: Any, dtype: Any = None, shape: Any = None, order: str = "K"
+    ) -> torch.Tensor:
+        values = _operand(a, device)
+        kept = values.dtype if dtype is None else _TORCH_TYPES[np.dtype(dtype)]
+        lengths = values.shape if shape is None else shape
+        return torch.full(lengths, value, dtype=kept, device=device)
 
     return make
 
