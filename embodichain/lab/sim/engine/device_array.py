@@ -305,7 +305,9 @@ class DeviceArray(NDArrayOperatorsMixin):
 
     def take(self, indices: Any, axis: int) -> DeviceArray:
         """Numbers at indices (any shape) along an axis."""
-        places = _operand(np.asarray(indices), self.tensor.device)
+        if not isinstance(indices, DeviceArray):
+            indices = np.asarray(indices)
+        places = _operand(indices, self.tensor.device)
         axis %= self.ndim
         found = self.tensor.index_select(axis, places.reshape(-1))
         shape = (*self.shape[:axis], *places.shape, *self.shape[axis + 1 :])
@@ -497,6 +499,13 @@ def _reduction(function: Callable[..., Any]) -> Callable[..., torch.Tensor]:
     return reduce
 
 
+def _take(device: torch.device, a: Any, indices: Any, axis: int | None = None) -> torch.Tensor:
+    values, places = DeviceArray(_operand(a, device)), DeviceArray(_operand(indices, device))
+    if axis is None:
+        values, axis = values.reshape(-1), 0
+    return values.take(places, axis).tensor
+
+
 def _moveaxis(device: torch.device, a: Any, source: Any, destination: Any) -> torch.Tensor:
     return torch.movedim(_operand(a, device), source, destination)
 
@@ -526,6 +535,13 @@ _FUNCTIONS: dict[Callable[..., Any], Callable[..., torch.Tensor]] = {
     np.tile: lambda device, a, reps: _operand(a, device).tile(reps),
     np.repeat: lambda device, a, repeats, axis: _operand(a, device).repeat_interleave(
         repeats, axis
+    ),
+    np.take: _take,
+    np.argsort: lambda device, a, axis=-1, kind=None: _operand(a, device).argsort(
+        dim=axis, stable=True
+    ),
+    np.searchsorted: lambda device, a, v, side="left": torch.searchsorted(
+        *_tensors(device, a, v), side=side
     ),
     np.take_along_axis: lambda device, a, indices, axis: torch.take_along_dim(
         _operand(a, device), _operand(indices, device), axis

@@ -123,7 +123,7 @@ class RandomizeTexture(Term):
         """Draw and write the texture of the object in these environments."""
         drawn = self._index(env.event_manager, env_ids).astype(np.int64)
         # A number just below the upper bound may round up to it.
-        ids = self._ids[np.minimum(drawn, len(self._ids) - 1)]
+        ids = np.take(self._ids, np.minimum(drawn, len(self._ids) - 1))
         self._engine.write_model("mat_texid", ids, env_ids, slice(self._column, self._column + 1))
 
 
