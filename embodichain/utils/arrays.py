@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import torch
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["contiguous", "is_host", "may_be_set", "precise", "tensor_of"]
 
 
 def is_host(array: Any) -> bool:
     """Whether an array, or anything else, is not on a device."""
-    return not hasattr(array, "tensor")
+    return not hasattr(type(array), "tensor")
 
 
 def may_be_set(mask: Any) -> bool:
@@ -28,7 +25,11 @@ def may_be_set(mask: Any) -> bool:
 
 def tensor_of(array: Any) -> torch.Tensor:
     """Return a tensor that shares memory with an array, where the array is."""
-    found: torch.Tensor = torch.from_numpy(array) if is_host(array) else array.tensor
+    if is_host(array):
+        import torch  # scenes are checked without it
+
+        return torch.from_numpy(array)
+    found: torch.Tensor = array.tensor
     return found
 
 

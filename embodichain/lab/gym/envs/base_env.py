@@ -42,6 +42,7 @@ from embodichain.lab.gym.envs.observation import Observation, observation_space
 from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
+from embodichain.lab.gym.envs.step_graph import StepGraph
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
@@ -50,7 +51,7 @@ from embodichain.utils.errors import ConfigError
 from embodichain.utils.random import first_seed
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
@@ -208,6 +209,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.streams.load_state_dict(saved)  # the first reset draws as if this had not happened
         self.single_observation_space = observation_space(first)
         self.observation_space = batch_space(self.single_observation_space, cfg.num_envs)
+        self._graph = StepGraph(self) if self.device.type == "cuda" else None
         if cfg.sim_cfg.visualization is not None:
             cfg.sim_cfg.visualization.attach(self)
 
@@ -240,6 +242,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         if seed is not None:
             self.streams.reseed(seed)
             seed_globals(self, self.streams.seed)
+        if self._graph is not None:
+            self._graph.forget_addresses()
         self._reset_rows(ids, options)
         self.episodes.settle(ids)
         return self._observe_reset(ids, options), dict(self.get_info(**options).items())
@@ -314,10 +318,16 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             ValueError: If its shape or device is wrong or it is not finite; no state has changed.
             gymnasium.error.ResetNeeded: If `reset` has not been called.
         """
-        episodes = self.episodes
-        if not episodes.begun:
+        if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
-        action, given = self._check_action(action)
+        checked, given = self._check_action(action)
+        if self._graph is not None and isinstance(checked, torch.Tensor) and not kwargs:
+            return self._graph.step(lambda a: self._step(*self._check_action(a), {}), checked)
+        return self._step(checked, given, kwargs)
+
+    def _step(self, action: EnvAction, given: F64, kwargs: dict[str, Any]) -> Step:
+        """Take a step by a checked action and its numbers (N, A)."""
+        episodes = self.episodes
         episodes.last_action = given
         pending = episodes.pending  # NEXT_STEP: these are reset instead of stepped
         saved = None if pending is None else self.streams.save_counters()
@@ -486,6 +496,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.np_random.bit_generator.state = saved["np_random"]
         for name, manager in self.managers.items():
             manager.load_state_dict(saved["managers"][name])
+        if self._graph is not None:
+            self._graph.forget_addresses()
         self.control_step = saved["control_step"]
         self.observation_buffer.last = saved["observation"].copy()
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.managers.action_manager import ActionManager
+    from embodichain.lab.gym.envs.managers.manager import Manager
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.managers.value_managers import (
         MetricManager,
@@ -63,6 +64,7 @@ class EnvReads:
     control_step: int
     observation_space: gym.Space[Any]
     action_manager: ActionManager
+    managers: dict[str, Manager[Any]]
     metric_manager: MetricManager
     reward_manager: RewardManager
     termination_manager: TerminationManager
@@ -85,6 +87,12 @@ class EnvReads:
     def arrays(self) -> Arrays:
         """Makes the arrays that terms keep, where the simulation has its arrays."""
         return self.sim.arrays
+
+    @property
+    def revision(self) -> tuple[int, ...]:
+        """Numbers that change when a step is computed in another way: limit, terms, model."""
+        managers = (manager.revision for manager in self.managers.values())
+        return self.episodes.limit, getattr(self.sim.engine, "revision", 0), *managers
 
     @property
     def physics_dt(self) -> float:

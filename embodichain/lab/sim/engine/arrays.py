@@ -7,7 +7,7 @@ on the host and with `DeviceArray` on a device.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -123,4 +123,4 @@ class DeviceArrays(Arrays):
     def streams(self, seed: int, count: int) -> RandomStreams:
         from embodichain.lab.sim.engine.device_streams import DeviceStreams
 
-        return DeviceStreams(seed, count, self.device)
+        return cast("RandomStreams", DeviceStreams(seed, count, str(self.device)))

@@ -5,16 +5,20 @@ Importing this module imports Warp (extra ``gpu``).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import mujoco
 import numpy as np
 import torch
+import warp as wp
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import ALL, F64, Columns
 from embodichain.lab.sim.engine.cpu import KINEMATIC_STAGES, entries
 from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, HostTransferError
+from embodichain.lab.sim.engine.torch_stream import torch_stream
 from embodichain.lab.sim.engine.warp import (
     COLLISION_BITS,
     CONSTRAINT_FORCES,
@@ -26,16 +30,22 @@ from embodichain.lab.sim.engine.warp import (
 
 __all__ = ["DeviceEngine"]
 
+_OF_ACTUATORS = frozenset({"qfrc_actuator", "actuator_force"})
+
 
 class DeviceEngine(WarpEngine):
     """N simulations of one model; states and fields are `DeviceArray`, views of Warp's memory.
 
     Nothing is copied from or to the host in a step, and nothing waits for the device. Environments
     are None (all) or an `EnvMask`. Model fields are kept on the host, as in `HostEngine`: writing
-    them copies values to the host, and waits.
+    them copies values to the host, and waits. `forward` computes a field when it is next read.
 
     An overflow of memory for contacts or constraints is reported by the next steps, as soon as the
     device has computed it.
+
+    Attributes:
+        revision: Increases when model fields were copied to the device, or more fields are
+            computed: recorded steps are then out of date.
 
     Args:
         model: The compiled scene.
@@ -66,6 +76,8 @@ class DeviceEngine(WarpEngine):
         }
         empty = torch.zeros((num_envs, 0), device=self.device)
         self._states |= {n: DeviceArray(empty) for n in self._layout if n not in self._states}
+        # Fields that `forward` has to compute, and for which environments, when they are read.
+        self._late: dict[str, EnvMask | None] = {}
         self._kept: dict[str, tuple[DeviceArray, DeviceArray]] = {}
         self._wild = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._overflow = torch.zeros(num_envs, dtype=torch.int32, device=self.device)
@@ -73,6 +85,7 @@ class DeviceEngine(WarpEngine):
         pinned = self.device.type == "cuda"
         self._seen = torch.zeros(num_envs, dtype=torch.int32, pin_memory=pinned)
         self._derived_views: dict[str, DeviceArray] = {}
+        self.revision = 0
 
     # -- reads -------------------------------------------------------------------------------------
 
@@ -100,6 +113,7 @@ class DeviceEngine(WarpEngine):
             shape = self._empty(name).shape
             found = DeviceArray(self.worlds.view(name).reshape(shape))
             self._derived_views[name] = found
+            self.revision += 1
             self._only_kinematics &= name in KINEMATIC_STAGES and name != "sensordata"
             self._any_dirty = True
         if self._any_dirty:
@@ -108,11 +122,28 @@ class DeviceEngine(WarpEngine):
 
     def _refresh(self) -> None:
         self._upload()
-        if self._only_kinematics:
-            self.worlds.kinematics()
-        else:
-            self.worlds.position_and_velocity()
+        with self._stream():
+            if self._only_kinematics:
+                self.worlds.kinematics()
+            else:
+                self.worlds.position_and_velocity()
         self._any_dirty = False
+
+    def _stream(self) -> Any:
+        """Launch Warp's kernels on torch's stream, in the order of the calls."""
+        return wp.ScopedStream(torch_stream(self.device), sync_enter=False)
+
+    @contextmanager
+    def recording(self) -> Iterator[Any]:
+        """Record launches into a graph that torch has begun; nothing computed before is reused.
+
+        Yields:
+            An object that owns memory of the graph, to be kept as long as the graph.
+        """
+        self._mark(None)
+        stream = torch_stream(self.device)
+        with self._stream(), wp.ScopedCapture(stream=stream, external=True) as capture:
+            yield capture
 
     def acceleration(self, name: str) -> Any:
         found = self._kept.get(name)
@@ -121,15 +152,28 @@ class DeviceEngine(WarpEngine):
             if name in CONSTRAINT_FORCES:
                 self.worlds.want_constraint_forces()
             self._upload()
-            self.worlds.forward()
+            with self._stream():
+                self.worlds.forward()
             self._any_dirty = True
             output = DeviceArray(self.worlds.view(name).reshape(shape))
             found = self._kept[name] = output, output.copy()
+            self.revision += 1
+        if name in self._late:
+            self._compute_late(name)
         return found[1]
 
-    def _keep_accelerations(self, env_ids: Any) -> None:
-        for output, copy in self._kept.values():
-            copy[ALL if env_ids is None else env_ids] = output
+    def _compute_late(self, name: str) -> None:
+        """Compute a field where `forward` was called after the last step."""
+        env_ids = self._late.pop(name)
+        with self._stream():
+            if name in _OF_ACTUATORS:  # needs neither contacts nor the solver
+                self.worlds.actuation()
+            else:
+                self.worlds.forward()
+        if self._only_kinematics:
+            self._any_dirty = False
+        output, copy = self._kept[name]
+        copy[ALL if env_ids is None else env_ids] = output
 
     def cast_rays(self, *args: Any, **kwargs: Any) -> Any:
         raise HostTransferError("rays have no form on a device: use sim.warp.arrays=host")
@@ -141,11 +185,14 @@ class DeviceEngine(WarpEngine):
             message = "physics steps of some environments have no form on a device"
             raise HostTransferError(f"{message}: use sim.warp.arrays=host")
         self._upload()
-        self.worlds.step(nstep)
+        with self._stream():
+            self.worlds.step(nstep)
         self._time += nstep * self._timestep
         self._check_states()
         self._mark(None)
-        self._keep_accelerations(None)
+        self._late.clear()
+        for output, copy in self._kept.values():
+            copy[...] = output
 
     @property
     def _timestep(self) -> Any:
@@ -177,11 +224,10 @@ class DeviceEngine(WarpEngine):
         self._seen.copy_(self._overflow, non_blocking=True)
 
     def forward(self, env_ids: Any = None) -> None:
-        self._upload()
-        self.worlds.forward()
-        self._check_states()
-        self._keep_accelerations(env_ids)
-        self._any_dirty = not self._only_kinematics  # sensors of all stages share an array
+        for name in self._kept:
+            before = self._late.get(name, env_ids)
+            both = env_ids is not None and before is not None
+            self._late[name] = EnvMask(env_ids.mask | before.mask) if both else None
         self.version += 1
 
     def take_diverged(self) -> Any:
@@ -248,7 +294,9 @@ class DeviceEngine(WarpEngine):
         if self._model_changed:
             self._model_changed = False
             self._rows[...] = self.host_rows()
-            self._put_fields()
+            self.revision += 1
+            with self._stream():
+                self._put_fields()
 
     # -- whole simulations -------------------------------------------------------------------------
 

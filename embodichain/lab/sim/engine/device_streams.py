@@ -304,7 +304,7 @@ class DeviceStreams:
             block.counters[:, torch.from_numpy(env_ids).to(self._device)] = 0
 
 
-def _mask(env_ids: EnvMask) -> torch.Tensor:
+def _mask(env_ids: EnvMask | DeviceArray) -> torch.Tensor:
     """(N,) bool.
 
     Raises:

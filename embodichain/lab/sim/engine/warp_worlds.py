@@ -117,7 +117,7 @@ class WarpWorlds:
         out[...] = getattr(self._data, name).numpy().reshape(out.shape)
 
     def view(self, name: str, width: int | None = None) -> torch.Tensor:
-        """A field of `mjData` of all worlds, (N, ...) or (N, width): a tensor that shares memory."""
+        """A field of `mjData` of all worlds as a tensor, (N, ...) or (N, width); shares memory."""
         tensor: torch.Tensor = wp.to_torch(getattr(self._data, name))
         return tensor if width is None else tensor.view(self._count, width)
 
@@ -158,6 +158,15 @@ class WarpWorlds:
             mjw.sensor_pos(model, data)
             mjw.fwd_velocity(model, data)
             mjw.sensor_vel(model, data)
+
+    def actuation(self) -> None:
+        """Compute forces of actuators, and what they depend on; no contacts."""
+        model, data = self._model, self._data
+        with wp.ScopedDevice(self._device):
+            mjw.fwd_kinematics(model, data)
+            mjw.transmission(model, data)
+            mjw.fwd_velocity(model, data)
+            mjw.fwd_actuation(model, data)
 
     def positions(self) -> None:
         """Compute the position stage: contacts and constraints."""

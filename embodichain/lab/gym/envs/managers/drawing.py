@@ -344,7 +344,7 @@ class CommandManager(DrawingManager[CommandCfg]):
     def _bind(self) -> None:
         for name, term in self.terms.items():
             values = getattr(term.instance, "values", None)
-            if getattr(values, "ndim", 0) != 2:
+            if values is None or getattr(values, "ndim", 0) != 2:
                 message = f"{term.spec.label} must set values, an array (N, K)"
                 raise ConfigError([Problem(f"commands.{name}.func", message)])
             plain = self.env.arrays.on_device or values.dtype == np.float64

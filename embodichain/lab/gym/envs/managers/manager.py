@@ -251,6 +251,9 @@ class Manager(Generic[C]):
     Raises:
         ConfigError: If a term or an entity that it refers to does not exist, or a parameter is
             wrong; lists the mistakes of all terms.
+
+    Attributes:
+        revision: Number of changes of parameters and weights so far.
     """
 
     def __init__(self, env: TermContext, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
@@ -258,6 +261,7 @@ class Manager(Generic[C]):
         self.num_envs = env.num_envs
         self.section = section
         self._kind: Kind = kind
+        self.revision = 0
         self._declared = dict(cfgs)
         self._changed: dict[str, dict[str, Any]] = {}
         problems: list[Problem] = []
@@ -304,6 +308,7 @@ class Manager(Generic[C]):
         if old.instance is not None and hasattr(old.instance, "state_dict"):
             term.instance.load_state_dict(old.instance.state_dict())
         self.terms[name] = term
+        self.revision += 1
         self._changed[name] = copy.deepcopy(self._changed.get(name, {}) | changed)
         self._collect()
 

@@ -282,6 +282,7 @@ class RewardManager(Manager[RewardCfg]):
         """Change the weight of a term from the next step on."""
         if self.weights[name] != weight:
             self.weights = MappingProxyType({**self.weights, name: float(weight)})
+            self.revision += 1
             self._bind()
 
     def compute(self, rewards: F32 | None, obs: Any, action: Any, info: dict[str, Any]) -> F32:
@@ -345,6 +346,7 @@ class RewardManager(Manager[RewardCfg]):
         """Continue where `state_dict` was taken."""
         super().load_state_dict(state)
         self.weights = MappingProxyType(dict(state["weights"]))
+        self.revision += 1
         self._bind()
         sums = [np.asarray(state["episode_sums"][name], np.float32) for name in self._names]
         self._sums = np.array(sums, np.float32).reshape(len(sums), self.num_envs)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import numpy as np
 from pydantic import Field
@@ -188,14 +188,14 @@ def _columns(values: F64) -> F64:
 
 def _any_column(mask: Mask) -> Mask:
     """Whether a row has a True, (N,) or (N, K) -> (N,)."""
-    found: Mask = mask if mask.ndim == 1 else mask.any(axis=1)
-    return found
+    found: Any = mask if mask.ndim == 1 else mask.any(axis=1)
+    return cast("Mask", found)
 
 
 def _every_column(mask: Mask) -> Mask:
     """Whether all columns of a row are True, (N,) or (N, K) -> (N,)."""
-    found: Mask = mask if mask.ndim == 1 else mask.all(axis=1)
-    return found
+    found: Any = mask if mask.ndim == 1 else mask.all(axis=1)
+    return cast("Mask", found)
 
 
 def _length(values: F64) -> F64:
