@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["contiguous", "is_host", "may_be_set", "precise", "tensor_of"]
+__all__ = ["contiguous", "is_host", "may_be_set", "precise", "rows_at", "tensor_of"]
 
 
 def is_host(array: Any) -> bool:
@@ -47,4 +47,10 @@ def contiguous(array: Any, dtype: Any = None) -> NDArray[Any]:
 def precise(array: Any) -> NDArray[Any]:
     """Return numbers as float64 on a device too, where arrays are float32 otherwise."""
     found: NDArray[Any] = array if is_host(array) else type(array)(array.tensor.double())
+    return found
+
+
+def rows_at(table: NDArray[Any], indices: Any) -> NDArray[Any]:
+    """Return rows of an array of the host at indices (n,), where these are."""
+    found: NDArray[Any] = table[indices] if is_host(indices) else indices.rows_of(table)
     return found

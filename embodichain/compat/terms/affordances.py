@@ -29,6 +29,7 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     import torch
+    from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex

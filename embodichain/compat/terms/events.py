@@ -14,7 +14,7 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.lab.gym.envs.mdp.events.pushes import EpisodeTimer, PushBySettingVelocity
-from embodichain.utils.arrays import tensor_of
+from embodichain.utils.arrays import rows_at, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, pose_to_matrix, quat_multiply
 
@@ -166,7 +166,7 @@ class PlannerGridCellSampler(Term):
         keys = self._keys(env.event_manager, env_ids)
         order = np.argsort(keys, axis=1, kind="stable")
         for number, asset in enumerate(self._assets):
-            pos = np.take(self._centres, order[:, number], axis=0)
+            pos = rows_at(self._centres, order[:, number])
             asset.write_pose(pos, self._quats[number][: len(pos)], env_ids)
             asset.stop(env_ids)
         if self._steps > 0:
@@ -241,7 +241,7 @@ class RandomizeAnchorHeight(Term):
         where: Any = slice(None) if env_ids is None else env_ids
         height = self._height(env.event_manager, env_ids)[:, 0]
         if self._candidates is not None:
-            height = np.take(self._candidates, height.astype(np.int64))
+            height = rows_at(self._candidates, height.astype(np.int64))
         pos = self._anchor.read_pose()[0][where].copy()
         pos[:, 2] = float(self._anchor.entity.pos0[2]) + height
         self._anchor.write_pose(pos, None, env_ids)

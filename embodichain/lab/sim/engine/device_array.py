@@ -305,13 +305,15 @@ class DeviceArray(NDArrayOperatorsMixin):
 
     def take(self, indices: Any, axis: int) -> DeviceArray:
         """Numbers at indices (any shape) along an axis."""
-        if not isinstance(indices, DeviceArray):
-            indices = np.asarray(indices)
-        places = _operand(indices, self.tensor.device)
+        places = _operand(np.asarray(indices), self.tensor.device)
         axis %= self.ndim
         found = self.tensor.index_select(axis, places.reshape(-1))
         shape = (*self.shape[:axis], *places.shape, *self.shape[axis + 1 :])
         return DeviceArray(found.reshape(shape))
+
+    def rows_of(self, table: NDArray[Any]) -> DeviceArray:
+        """Rows of an array of the host at these indices."""
+        return DeviceArray(_operand(table, self.tensor.device)[self.tensor])
 
     def swapaxes(self, first: int, second: int) -> DeviceArray:
         """With two axes exchanged; a view."""
@@ -499,13 +501,6 @@ def _reduction(function: Callable[..., Any]) -> Callable[..., torch.Tensor]:
     return reduce
 
 
-def _take(device: torch.device, a: Any, indices: Any, axis: int | None = None) -> torch.Tensor:
-    values, places = DeviceArray(_operand(a, device)), DeviceArray(_operand(indices, device))
-    if axis is None:
-        values, axis = values.reshape(-1), 0
-    return values.take(places, axis).tensor
-
-
 def _moveaxis(device: torch.device, a: Any, source: Any, destination: Any) -> torch.Tensor:
     return torch.movedim(_operand(a, device), source, destination)
 
@@ -536,7 +531,6 @@ _FUNCTIONS: dict[Callable[..., Any], Callable[..., torch.Tensor]] = {
     np.repeat: lambda device, a, repeats, axis: _operand(a, device).repeat_interleave(
         repeats, axis
     ),
-    np.take: _take,
     np.argsort: lambda device, a, axis=-1, kind=None: _operand(a, device).argsort(
         dim=axis, stable=True
     ),

@@ -15,7 +15,7 @@ from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
 from embodichain.lab.sim.objects.solid import Solid
 from embodichain.lab.sim.unavailable import not_available
-from embodichain.utils.arrays import may_be_set
+from embodichain.utils.arrays import may_be_set, rows_at
 from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class RigidObject(BatchEntity):
         self._mass0[:] = engine.model.body_mass[index.root_body_id]
         self._inertia[:] = engine.model.body_inertia[index.root_body_id]
         if index.variants is not None:
-            self.write_shape(self._variant, None)
+            self.write_shape(np.zeros(self.num_instances, np.int64), None)
 
     @property
     def is_static(self) -> bool:
@@ -334,10 +334,12 @@ class RigidObject(BatchEntity):
         where, body = self._rows(ids), self.index.root_body_id
 
         def of(values: NDArray[Any]) -> NDArray[Any]:
-            return np.take(values, chosen, axis=0)
+            return rows_at(values, chosen)
 
         mass, inertia = of(variants.mass), of(variants.inertia)
-        self._variant[where], self._mass0[where], self._inertia[where] = chosen, mass, inertia
+        put = self.host.arrays.of
+        self._variant[where], self._mass0[where] = put(chosen), put(mass)
+        self._inertia[where] = put(inertia)
         one = slice(int(geoms[0]), int(geoms[-1]) + 1)
         write("geom_contype", of(variants.contype), ids, one)
         write("geom_conaffinity", of(variants.conaffinity), ids, one)
