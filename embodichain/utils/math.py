@@ -159,9 +159,11 @@ def matrix_to_quat(m: F64) -> F64:
     Shepperd's method: divide by the largest of the four components, so no case is ill-conditioned
     (S. W. Shepperd, "Quaternion from rotation matrix", J. Guidance and Control 1(3), 1978).
     """
-    flat = np.asarray(m, np.float64).reshape(-1, 9)
+    flat = _floats(m).reshape(-1, 9)
     count = len(flat)
-    if flat.tobytes() == _UNTURNED * count:  # most poses set from Python: 10 times faster
+    if (
+        is_host(flat) and flat.tobytes() == _UNTURNED * count
+    ):  # most poses set from Python: 10 times faster
         q = np.zeros((count, 4))
         q[:, 0] = 1.0
         return q.reshape(*m.shape[:-2], 4)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.drive_cfg import NO_LIMIT
 from embodichain.lab.sim.objects._arrays import columns_of, field_values
-from embodichain.utils.arrays import may_be_set
+from embodichain.utils.arrays import is_host
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
@@ -337,7 +337,8 @@ class Drives:
                 self._note_gains()
                 self._write_gains(index.actuator_ids[joints], where, ids)
             if name in ("max_effort", "strength"):
-                self._write_efforts(index.actuator_ids[joints], where, ids)
+                changes = name == "max_effort"
+                self._write_efforts(index.actuator_ids[joints], where, ids, changes)
 
     def _write_gains(self, actuators: Joints, where: Any, ids: EnvIndex | None) -> None:
         engine, model, joints = self._handle.engine, self._handle.engine.model, where[1]
@@ -352,12 +353,16 @@ class Drives:
             columns_now = columns_of(columns + offset)
             engine.write_model("actuator_biasprm", -(value / gear**2), ids, columns_now)
 
-    def _write_efforts(self, actuators: Joints, where: Any, ids: EnvIndex | None) -> None:
+    def _write_efforts(
+        self, actuators: Joints, where: Any, ids: EnvIndex | None, changes: bool
+    ) -> None:
+        """Write force ranges; `changes` is whether other joints may be limited than before."""
         engine = self._handle.engine
         limit = self.max_effort[where]
         limited = limit < NO_LIMIT
         compiled = engine.model.actuator_forcelimited[actuators] != 0
-        if may_be_set(limited != compiled):
+        # Not known on a device without waiting; a strength changes no flag.
+        if bool((limited != compiled).any()) if is_host(limited) else changes:
             self._limits_vary = True
         if self._limits_vary:
             flags = limited.astype(np.float64)
