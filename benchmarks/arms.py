@@ -64,7 +64,7 @@ def actions_for(env: BaseEnv) -> list[NDArray[np.float32]]:
     if np.allclose(low, -high) and np.abs(high).max() <= 1:
         middle, half = np.zeros_like(high), high
     else:
-        middle, half = env.robot.get_qpos().numpy()[0], 0.1
+        middle, half = env.robot.get_qpos().cpu().numpy()[0], 0.1
     drawn = middle + half * generator.uniform(-1, 1, shape)
     return list(np.clip(drawn, low, high).astype(np.float32))
 
@@ -76,7 +76,7 @@ def environment(
     import torch
 
     env.reset(seed=SEED)
-    actions = [torch.from_numpy(action) for action in actions_for(env)]
+    actions = [torch.from_numpy(action).to(env.device) for action in actions_for(env)]
     return Arm(
         name,
         env.num_envs,

@@ -2,6 +2,7 @@
 
 One process for each number of environments: it builds all arms of that size and lets them take
 turns in random order. The raw figures go to a JSON file. `log_cost` says better what a log costs.
+With ``--device cuda`` tasks on MuJoCo Warp are measured instead (`warp_speed`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from benchmarks import arms
+from benchmarks import arms, warp_speed
 from benchmarks.arms import Arm
 from benchmarks.machine import table, write_json
 from benchmarks.peers import MAX_WORKERS, peer_arms
@@ -47,20 +48,41 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--seconds", type=float, default=0.1, help="about how long a turn is")
-    parser.add_argument("--sizes", type=int, nargs="+", default=list(SIZES))
+    parser.add_argument("--sizes", type=int, nargs="+", help=f"{SIZES}, of a device 4096")
     parser.add_argument("--log-sizes", type=int, nargs="*", default=list(LOG_SIZES))
     parser.add_argument("--episode", type=int, default=EPISODE, help="turns are multiples of it")
     parser.add_argument("--no-peers", action="store_true", help="leave out other packages' arms")
     parser.add_argument("--only", type=int, help="of the sizes, this one, in this process")
+    parser.add_argument("--device", help="measure MuJoCo Warp there: cuda, cuda:N, cpu")
+    parser.add_argument("--tasks", nargs="+", default=list(warp_speed.TASKS), help="on a device")
+    parser.add_argument("--set", nargs="+", default=[], help="config on a device: a.b=value")
     parser.add_argument("--out", type=Path, help="JSON file for the raw figures")
     options = parser.parse_args()
+    if options.device:
+        facts, text = measured_on_device(options)
+    else:
+        facts, text = measured_on_cpu(options)
+    print(text)
+    if options.out:
+        write_json(options.out, facts)
+
+
+def measured_on_device(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Figures of MuJoCo Warp, and their table."""
+    sizes = options.sizes or warp_speed.SIZES
+    turns = options.rounds, options.seconds, options.episode
+    found = warp_speed.measured(options.device, options.tasks, sizes, options.set, *turns)
+    return {"rounds": options.rounds, **found}, warp_speed.report(found)
+
+
+def measured_on_cpu(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Figures of MuJoCo on the CPU, and their table."""
+    options.sizes = options.sizes or list(SIZES)
     sizes = sorted({*options.sizes, *options.log_sizes})
     here = options.only or (sizes[0] if len(sizes) == 1 else None)
     results = measured_here(here, options) if here else measured_apart(sizes)
     facts = {"rounds": options.rounds, "results": results}
-    print(report(facts))
-    if options.out:
-        write_json(options.out, facts)
+    return facts, report(facts)
 
 
 def measured_apart(sizes: Sequence[int]) -> list[dict[str, Any]]:

@@ -205,6 +205,8 @@ class RegisterInfoToEnv(Term):
         self._keys: dict[str, None] = {}
         self._registry = [(env.scene_entity(entry.entity_cfg), entry) for entry in registry]
         self._steps = _UPDATE_STEPS if sim_update else 0
+        if sim_update:
+            env.arrays.require_host("physics steps of some environments", "sim_update")
         for number, entry in enumerate(registry):
             if entry.pose_register_params is not None:
                 path = f"registry.{number}.pose_register_params.compute_relative"

@@ -79,6 +79,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
             links = list(robot_cfg.link_names) or None
             picked = {"uid": robot_cfg.uid, "control_parts": control_part, "link_names": links}
             robot_cfg = env.scene_entity(picked)
+        env.arrays.require_host("searches for joint positions")
         self._arm = arm_solver(robot_cfg, "robot_cfg")
         self._robot, self._asset = robot_cfg.asset, entity_cfg.asset
         box = np.array(position_bounds, np.float64)
@@ -160,6 +161,8 @@ class PlannerGridCellSampler(Term):
         self._centres = _centres(position_range, rows, columns, reference_height)
         self._keys = Uniform("cells", np.zeros(rows * columns), np.ones(rows * columns))
         self._steps = physics_update_step
+        if physics_update_step > 0:
+            env.arrays.require_host("physics steps of some environments", "physics_update_step")
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw cells and place the objects of these environments."""

@@ -304,7 +304,7 @@ class DeviceStreams:
             block.counters[:, torch.from_numpy(env_ids).to(self._device)] = 0
 
 
-def _mask(env_ids: EnvMask | DeviceArray) -> torch.Tensor:
+def _mask(env_ids: Any) -> torch.Tensor:
     """(N,) bool.
 
     Raises:
@@ -314,7 +314,8 @@ def _mask(env_ids: EnvMask | DeviceArray) -> torch.Tensor:
         return env_ids.tensor
     if not isinstance(env_ids, EnvMask):
         raise TypeError(f"environments on a device are an EnvMask, got {type(env_ids).__name__}")
-    return env_ids.mask
+    mask: torch.Tensor = env_ids.mask
+    return mask
 
 
 def _fixed(bound: Any) -> bool:

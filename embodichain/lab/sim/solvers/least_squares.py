@@ -155,7 +155,7 @@ def _added(parts: Iterable[F64]) -> F64:
 def _solved(error: F64, jacobian: F64, damping: F64) -> F64:
     """(k, n) J^T (J J^T + c I)^-1 e."""
     size = len(error)
-    system = np.empty_like(error, shape=(size, size + 1, error.shape[1]), order="C")
+    system = np.empty_like(error, shape=(size, size + 1, error.shape[1]))
     joints = np.swapaxes(jacobian, 0, 1)
     system[:, :size] = _added(joint[:, None] * joint for joint in joints)
     for i in range(size):

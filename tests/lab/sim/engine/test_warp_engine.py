@@ -1,7 +1,9 @@
-"""`WarpEngine` against `CpuEngine`, on Warp's CPU device.
+"""`WarpEngine` against `CpuEngine`, on Warp's CPU device or EMBODICHAIN_TEST_WARP_DEVICE.
 
 All tests use one model, so that few kernels are compiled where Warp's cache is empty.
 """
+
+import os
 
 import mujoco
 import numpy as np
@@ -50,6 +52,11 @@ SCENE = """
 </mujoco>
 """
 N = 4
+DEVICE = os.environ.get("EMBODICHAIN_TEST_WARP_DEVICE", "cpu")
+
+
+def warp_engine(model, **sizes):
+    return WarpEngine(model, N, 1, DEVICE, **sizes)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +66,7 @@ def model():
 
 @pytest.fixture
 def both(model):
-    return CpuEngine(model, N, 1), WarpEngine(model, N, 1)
+    return CpuEngine(model, N, 1), warp_engine(model)
 
 
 def scatter(*engines, seed=0):
@@ -155,7 +162,7 @@ def test_rays_of_some_environments(both):
 
 
 def test_a_step_of_some_environments(model):
-    engine = WarpEngine(model, N, 1)
+    engine = warp_engine(model)
     scatter(engine)
     engine.write("ctrl", 0.1)  # not representable in float32
     before, forces = engine.rows.copy(), engine.acceleration("qacc").copy()
@@ -167,7 +174,7 @@ def test_a_step_of_some_environments(model):
 
 
 def test_environments_that_diverge(model):
-    engine = WarpEngine(model, N, 1)
+    engine = warp_engine(model)
     scatter(engine)
     engine.write("qvel", np.nan, np.array([1]), slice(0, 1))
     engine.write("qvel", 1e12, np.array([2]), slice(1, 2))
@@ -183,7 +190,7 @@ def test_environments_that_diverge(model):
 
 @pytest.mark.parametrize("sizes", [{"nconmax": 64, "njmax": 1}, {"nconmax": 1, "njmax": 64}])
 def test_too_little_memory_names_the_key(model, sizes):
-    engine = WarpEngine(model, N, 1, **sizes)
+    engine = warp_engine(model, **sizes)
     # The ball touches the floor and the post, and the first joint is at its limit.
     engine.write("qpos", 2.1, None, slice(0, 1))
     engine.write("qpos", [1.25, 0, 0.098], None, slice(2, 5))
@@ -198,7 +205,7 @@ def test_measured_memory(model):
 
 
 def test_the_state_continues_to_the_bit(model):
-    one, other = WarpEngine(model, N, 1), WarpEngine(model, N, 1)
+    one, other = warp_engine(model), warp_engine(model)
     scatter(one)
     one.write_model("body_mass", np.linspace(0.5, 2, N)[:, None], None, slice(2, 3))
     one.set_const_later()
@@ -240,7 +247,7 @@ def test_listeners_hear_the_same_calls(both):
 
 
 def test_a_field_that_warp_has_not(model):
-    engine = WarpEngine(model, N, 1)
+    engine = warp_engine(model)
     engine.write_model("geom_condim", np.full((N, model.ngeom), model.geom_condim))
     engine.step(1)
     engine.write_model("geom_condim", 4, np.array([0]), slice(0, 1))
