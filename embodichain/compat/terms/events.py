@@ -37,8 +37,9 @@ Count = Annotated[int, Field(ge=1)]
 
 def _initial_quats(env: TermContext, asset: Any) -> F64:
     """(N, 4) initial orientation."""
-    quats: F64 = np.tile(np.asarray(asset.entity.quat0, np.float64), (env.num_envs, 1))
-    return env.arrays.put(quats)
+    quat0 = np.asarray(asset.entity.quat0, np.float64)
+    quats: F64 = env.arrays.put(np.tile(quat0, (env.num_envs, 1)))
+    return quats
 
 
 @register_term("event", name="sample_rigid_object_pose_from_workspace")

@@ -143,12 +143,12 @@ class DeviceFields:
         geoms = self._constant
         owner = self._model.geom_bodyid[geoms].astype(np.int64)
         pos, quat = bodies[0][:, owner], bodies[1][:, owner]
-        own_pos, own_quat = (
+        own: Any = [
             self.view(f"geom_{name}").reshape(self._count, -1, width)[:, geoms]
             for name, width in (("pos", 3), ("quat", 4))
-        )
-        positions[:, geoms] = pos + quat_rotate(quat, own_pos)
-        matrices[:, geoms] = quat_to_matrix(quat_multiply(quat, own_quat))
+        ]
+        positions[:, geoms] = pos + quat_rotate(quat, own[0])
+        matrices[:, geoms] = quat_to_matrix(quat_multiply(quat, own[1]))
 
     def host(self) -> dict[str, F64]:
         """Copy the fields to the host, (N, size) each; waits for the device."""

@@ -212,9 +212,7 @@ def _take_along_axis(device: torch.device, arr: Any, indices: Any, axis: int) ->
     return torch.take_along_dim(operand(arr, device), operand(indices, device), axis)
 
 
-def _argsort(
-    device: torch.device, a: Any, axis: int = -1, kind: str | None = None
-) -> torch.Tensor:
+def _argsort(device: torch.device, a: Any, axis: int = -1, kind: str | None = None) -> torch.Tensor:
     return torch.argsort(operand(a, device), dim=axis, stable=True)
 
 

@@ -48,7 +48,8 @@ class EpisodeTimer:
     def stopped(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Return those environments whose timer has not been started in this episode."""
         ids: EnvIndex = self._arrays.every(len(self._seen)) if env_ids is None else env_ids
-        return ids[self._timer.left[ids] == 0]
+        stopped: EnvIndex = ids[self._timer.left[ids] == 0]
+        return stopped
 
     def advance(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Count the control steps since the last call; return environments that are due."""
