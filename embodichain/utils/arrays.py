@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["contiguous", "is_host", "may_be_set", "tensor_of", "zeros"]
+__all__ = [
+    "contiguous",
+    "is_host",
+    "may_be_set",
+    "precise",
+    "rows_at",
+    "tensor_of",
+    "zeros",
+]
 
 
 def is_host(array: Any) -> bool:
@@ -49,4 +57,16 @@ def contiguous(array: Any, dtype: Any = None) -> NDArray[Any]:
     if is_host(array):
         return np.ascontiguousarray(array, dtype)
     found: NDArray[Any] = array if dtype is None else array.astype(dtype, copy=False)
+    return found
+
+
+def precise(array: Any) -> NDArray[Any]:
+    """Return numbers as float64 on a device too, where arrays are float32 otherwise."""
+    found: NDArray[Any] = array if is_host(array) else type(array)(array.tensor.double())
+    return found
+
+
+def rows_at(table: NDArray[Any], indices: Any) -> NDArray[Any]:
+    """Return rows of an array of the host at indices (n,), where these are."""
+    found: NDArray[Any] = table[indices] if is_host(indices) else indices.rows_of(table)
     return found

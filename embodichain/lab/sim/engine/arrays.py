@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, constant, on_device
 from embodichain.lab.sim.engine.device_values import torch_type
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import RandomStreams
 
 __all__ = ["Arrays", "DeviceArrays"]
@@ -76,6 +77,17 @@ class Arrays:
         """Make random streams whose draws are arrays of this kind."""
         return RandomStreams(seed, count)
 
+    def require_host(self, what: str, path: str = "") -> None:
+        """Refuse something that has no form with arrays on a device.
+
+        Args:
+            what: What needs arrays on the host.
+            path: Key path of the parameter that asks for it, for the message.
+
+        Raises:
+            ConfigError: If arrays are on a device.
+        """
+
 
 class DeviceArrays(Arrays):
     """Arrays on a device.
@@ -128,3 +140,7 @@ class DeviceArrays(Arrays):
         from embodichain.lab.sim.engine.device_streams import DeviceStreams
 
         return cast("RandomStreams", DeviceStreams(seed, count, str(self.device)))
+
+    def require_host(self, what: str, path: str = "") -> None:
+        message = f"{what} have no form with arrays on a device: use sim.warp.arrays=host"
+        raise ConfigError([Problem(path, message)])

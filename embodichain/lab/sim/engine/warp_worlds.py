@@ -23,19 +23,26 @@ from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, compiled_field, ro
 from embodichain.lab.sim.engine.warp_support import start_warp
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Counts", "WarpWorlds", "measured_sizes"]
+__all__ = [
+    "LEAST_TOLERANCE",
+    "NO_LIMIT",
+    "PLACES",
+    "Counts",
+    "WarpWorlds",
+    "measured_sizes",
+]
 
 _log = logging.getLogger(__name__)
 _AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 _LOOKS = ("mat_", "light_", "cam_", "geom_castshadow", "geom_group", "site_rgba", "site_matid")
 """Beginnings of fields that only pictures read; they are drawn from the host's model."""
-_PLACES = frozenset({"geom_pos", "geom_quat", "body_pos", "body_quat"})
-_NO_LIMIT = 1e30
+PLACES = frozenset({"geom_pos", "geom_quat", "body_pos", "body_quat"})
+NO_LIMIT = 1e30
 """Force range of actuators without a limit, where others have one, N or Nm."""
 _MANY, _FEW = 4096, 16
 """Memory of a measurement, and the least memory of a simulation."""
 _FIRST_GROUP = wp.types.vector(length=6, dtype=float)(1, 0, 0, 0, 0, 0)
-_LEAST_TOLERANCE = 1e-6
+LEAST_TOLERANCE = 1e-6
 """Of the solver in float32, as `mujoco_warp.put_model` sets it."""
 
 
@@ -92,6 +99,8 @@ class WarpWorlds:
         self.nconmax = int(self._data.naconmax) // count
         self.njmax = int(self._data.njmax)
         self._groups: dict[bytes, Any] = {}
+        self._own: set[str] = set()  # fields with values for each world
+        self._all_limited = False
         self._limited = np.tile(model.actuator_forcelimited != 0, (count, 1))
         self._ranges = np.tile(model.actuator_forcerange, (count, 1, 1))
 
@@ -271,7 +280,7 @@ class WarpWorlds:
         for name in ("wind", "density", "viscosity"):
             if f"opt.{name}" in fields:
                 model.has_fluid |= bool(fields[f"opt.{name}"].any())
-        return not _PLACES.isdisjoint(fields)
+        return not PLACES.isdisjoint(fields)
 
     def put_poses_of_geoms(self, positions: F64, matrices: F64) -> None:
         """Set the poses of all geoms, (N, ngeom, 3) and (N, ngeom, 9).
@@ -292,7 +301,7 @@ class WarpWorlds:
             return self._put_forces(name, values)
         if isinstance(array, wp.array) and _is_batched(owner, field):
             if name == "opt.tolerance":
-                values = np.maximum(values, _LEAST_TOLERANCE)
+                values = np.maximum(values, LEAST_TOLERANCE)
             shape = (self._count, *array.shape[1:])
             if array.shape == shape:
                 array.assign(_as_type(values, array))
@@ -301,9 +310,19 @@ class WarpWorlds:
                 whole.assign(_as_type(values, whole))
                 setattr(owner, field, whole)
             return None
-        same = values == compiled_field(self._compiled, name)
-        if name.startswith(_LOOKS) or name in DERIVED_FIELDS or same.all():
+        # Of the derived fields that Warp does not have, some are longer in the model.
+        if name in DERIVED_FIELDS or (values == compiled_field(self._compiled, name)).all():
             return None
+        return self.require_unused(name)
+
+    def require_unused(self, name: str) -> None:
+        """Check that a field that cannot differ between worlds in Warp is not one of physics.
+
+        Raises:
+            ConfigError: If it is.
+        """
+        if name.startswith(_LOOKS):
+            return
         raise ConfigError(
             [
                 Problem(
@@ -314,13 +333,53 @@ class WarpWorlds:
             ]
         )
 
+    def own_field(self, name: str) -> torch.Tensor | None:
+        """A model field of all worlds, (N, ...): a tensor that shares memory.
+
+        The first call gives each world values of its own, in another array.
+
+        Returns:
+            None if it cannot differ between worlds in Warp, or is empty.
+        """
+        owner: Any = self._model.opt if name.startswith("opt.") else self._model
+        field = name.removeprefix("opt.")
+        array = getattr(owner, field, None)
+        if not isinstance(array, wp.array) or not _is_batched(owner, field) or not array.size:
+            return None
+        if field not in self._own:
+            whole = wp.empty((self._count, *array.shape[1:]), array.dtype, device=self._device)
+            wp.to_torch(whole).copy_(wp.to_torch(array))
+            setattr(owner, field, whole)
+            self._own.add(field)
+        tensor: torch.Tensor = wp.to_torch(getattr(owner, field))
+        return tensor
+
+    def limit_forces(self, ranges: torch.Tensor) -> None:
+        """Limit the forces of all actuators, (N, nu, 2)."""
+        limits = self.own_field("actuator_forcerange")
+        if limits is None:
+            raise ValueError("the model has no actuators")
+        limits.copy_(ranges)
+        if not self._all_limited:
+            self._all_limited = True
+            self._model.actuator_forcelimited.fill_(True)
+
+    def enable_fluid(self) -> None:
+        """Compute forces of the medium from now on."""
+        self._model.has_fluid = True
+
+    def set_const(self) -> None:
+        """Compute the constants of all worlds that depend on other fields of the model."""
+        with wp.ScopedDevice(self._device):
+            mjw.set_const(self._model, self._data)
+
     def _put_forces(self, name: str, values: NDArray[Any]) -> None:
         """Flags of limited actuators are shared by all worlds: the others get a wide range."""
         if name == "actuator_forcelimited":
             self._limited = np.asarray(values, np.bool_)
         else:
             self._ranges = np.asarray(values, np.float64)
-        wide = np.array([-_NO_LIMIT, _NO_LIMIT])
+        wide = np.array([-NO_LIMIT, NO_LIMIT])
         ranges = np.where(self._limited[..., None], self._ranges, wide).astype(np.float32)
         flags, kept = self._model.actuator_forcelimited, self._model.actuator_forcerange
         self._model.actuator_forcelimited = wp.array(self._limited.any(axis=0), dtype=flags.dtype)
