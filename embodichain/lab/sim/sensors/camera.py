@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.cameras import pair_offset
 from embodichain.lab.sim.drawing.views import Output, View, view_of
-from embodichain.lab.sim.engine.device_array import HostTransferError
 from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.lab.sim.sensors.cfg import CameraCfg, StereoCameraCfg
 from embodichain.lab.sim.sensors.depth_images import (
@@ -121,9 +120,7 @@ class Camera(BaseSensor):
         """No effect: images are drawn when they are read. EmbodiChain's name."""
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
-        if self.host.arrays.on_device:
-            message = f"images of camera {self.uid!r} are drawn on the host"
-            raise HostTransferError(f"{message}: use sim.warp.arrays=host")
+        self.host.arrays.require_host("images of cameras", f"sensors.{self.uid}")
         self.was_drawn = True
         seen = self._draw(env_ids)
         return tuple(self._image(name, seen) for name in self.reads)
