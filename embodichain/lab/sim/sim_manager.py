@@ -331,8 +331,7 @@ class SimulationManager:
         uids = self.scene.entities if only is None else only
         chosen = [self.get_asset(uid) for uid in uids if uid not in excluded_uids]
         if only is None and not excluded_uids:
-            engine.reset(ids)
-            engine.write("row", self._initial_row, ids)
+            engine.reset(ids, self._initial_row)
         else:
             for handle in chosen:
                 if handle is not None:

@@ -365,7 +365,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             self.streams.rewind(saved, pending)
             terminated, truncated = terminated & ~pending, truncated & ~pending
             reward = np.where(pending, _ZERO, reward)
-            info = zeroed(info, tensor_of(pending))
+            info = zeroed(info, pending)
         flags = tensor_of(terminated), tensor_of(truncated)
         rewards = tensor_of(reward)
         if "_hook_after_sim_step" in self.overridden:

@@ -14,6 +14,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.envs.term_rows import TermRows
 from embodichain.lab.sim.engine.arrays import Arrays
 from embodichain.utils.arrays import tensor_of
 from embodichain.utils.suggest import did_you_mean
@@ -172,17 +173,19 @@ def add_finals(info: dict[str, Any], obs: Any, done: NDArray[np.bool_]) -> None:
     info["_final_obs"] = info["_final_info"] = mask
 
 
-def zeroed(info: Mapping[str, Any], rows: torch.Tensor) -> dict[str, Any]:
+def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
     """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
 
     Args:
         info: Not changed, nor are its tensors.
         rows: (N,) bool.
     """
-    copy = dict(info)
+    copy, mask = dict(info), tensor_of(rows)
     for key, value in info.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, TermRows):
+            copy[key] = value.zeroed(rows)
+        elif isinstance(value, Mapping):
             copy[key] = zeroed(value, rows)
-        elif isinstance(value, torch.Tensor) and value.shape[:1] == rows.shape:
-            copy[key] = value.masked_fill(rows.reshape(-1, *[1] * (value.ndim - 1)), 0)
+        elif isinstance(value, torch.Tensor) and value.shape[:1] == mask.shape:
+            copy[key] = value.masked_fill(mask.reshape(-1, *[1] * (value.ndim - 1)), 0)
     return copy

@@ -60,10 +60,11 @@ class Outcome:
 
     def exclude(self, diverged: Mask) -> None:
         """Remove the flags of diverged environments."""
-        self.success = self.success & ~diverged
-        self.fail = self.fail & ~diverged
+        kept = ~diverged
+        self.success = self.success & kept
+        self.fail = self.fail & kept
         if self.time_out is not None:
-            self.time_out = self.time_out & ~diverged
+            self.time_out = self.time_out & kept
         self.diverged = diverged
 
     def ends(self, truncated: Mask, ignore_terminations: bool) -> tuple[Mask, Mask]:
@@ -136,7 +137,8 @@ def as_mask(value: Any, num_envs: int, what: str, arrays: Arrays) -> Mask:
         ValueError: If it is not (N,); (N, 1) is refused too, because it would broadcast.
     """
     if value is None:
-        return arrays.full(num_envs, False, np.bool_)
+        none: Mask = arrays.full(num_envs, False, np.bool_)
+        return none
     array = arrays.of(value)
     if array.shape != (num_envs,):
         raise ValueError(f"{what} must have shape ({num_envs},), got {array.shape}")
@@ -176,8 +178,12 @@ def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
     """
     if is_host(values) and all_finite(values):
         return None
-    bad: Mask = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
-    return bad
+    if is_host(values):
+        bad: Mask = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        return bad
+    largest = np.abs(values) if values.ndim == 1 else np.abs(values).max(axis=1)
+    wild: Mask = ~(largest < np.inf)  # the largest of NaN and others is NaN
+    return wild
 
 
 class _JudgedByHooks(JudgedEnv, Protocol):
@@ -274,7 +280,7 @@ class StepJudge:
 
     def exclude(self, mask: Mask, info: Info, outcome: Outcome) -> Info:
         """Remove environments (N,) that diverged from ``info``, sums and outcome."""
-        info = zeroed(info, tensor_of(mask))
+        info = zeroed(info, mask)
         rewards, episodes = self._env.reward_manager, self._env.episodes
         rewards.take_back(mask)
         info["episode_sums"] = rewards.episode_sums

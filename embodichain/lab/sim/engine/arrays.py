@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, on_device
+from embodichain.lab.sim.engine.device_values import torch_type
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import RandomStreams
 
@@ -94,14 +95,12 @@ class DeviceArrays(Arrays):
     on_device = True
 
     def __init__(self, device: str) -> None:
-        self.device = torch.device(device)
-        if self.device.type == "cuda" and self.device.index is None:
-            self.device = torch.device("cuda", torch.cuda.current_device())
+        current = f"cuda:{torch.cuda.current_device()}" if device == "cuda" else device
+        self.device = torch.device(current)
 
     def full(self, shape: int | Sequence[int], value: Any, dtype: Any = np.float64) -> Any:
-        made = on_device(np.zeros(0, dtype), self.device).tensor
         lengths = (shape,) if isinstance(shape, int) else tuple(shape)
-        return DeviceArray(torch.full(lengths, value, dtype=made.dtype, device=self.device))
+        return DeviceArray(torch.full(lengths, value, dtype=torch_type(dtype), device=self.device))
 
     def put(self, array: Any) -> Any:
         return on_device(array, self.device)
@@ -111,11 +110,9 @@ class DeviceArrays(Arrays):
         return found
 
     def of(self, values: Any) -> Any:
-        if isinstance(values, DeviceArray):
-            return values
         if isinstance(values, torch.Tensor):
             return DeviceArray(values.detach())
-        return on_device(values, self.device)
+        return values if isinstance(values, DeviceArray) else on_device(values, self.device)
 
     def where(self, mask: Any) -> Any:
         return EnvMask(mask.tensor)

@@ -32,6 +32,33 @@ from embodichain.lab.sim.engine.warp import (
 
 __all__ = ["DeviceEngine"]
 
+
+@wp.kernel  # type: ignore[untyped-decorator]
+def _check(
+    qpos: wp.array2d[wp.float32],
+    qvel: wp.array2d[wp.float32],
+    overflow: wp.array[int],
+    wild: wp.array[wp.bool],
+    seen: wp.array[int],
+    largest: wp.float32,
+    collision_bits: int,
+    row_bits: int,
+) -> None:
+    i = wp.tid()
+    bad = (overflow[i] & collision_bits) != 0
+    for j in range(qpos.shape[1]):
+        if not (wp.abs(qpos[i, j]) < largest):
+            bad = bool(True)  # noqa: UP018  (a variable of Warp)
+    for j in range(qvel.shape[1]):
+        if not (wp.abs(qvel[i, j]) < largest):
+            bad = bool(True)  # noqa: UP018  (a variable of Warp)
+    bits = overflow[i]
+    if bad:
+        wild[i] = True
+        bits = bits & ~row_bits  # a state that is not finite any more may need any amount of rows
+    seen[i] = seen[i] | bits
+
+
 _OF_ACTUATORS = frozenset({"qfrc_actuator", "actuator_force"})
 
 
@@ -211,15 +238,12 @@ class DeviceEngine(WarpEngine):
 
     def _check_states(self) -> None:
         """Mark environments that diverged, and memory that was not enough, on the device."""
-        overflow = self.worlds.view("overflow")
-        wild = (overflow & COLLISION_BITS) != 0
-        for name in ("qpos", "qvel"):
-            if name in self._states:
-                finite = (self._states[name].tensor.abs() < LARGEST).all(dim=1)
-                wild = wild | ~finite
-        self._wild |= wild
-        # A state that is not finite any more may need any amount of rows.
-        self._overflow |= torch.where(wild, overflow & ~ROW_BITS, overflow)
+        found = [self._states["qpos"].tensor, self._states["qvel"].tensor]
+        found += [self.worlds.view("overflow"), self._wild, self._overflow]
+        arrays = [wp.from_torch(tensor) for tensor in found]
+        limits = [wp.float32(LARGEST), COLLISION_BITS, ROW_BITS]
+        with self._stream():
+            wp.launch(_check, self.num_envs, [*arrays, *limits], device=str(self.device))
 
     def check_memory(self) -> None:
         """Report overflows that the host has seen; does not wait for the device.
@@ -243,9 +267,10 @@ class DeviceEngine(WarpEngine):
         self._wild.zero_()
         return found
 
-    def reset(self, env_ids: Any = None) -> None:
-        self._write_row(self._default_row, env_ids, np.arange(len(self._default_row)))
-        self._wild[...] = False if env_ids is None else self._wild & ~env_ids.mask
+    def reset(self, env_ids: Any = None, row: F64 | None = None) -> None:
+        state = self._default_row if row is None else row
+        self._write_row(state, env_ids, np.arange(len(state)))
+        DeviceArray(self._wild)[ALL if env_ids is None else env_ids] = False
         self._mark(env_ids)
 
     # -- writes ------------------------------------------------------------------------------------
@@ -265,7 +290,8 @@ class DeviceEngine(WarpEngine):
             here = (places >= columns.start) & (places < columns.stop)
             if not here.any():
                 continue
-            part, into = numbers[..., here], places[here] - columns.start
+            part: Any = numbers[..., here]
+            into = places[here] - columns.start
             if part.ndim > 1:
                 part = DeviceArray(torch.from_numpy(part.copy()).to(self.device))
             where: Any = ALL if len(into) == columns.stop - columns.start else into

@@ -17,6 +17,7 @@ import torch
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.engine.columns import columns_of
 from embodichain.lab.sim.engine.device_functions import (
     BINARY,
     FUNCTIONS,
@@ -73,19 +74,26 @@ class EnvMask:
         refuse("a mask of environments was made an array of the host")
 
 
-def _index(key: Any, device: torch.device) -> tuple[Any, torch.Tensor | None]:
-    """An index for torch, and the mask of its first axes if there is one."""
+def _index(key: Any, device: torch.device) -> tuple[Any, torch.Tensor | None, bool]:
+    """An index for torch, the mask of its first axes if there is one, and whether reads copy.
+
+    Indices of the host that ascend evenly become slices, which are three times faster.
+    """
     keys = list(key) if isinstance(key, tuple) else [key]
-    mask = None
+    mask, copies = None, False
+    arrays = sum(isinstance(part, (DeviceArray, np.ndarray, list)) for part in keys)
     for place, part in enumerate(keys):
         if isinstance(part, EnvMask):
-            mask = part.mask.reshape(*[1] * place, -1)
+            mask, copies = part.mask.reshape(*[1] * place, -1), True
             keys[place] = slice(None)
         elif isinstance(part, (np.ndarray, list)):
-            keys[place] = operand(_positions(np.asarray(part)), device)
+            positions = _positions(np.asarray(part))
+            even = columns_of(positions) if positions.ndim == 1 and arrays == 1 else positions
+            copies = True
+            keys[place] = even if isinstance(even, slice) else operand(positions, device)
         elif isinstance(part, (DeviceArray, np.generic)):
             keys[place] = operand(part, device)
-    return tuple(keys), mask
+    return tuple(keys), mask, copies
 
 
 def _positions(places: NDArray[Any]) -> NDArray[np.int64]:
@@ -199,9 +207,9 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
     # -- indexing --------------------------------------------------------------------------------
 
     def __getitem__(self, key: Any) -> DeviceArray:
-        keys, mask = _index(key, self.tensor.device)
-        if mask is not None:  # a copy, as from numpy's indices
-            return DeviceArray(self.tensor[keys].clone())
+        keys, _, copies = _index(key, self.tensor.device)
+        if copies and not any(isinstance(k, torch.Tensor) for k in keys):
+            return DeviceArray(self.tensor[keys].clone())  # as from numpy's indices
         if any(isinstance(k, torch.Tensor) and k.dtype == torch.bool for k in keys):
             refuse("rows of the device were selected by a mask")
         if any(isinstance(k, slice) and k.step is not None and k.step < 0 for k in keys):
@@ -211,7 +219,7 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
 
     def __setitem__(self, key: Any, value: Any) -> None:
         device = self.tensor.device
-        keys, mask = _index(key, device)
+        keys, mask, _ = _index(key, device)
         new = operand(value, device)
         if len(keys) == 1 and isinstance(keys[0], torch.Tensor) and keys[0].dtype == torch.bool:
             mask, keys = keys[0], (slice(None),)
@@ -224,7 +232,12 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
             return
         old = self.tensor[keys]
         rows = mask.reshape(*mask.shape, *[1] * (old.ndim - mask.ndim))
-        self.tensor[keys] = torch.where(rows, new, old)
+        if any(isinstance(k, torch.Tensor) for k in keys):
+            self.tensor[keys] = torch.where(rows, new, old)
+        elif isinstance(new, torch.Tensor):  # `old` is a view
+            torch.where(rows, new, old, out=old)
+        else:
+            old.masked_fill_(rows, new)
 
     # -- methods of numpy's arrays ---------------------------------------------------------------
 

@@ -123,6 +123,10 @@ class Constants:
             self._known.move_to_end(key)
         return found
 
+    def number(self, value: float, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+        """Return a Python number as a tensor without axes; do not write to it."""
+        return self.get(np.array(value, NUMPY_TYPES[dtype]), device).to(dtype)
+
 
 def _capturing() -> bool:
     """Whether a CUDA graph is being captured."""
@@ -163,9 +167,7 @@ def of_one_type(device: torch.device, *values: Any) -> list[torch.Tensor]:
     elif kept == torch.bool and any(type(number) is int for number in numbers):
         kept = torch.int64
     return [
-        value.to(kept)
-        if isinstance(value, torch.Tensor)
-        else torch.full((), value, dtype=kept, device=device)
+        value.to(kept) if isinstance(value, torch.Tensor) else constants.number(value, kept, device)
         for value in found
     ]
 

@@ -5,9 +5,8 @@ Environment indices, shapes, devices and finiteness are checked here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -25,7 +24,6 @@ __all__ = [
     "all_finite",
     "as_env_ids",
     "as_rows",
-    "columns_of",
     "field_values",
     "to_tensor",
 ]
@@ -61,22 +59,6 @@ def field_values(
     return now, before
 
 
-def columns_of(ids: Sequence[int] | NDArray[Any]) -> Columns:
-    """Return a slice if indices ascend evenly (gives views, not copies), else the indices."""
-    return _columns(np.asarray(ids, np.int64).tobytes())
-
-
-@lru_cache(maxsize=1024)
-def _columns(ids: bytes) -> Columns:
-    array = np.frombuffer(ids, np.int64)
-    if not len(array):
-        return array
-    step = int(array[1] - array[0]) if len(array) > 1 else 1
-    if step > 0 and (np.diff(array) == step).all():
-        return slice(int(array[0]), int(array[-1]) + 1, step if step > 1 else None)
-    return array
-
-
 def as_env_ids(env_ids: Any, num_envs: int) -> EnvIndex | None:
     """Return sorted unique int64 environment indices, or None for all of them.
 
@@ -88,7 +70,7 @@ def as_env_ids(env_ids: Any, num_envs: int) -> EnvIndex | None:
         ValueError: If indices are unsorted, repeated, out of range or of the wrong kind.
     """
     if env_ids is None or isinstance(env_ids, EnvMask):
-        return env_ids
+        return cast("EnvIndex | None", env_ids)
     if isinstance(env_ids, torch.Tensor):
         env_ids = env_ids.detach().cpu().numpy()
     ids = np.asarray(env_ids)
@@ -128,7 +110,7 @@ def as_rows(
         ValueError: If the shape, the device or a value is wrong; says what is expected.
     """
     if isinstance(values, DeviceArray):
-        return _device_rows(values, rows, width, what)
+        return cast("F64", _device_rows(values, rows, width, what))
     if isinstance(values, torch.Tensor):
         if values.device.type != "cpu":
             raise ValueError(f"{what} is on {values.device}; this simulation is on cpu")
@@ -150,4 +132,5 @@ def _device_rows(values: DeviceArray, rows: int, width: int, what: str) -> Any:
     """Check shapes only: whether numbers are finite is not known without waiting."""
     if values.shape not in ((rows, width), (width,)):
         raise ValueError(f"{what} must have shape ({rows}, {width}), got {values.shape}")
-    return np.broadcast_to(values, (rows, width))
+    found: Any = np.broadcast_to(cast("F64", values), (rows, width))
+    return found

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.body_motion import origin_velocities
 from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.engine.columns import columns_of
 from embodichain.lab.sim.objects._arrays import (
     as_env_ids,
-    columns_of,
     to_tensor,
 )
 from embodichain.lab.sim.objects.articulation_data import ArticulationData

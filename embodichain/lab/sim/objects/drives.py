@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drive_cfg import NO_LIMIT
-from embodichain.lab.sim.objects._arrays import columns_of, field_values
+from embodichain.lab.sim.engine.columns import columns_of
+from embodichain.lab.sim.objects._arrays import field_values
 from embodichain.utils.arrays import is_host
 
 if TYPE_CHECKING:

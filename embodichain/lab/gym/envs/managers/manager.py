@@ -20,6 +20,7 @@ from embodichain.lab.gym.envs.managers.check import CheckedTerm, check_in_task, 
 from embodichain.lab.gym.envs.managers.param_types import references
 from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
+from embodichain.utils.arrays import is_host
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ def _call(
             value: Any = read(env, *(passed[i] for i in at)) if at else read(env)
         except ConfigError as error:
             raise _moved(error, where) from error
-        if type(value) is not np.ndarray:
+        if type(value) is not np.ndarray and is_host(value):
             value = env.arrays.of(value)
             value = value if value.dtype == np.bool_ else value.astype(np.float64)
         for shape in shapes:

@@ -107,8 +107,10 @@ class Noise:
             else:
                 self.last[rows] = drawn
         if self._operation == "add":
-            return value + self.last
-        return value * self.last if self._operation == "scale" else self.last.copy()
+            found: NDArray[Any] = value + self.last
+        else:
+            found = value * self.last if self._operation == "scale" else self.last.copy()
+        return found
 
     def _draw(self, rows: EnvIndex | None) -> F64:
         """(n, width) float64."""

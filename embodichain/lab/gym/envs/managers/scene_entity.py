@@ -140,7 +140,9 @@ class ResolvedEntity:
 
     @cached_property
     def _initial_rows(self) -> F64:
-        return np.tile(self.initial_qpos, (self.asset.num_instances, 1))
+        rows = np.tile(self.initial_qpos, (self.asset.num_instances, 1))
+        found: F64 = self.asset.host.arrays.put(rows)
+        return found
 
     def displacement(self) -> F64:
         """(N, K) joint positions minus the initial ones, rad or m."""
@@ -282,7 +284,7 @@ class ResolvedEntity:
 
     @cached_property
     def _link_bodies(self) -> Any:
-        from embodichain.lab.sim.objects._arrays import columns_of  # imports the engine
+        from embodichain.lab.sim.engine.columns import columns_of
 
         return columns_of([self.asset.body_of(name) for name in self.link_names])
 

@@ -86,7 +86,8 @@ def success_reward(env: TermContext, info: Info) -> F64:
     if success is None:
         success = info.get("success")
     if success is None:
-        return env.arrays.full(env.num_envs, 0.0)
+        none: F64 = env.arrays.full(env.num_envs, 0.0)
+        return none
     found: F64 = (env.arrays.of(success) != 0).astype(np.float64)
     return found
 
