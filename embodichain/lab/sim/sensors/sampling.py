@@ -12,7 +12,7 @@ from embodichain.utils.arrays import may_be_set
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import Engine, EnvIndex
-    from embodichain.lab.sim.engine.arrays import Arrays
+    from embodichain.utils.arrays import Arrays
 
 __all__ = ["Readings", "Sampler"]
 
