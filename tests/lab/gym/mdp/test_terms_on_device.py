@@ -167,6 +167,10 @@ def play(arrays: str, folder: Path) -> Played:
                 continue
             env.managers[f"tested {name}"] = manager  # which is reset with the environment
             terms[name] = manager.terms[name]
+        try:
+            env.get_sensor("front").get_data()
+        except ConfigError as error:
+            played.errors["get_data"] = str(error)
         env.reset()
         home = on_host(env.action_manager.home())
         draw = np.random.default_rng(0)
@@ -231,6 +235,11 @@ def test_terms_of_pictures_are_refused(name: str, host: Played, device: Played) 
         f"tested.{name}.params.sensor: images of cameras have no form with arrays on "
         "a device: use sim.warp.arrays=host"
     )
+
+
+def test_images_of_cameras_are_refused(host: Played, device: Played) -> None:
+    assert "get_data" not in host.errors
+    assert device.errors["get_data"].startswith("sensors.front: images of cameras have no form")
 
 
 def test_a_curriculum_changes_the_rewards_of_the_device(host: Played, device: Played) -> None:
