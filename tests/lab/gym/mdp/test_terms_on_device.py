@@ -27,6 +27,8 @@ N, STEPS, WARM = 3, 8, 2
 DRAWN = ("camera_image", "camera_mask", "camera_points")
 """Terms that are refused: pictures are drawn on the host."""
 
+WITHOUT_LIMITS = "joints without limits"
+
 TOOL = {"uid": "ur10", "link_names": ["ee_link"]}
 TRUNK = {"uid": "go", "link_names": ["trunk"]}
 DOWN = {"directions": [[0, 0, -1], [0.5, 0, -1], [0, 0, 1]]}
@@ -121,6 +123,9 @@ def cases() -> dict[str, Case]:
         for reading in names:
             params = {"sensor": sensor, "reading": reading}
             found[f"{sensor} {reading}"] = case("observation", func="sensor_reading", params=params)
+    found[WITHOUT_LIMITS] = case(
+        "observation", func="joint_velocity_excess", params={"of": {"uid": "go"}}
+    )
     return found
 
 
@@ -219,7 +224,7 @@ def test_every_shape_takes_part() -> None:
     assert set(SHAPED) == set(SHAPES)
 
 
-@pytest.mark.parametrize("name", [name for name in CASES if name not in DRAWN])
+@pytest.mark.parametrize("name", [name for name in CASES if name not in (*DRAWN, WITHOUT_LIMITS)])
 def test_values_are_those_of_arrays_on_the_host(name: str, host: Played, device: Played) -> None:
     assert name not in host.errors, host.errors[name]
     assert name not in device.errors, device.errors[name]
@@ -235,6 +240,11 @@ def test_terms_of_pictures_are_refused(name: str, host: Played, device: Played) 
         f"tested.{name}.params.sensor: images of cameras have no form with arrays on "
         "a device: use sim.warp.arrays=host"
     )
+
+
+def test_limits_are_checked(host: Played, device: Played) -> None:
+    assert "none of the joints picked of 'go' has limits" in device.errors[WITHOUT_LIMITS]
+    assert device.errors[WITHOUT_LIMITS] == host.errors[WITHOUT_LIMITS]
 
 
 def test_images_of_cameras_are_refused(host: Played, device: Played) -> None:

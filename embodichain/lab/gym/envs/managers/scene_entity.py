@@ -180,7 +180,8 @@ class ResolvedEntity:
             ConfigError: If no joint has a limit.
         """
         low, high = self.asset.drives.limits.of(self._columns, None)
-        self._require_limits(np.isfinite(low) | np.isfinite(high), "position")
+        if not self._was_checked(low, "position"):
+            self._require_limits(np.isfinite(low) | np.isfinite(high), "position")
         if soft_ratio == 1.0:
             return low, high
         limited = np.isfinite(low) & np.isfinite(high)
@@ -195,7 +196,9 @@ class ResolvedEntity:
             ConfigError: If a joint has no limits.
         """
         low, high = self.asset.drives.limits.of(self._columns, None)
-        limited = self._unchecked(np.isfinite(low) & np.isfinite(high), "ranges")
+        if self._was_checked(low, "ranges"):
+            return low, high
+        limited = self.asset.host.arrays.host(np.isfinite(low) & np.isfinite(high))
         if not limited.all():
             every = np.asarray(limited.all(axis=0))
             pairs = zip(self.joint_names, every, strict=True)
@@ -225,25 +228,25 @@ class ResolvedEntity:
         file = np.asarray(getattr(self.asset.parsed, of_file), np.float64)
         limits = np.minimum(drive[:, self._columns], file[self._columns])
         limits = np.where(limits >= UNLIMITED, np.inf, limits)
-        self._require_limits(np.isfinite(limits), what)
+        if not self._was_checked(limits, what):
+            self._require_limits(np.isfinite(limits), what)
         return limits
 
     @cached_property
     def _checked(self) -> set[str]:
         return set()
 
-    def _unchecked(self, limited: NDArray[np.bool_], what: str) -> NDArray[np.bool_]:
-        """Whether joints have limits, to be checked; from a device, which then waits, only once."""
-        if is_host(limited):
-            return limited
+    def _was_checked(self, limits: F64, what: str) -> bool:
+        """Whether limits on a device were checked before: once, because it waits for the device."""
+        if is_host(limits):
+            return False
         if what in self._checked:
-            return np.ones(1, np.bool_)
+            return True
         self._checked.add(what)
-        copy: NDArray[np.bool_] = self.asset.host.arrays.host(limited)
-        return copy
+        return False
 
     def _require_limits(self, limited: NDArray[np.bool_], what: str) -> None:
-        if not self._unchecked(limited, what).any():
+        if not self.asset.host.arrays.host(limited).any():
             names = ", ".join(self.joint_names)
             message = f"none of the joints picked of {self.uid!r} has limits of {what}: {names}"
             raise ConfigError([Problem(self.path, message)])
