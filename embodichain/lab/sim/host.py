@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.drawing.views import Pictures, View
     from embodichain.lab.sim.engine.api import Engine
-    from embodichain.lab.sim.engine.arrays import Arrays
+    from embodichain.utils.arrays import Arrays
 
 __all__ = ["Host"]
 

@@ -26,9 +26,8 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.drives import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
-from embodichain.lab.sim.engine.arrays import Arrays, DeviceArrays
 from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.objects._arrays import as_env_ids
+from embodichain.lab.sim.engine.device_arrays import DeviceArrays
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
@@ -37,6 +36,7 @@ from embodichain.lab.sim.scene import Entity, Scene
 from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.unavailable import with_simulation_members
+from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
 
 if TYPE_CHECKING:
@@ -64,7 +64,6 @@ _SENSORS = {
     "StereoCamera": "StereoCamera",
 }
 """Type of a sensor -> its handle, imported when it is added."""
-
 
 _Found = TypeVar("_Found")
 
@@ -116,8 +115,8 @@ class SimulationManager:
         )
         if problems:
             raise DeviceError(problems)
-        on_device = self._engine_name == "warp" and self.sim_config.warp.arrays == "device"
-        self.arrays = DeviceArrays(str(self.sim_config.sim_device)) if on_device else Arrays()
+        there = self._engine_name == "warp" and self.sim_config.warp.arrays == "device"
+        self.arrays = DeviceArrays(str(self.sim_config.sim_device)) if there else Arrays()
         self.device = self.arrays.device
         self.num_envs = int(self.sim_config.num_envs)
         if self.num_envs < 1:

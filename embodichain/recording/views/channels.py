@@ -16,7 +16,7 @@ from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.term_rows import TermRows
+from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.lab.sim.engine.api import F64
 from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.schema import scalars_class, scalars_descriptor_set

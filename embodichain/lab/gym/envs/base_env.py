@@ -21,9 +21,16 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs import restoring, scene_setup
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.env_reads import EnvReads
-from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals, zeroed
+from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals
 from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks, set_extensions
-from embodichain.lab.gym.envs.judging import StateDump, StepJudge, as_mask, none_set, reset_ids
+from embodichain.lab.gym.envs.judging import (
+    StateDump,
+    StepJudge,
+    as_mask,
+    none_set,
+    reset_ids,
+    zeroed,
+)
 from embodichain.lab.gym.envs.managers.action_manager import (
     ActionCheck,
     ActionManager,
@@ -43,10 +50,9 @@ from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
 from embodichain.lab.gym.envs.step_graph import StepGraph
-from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
-from embodichain.utils.arrays import tensor_of
+from embodichain.utils.arrays import as_env_ids, tensor_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.random import first_seed
 
@@ -79,6 +85,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
     Attributes:
         sim_steps_per_control: K, physics steps a control step.
         control_step: Control steps since the environment was built.
+        arrays_moved: Whether code outside of steps may have replaced arrays (see `StepGraph`).
         managers: All managers by section of the config.
         single_action_space, single_observation_space: Spaces of one environment; those of all N
             are `action_space` and `observation_space`.
@@ -109,8 +116,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.cfg = cfg = scene_setup.frozen_cfg(cfg, num_envs)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
-        self.render_mode = render_mode
-        self.run_dir, self.control_step = run_dir, 0
+        self.render_mode, self.run_dir, self.control_step = render_mode, run_dir, 0
         self.sim_steps_per_control = cfg.sim_steps_per_control
         self.metadata = {**type(self).metadata, "autoreset_mode": parse_mode(autoreset_mode)}
         self.metadata["render_fps"] = self.control_frequency
@@ -124,10 +130,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.active_joint_ids = list(type(self).active_joint_ids)
         self.sensors, self._detached_uids = {}, []
         self.overridden = overridden_hooks(type(self))
-        own = type(self)._initialize_episode is not EnvHooks._initialize_episode
-        self._initializes = own
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool, device=self.device)
-        self._closed = False
+        self._closed = self.arrays_moved = False
         self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
             self._build_scene(kwargs)
@@ -191,8 +195,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         space = self.single_action_space
         self.action_space = batch_space(space, cfg.num_envs)
         self._check_action = ActionCheck(space, cfg.num_envs, self.arrays)
-        width = gym.spaces.utils.flatdim(space)
-        self.episodes.last_action = self.arrays.full((cfg.num_envs, width), 0.0)
+        shape = cfg.num_envs, gym.spaces.utils.flatdim(space)
+        self.episodes.last_action = self.arrays.full(shape, 0.0)
         sim.reset_objects_state()
         self._init_sim_state(**kwargs)
         self.event_manager.apply("startup", None)
@@ -242,8 +246,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         if seed is not None:
             self.streams.reseed(seed)
             seed_globals(self, self.streams.seed)
-        if self._graph is not None:
-            self._graph.forget_addresses()
+        self.arrays_moved = True
         self._reset_rows(ids, options)
         self.episodes.settle(ids)
         return self._observe_reset(ids, options), dict(self.get_info(**options).items())
@@ -258,7 +261,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         for manager in self.managers.values():
             manager.reset(where)
         self.episodes.set_last_action(ids, 0.0)
-        if self._initializes:
+        if "_initialize_episode" in self.overridden:
             self._initialize_episode(torch.from_numpy(ids.copy()), **options)
         self.event_manager.apply("reset", where)
         self.command_manager.resample(where)
@@ -321,9 +324,9 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
         checked, given = self._check_action(action)
-        if self._graph is not None and isinstance(checked, torch.Tensor) and not kwargs:
-            return self._graph.step(lambda a: self._step(*self._check_action(a), {}), checked)
-        return self._step(checked, given, kwargs)
+        if self._graph is None or kwargs or not isinstance(checked, torch.Tensor):
+            return self._step(checked, given, kwargs)
+        return self._graph.step(lambda a: self._step(*self._check_action(a), {}), checked)
 
     def _step(self, action: EnvAction, given: F64, kwargs: dict[str, Any]) -> Step:
         """Take a step by a checked action and its numbers (N, A)."""
@@ -468,17 +471,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         Subclasses that add state extend it.
         """
-        return {
-            "num_envs": self.num_envs,
-            "control_step": self.control_step,
-            "np_random": self.np_random.bit_generator.state,
-            "observation": self.observation_buffer.last.copy(),
-            "managers": {name: manager.state_dict() for name, manager in self.managers.items()},
-            **{name: part.state_dict() for name, part in self._parts().items()},
-        }
-
-    def _parts(self) -> dict[str, Any]:
-        return {"sim": self.sim, "streams": self.streams, "episodes": self.episodes}
+        return restoring.state_of(self)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken, in an environment of the same config.
@@ -486,30 +479,19 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         Raises:
             ValueError: If the number of environments differs.
         """
-        if saved["num_envs"] != self.num_envs:
-            raise ValueError(
-                f"this state is of {saved['num_envs']} environments, "
-                f"the environment has {self.num_envs}"
-            )
-        for name, part in self._parts().items():
-            part.load_state_dict(saved[name])
-        self.np_random.bit_generator.state = saved["np_random"]
-        for name, manager in self.managers.items():
-            manager.load_state_dict(saved["managers"][name])
-        if self._graph is not None:
-            self._graph.forget_addresses()
-        self.control_step = saved["control_step"]
-        self.observation_buffer.last = saved["observation"].copy()
+        restoring.load_state(self, saved)
+        self.arrays_moved = True
 
     def close(self) -> None:
         """Call the observers' `on_close` and free the simulation, even if an observer raises."""
         if self._closed:
             return
         self._closed = True
-        with ExitStack() as stack:  # runs every callback, the last one first
-            # The dump has the last reference to the engine: without it, memory is freed at once.
+        with ExitStack() as stack:  # the last callback first
+            # The last references to the engine: without them, memory is freed at once.
             stack.callback(self.sim.destroy)
-            stack.callback(self.__dict__.pop, "_dump", None)
+            for name in ("_dump", "_graph"):
+                stack.callback(self.__dict__.pop, name, None)
             for observer in reversed(self.observers):
                 stack.callback(observer.on_close, self)
 

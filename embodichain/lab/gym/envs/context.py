@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.engine.arrays import Arrays
     from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 
 __all__ = ["ActionSlices", "Commands", "Draws", "EditableTerms", "EventDraws", "TermContext"]

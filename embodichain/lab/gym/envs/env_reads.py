@@ -14,8 +14,7 @@ from embodichain.lab.gym.envs.episodes import Episodes
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.observation import flat_space
 from embodichain.lab.gym.envs.observers import EngineRelay, EventRecord, StepObserver
-from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
-from embodichain.utils.arrays import tensor_of
+from embodichain.utils.arrays import as_env_ids, tensor_of, to_tensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
     )
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.engine.arrays import Arrays
     from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 
 __all__ = ["EnvReads"]

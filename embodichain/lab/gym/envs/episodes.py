@@ -1,11 +1,10 @@
 """`Episodes`: counters of the episodes of N environments, and how they end; autoreset modes.
 
-`add_finals` and `zeroed` edit the entries of `info` for environments that autoreset resets.
+`add_finals` edits the entries of `info` for environments that autoreset resets.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -14,9 +13,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.term_rows import TermRows
-from embodichain.lab.sim.engine.arrays import Arrays
-from embodichain.utils.arrays import tensor_of
+from embodichain.utils.arrays import Arrays, tensor_of
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
@@ -25,7 +22,6 @@ __all__ = [
     "add_finals",
     "parse_mode",
     "seed_globals",
-    "zeroed",
 ]
 
 Mask = NDArray[np.bool_]
@@ -171,21 +167,3 @@ def add_finals(info: dict[str, Any], obs: Any, done: NDArray[np.bool_]) -> None:
     info["final_info"] = {key: value for key, value in info.items() if key not in FINAL_KEYS}
     info["final_obs"] = info["final_observation"] = obs
     info["_final_obs"] = info["_final_info"] = mask
-
-
-def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
-    """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
-
-    Args:
-        info: Not changed, nor are its tensors.
-        rows: (N,) bool.
-    """
-    copy, mask = dict(info), tensor_of(rows)
-    for key, value in info.items():
-        if isinstance(value, TermRows):
-            copy[key] = value.zeroed(rows)
-        elif isinstance(value, Mapping):
-            copy[key] = zeroed(value, rows)
-        elif isinstance(value, torch.Tensor) and value.shape[:1] == mask.shape:
-            copy[key] = value.masked_fill(mask.reshape(-1, *[1] * (value.ndim - 1)), 0)
-    return copy

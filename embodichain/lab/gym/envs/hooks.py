@@ -223,7 +223,7 @@ class EnvHooks:
 OPTIONAL_HOOKS = (
     *("get_obs", "_extend_obs", "_get_sensor_obs", "_step_action", "get_reward", "_extend_reward"),
     *("check_truncated", "_hook_after_sim_step", "compute_task_state", "evaluate", "get_info"),
-    *("_setup_robot", "_prepare_scene"),
+    *("_setup_robot", "_prepare_scene", "_initialize_episode"),
 )
 """Hooks with special treatment where a class does not override them: most are not called."""
 

@@ -16,10 +16,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.episodes import zeroed
-from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, check_shapes
-from embodichain.lab.sim.objects._arrays import all_finite, as_env_ids
-from embodichain.utils.arrays import is_host, tensor_of
+from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, TermRows, check_shapes
+from embodichain.utils.arrays import all_finite, as_env_ids, is_host, tensor_of
 from embodichain.utils.atomic import atomic_file
 
 if TYPE_CHECKING:
@@ -29,8 +27,8 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.manager import CurriculumManager
     from embodichain.lab.gym.envs.observation import Observation
     from embodichain.lab.sim.engine.api import F64, Engine
-    from embodichain.lab.sim.engine.arrays import Arrays
     from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.arrays import Arrays
 
 __all__ = [
     "Outcome",
@@ -41,6 +39,7 @@ __all__ = [
     "none_set",
     "reset_ids",
     "task_state",
+    "zeroed",
 ]
 
 Mask = NDArray[np.bool_]
@@ -184,6 +183,24 @@ def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
     largest = np.abs(values) if values.ndim == 1 else np.abs(values).max(axis=1)
     wild: Mask = ~(largest < np.inf)  # the largest of NaN and others is NaN
     return wild
+
+
+def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
+    """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
+
+    Args:
+        info: Not changed, nor are its tensors.
+        rows: (N,) bool.
+    """
+    copy, mask = dict(info), tensor_of(rows)
+    for key, value in info.items():
+        if isinstance(value, TermRows):
+            copy[key] = value.zeroed(rows)
+        elif isinstance(value, Mapping):
+            copy[key] = zeroed(value, rows)
+        elif isinstance(value, torch.Tensor) and value.shape[:1] == mask.shape:
+            copy[key] = value.masked_fill(mask.reshape(-1, *[1] * (value.ndim - 1)), 0)
+    return copy
 
 
 class _JudgedByHooks(JudgedEnv, Protocol):

@@ -15,8 +15,7 @@ import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.arrays import Arrays
-from embodichain.utils.arrays import tensor_of
+from embodichain.utils.arrays import Arrays, tensor_of
 from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
 
 __all__ = [

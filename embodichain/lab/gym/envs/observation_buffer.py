@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.judging import bad_rows, none_set
 from embodichain.lab.gym.envs.observation import Observation, ObservationLayout
-from embodichain.lab.sim.objects._arrays import to_tensor
-from embodichain.utils.arrays import is_host
+from embodichain.utils.arrays import is_host, to_tensor
 from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
 
 if TYPE_CHECKING:

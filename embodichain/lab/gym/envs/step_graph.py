@@ -13,7 +13,7 @@ from __future__ import annotations
 import gc
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import torch
 
@@ -21,17 +21,36 @@ from embodichain.lab.gym.envs.kept_arrays import HostValue, Path, Place, kept_ar
 from embodichain.lab.sim.engine.device_array import DeviceArray
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv, Step
     from embodichain.lab.gym.envs.observation import Observation
     from embodichain.lab.sim.engine.device import DeviceEngine
+    from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.lab.sim.types import EnvObs
 
-__all__ = ["StepGraph"]
+__all__ = ["RecordedEnv", "StepGraph"]
 
 logger = logging.getLogger(__name__)
 _WARM_UP = 2
 """Steps before those that are observed and recorded: they load kernels and make constants."""
 _COUNTERS = {"control_step", "version", "_version", "_all_changed", "physics_seconds"}
 """Numbers of the host that every step changes, and that decide nothing in a recorded step."""
+
+
+Step = tuple["EnvObs", torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
+
+
+class RecordedEnv(Protocol):
+    """What `StepGraph` uses of an environment."""
+
+    control_step: int
+    arrays_moved: bool
+
+    @property
+    def sim(self) -> SimulationManager:
+        """The simulation."""
+
+    @property
+    def revision(self) -> tuple[int, ...]:
+        """Changes when steps are computed in another way."""
 
 
 class StepGraph:
@@ -44,19 +63,14 @@ class StepGraph:
         reason: Why steps are not recorded, or an empty string.
     """
 
-    def __init__(self, env: BaseEnv) -> None:
+    def __init__(self, env: RecordedEnv) -> None:
         self._env = env
         self._engine = cast("DeviceEngine", env.sim.engine)
         self._steps = 0
         self._graph: torch.cuda.CUDAGraph | None = None
         self._kept: dict[Path, Any] = {}
         self._revision: Any = None
-        self._moved = False
         self.reason = ""
-
-    def forget_addresses(self) -> None:
-        """Note that code outside of steps may have replaced arrays."""
-        self._moved = True
 
     def step(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
         """Take a control step.
@@ -83,7 +97,7 @@ class StepGraph:
             self._env.control_step += 1
         if self._graph is None:
             return run(action)
-        if self._moved:
+        if self._env.arrays_moved:
             self._restore_addresses()
         self._action.copy_(action)
         self._graph.replay()
@@ -195,7 +209,7 @@ class StepGraph:
 
     def _restore_addresses(self) -> None:
         """Copy what code outside of steps has put in place of kept arrays into these."""
-        self._moved = False
+        self._env.arrays_moved = False
         places = self._places()[0]
         for path, kept in self._kept.items():
             value = places[path].get()

@@ -315,8 +315,7 @@ class CpuEngine(HostEngine):
         persistent: bool | None = None,
     ) -> None:
         super().__init__(model, num_envs, num_threads, persistent)
-        self._kinematics = _Kinematics()
-        self._divergence = _Divergence(self._batch)
+        self._kinematics, self._divergence = _Kinematics(), _Divergence(self._batch)
 
     def derived(self, name: str) -> F64:
         if name not in self._derived:

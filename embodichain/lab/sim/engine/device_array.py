@@ -17,7 +17,6 @@ import torch
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.columns import columns_of
 from embodichain.lab.sim.engine.device_functions import (
     BINARY,
     FUNCTIONS,
@@ -36,6 +35,7 @@ from embodichain.lab.sim.engine.device_values import (
     refuse,
     torch_type,
 )
+from embodichain.utils.arrays import columns_of
 
 __all__ = ["DeviceArray", "EnvMask", "HostTransferError", "constant", "on_device"]
 
@@ -237,7 +237,7 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
         elif isinstance(new, torch.Tensor):  # `old` is a view
             torch.where(rows, new, old, out=old)
         else:
-            old.masked_fill_(rows, new)
+            old.masked_fill_(rows.expand(old.shape), new)
 
     # -- methods of numpy's arrays ---------------------------------------------------------------
 

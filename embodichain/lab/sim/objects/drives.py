@@ -19,16 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drive_cfg import NO_LIMIT
-from embodichain.lab.sim.engine.columns import columns_of
-from embodichain.lab.sim.objects._arrays import field_values
-from embodichain.utils.arrays import is_host
+from embodichain.utils.arrays import columns_of, field_values, is_host
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import F64, Columns, EnvIndex
-    from embodichain.lab.sim.engine.arrays import Arrays
     from embodichain.lab.sim.objects.entity import Handle
+    from embodichain.utils.arrays import Arrays
 
 __all__ = ["GAINS", "Drives", "JointLimits"]
 

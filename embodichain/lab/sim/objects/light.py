@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from embodichain.lab.sim.objects._arrays import to_tensor
 from embodichain.lab.sim.objects.entity import Handle
+from embodichain.utils.arrays import to_tensor
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import LightCfg

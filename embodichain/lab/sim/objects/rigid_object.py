@@ -10,12 +10,11 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.rigid_objects import inertia_about_axes
-from embodichain.lab.sim.objects._arrays import as_env_ids, field_values, to_tensor
 from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
 from embodichain.lab.sim.objects.solid import Solid
 from embodichain.lab.sim.unavailable import not_available
-from embodichain.utils.arrays import may_be_set, rows_at
+from embodichain.utils.arrays import as_env_ids, field_values, may_be_set, rows_at, to_tensor
 from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
 
 if TYPE_CHECKING:

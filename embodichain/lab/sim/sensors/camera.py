@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.cameras import pair_offset
 from embodichain.lab.sim.drawing.views import Output, View, view_of
-from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.lab.sim.sensors.cfg import CameraCfg, StereoCameraCfg
 from embodichain.lab.sim.sensors.depth_images import (
     disparities,
@@ -24,6 +23,7 @@ from embodichain.lab.sim.sensors.depth_images import (
     slopes,
 )
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
+from embodichain.utils.arrays import as_env_ids, as_rows, to_tensor
 from embodichain.utils.errors import RenderError
 from embodichain.utils.math import (
     look_at,

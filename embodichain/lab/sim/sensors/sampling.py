@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import Engine, EnvIndex
-    from embodichain.lab.sim.engine.arrays import Arrays
+    from embodichain.utils.arrays import Arrays
 
 __all__ = ["Readings", "Sampler"]
 

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
 from embodichain.lab.sim.objects.entity import Handle
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.lab.sim.sensors.sampling import Readings, Sampler
+from embodichain.utils.arrays import as_env_ids, to_tensor
 from embodichain.utils.math import quat_conjugate, quat_rotate
 
 if TYPE_CHECKING:

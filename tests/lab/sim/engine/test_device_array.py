@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from embodichain.lab.sim.engine import device_values
-from embodichain.lab.sim.engine.arrays import DeviceArrays
 from embodichain.lab.sim.engine.device_array import (
     DeviceArray,
     EnvMask,
@@ -18,6 +17,7 @@ from embodichain.lab.sim.engine.device_array import (
     constant,
     on_device,
 )
+from embodichain.lab.sim.engine.device_arrays import DeviceArrays
 from embodichain.lab.sim.engine.device_functions import BINARY, FUNCTIONS, REDUCTIONS, UNARY
 
 DEVICE = torch.device("cuda:0" if torch.cuda.is_available() else "cpu")

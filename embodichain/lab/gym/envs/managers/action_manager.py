@@ -18,17 +18,16 @@ from embodichain.lab.gym.envs.cfg import ActionTermCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import ActionPipeline
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
-from embodichain.lab.sim.objects._arrays import all_finite
-from embodichain.utils.arrays import is_host, tensor_of
+from embodichain.utils.arrays import all_finite, is_host, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.tensor_mapping import leaves_of
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.engine.arrays import Arrays
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.types import EnvAction
+    from embodichain.utils.arrays import Arrays
 
 __all__ = [
     "ActionCheck",

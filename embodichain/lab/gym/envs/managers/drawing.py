@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.registry import Kind
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.engine.arrays import Arrays
+    from embodichain.utils.arrays import Arrays
 else:
     torch = lazy_loader.load("torch")
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
-    from embodichain.lab.sim.engine.arrays import Arrays
+    from embodichain.utils.arrays import Arrays
 
 __all__ = [
     "BuiltTerm",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.engine.arrays import Arrays
+    from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 else:
     torch = lazy_loader.load("torch")

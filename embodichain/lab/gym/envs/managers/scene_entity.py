@@ -284,7 +284,7 @@ class ResolvedEntity:
 
     @cached_property
     def _link_bodies(self) -> Any:
-        from embodichain.lab.sim.engine.columns import columns_of
+        from embodichain.utils.arrays import columns_of
 
         return columns_of([self.asset.body_of(name) for name in self.link_names])
 
