@@ -74,6 +74,7 @@ class DeviceFields:
         """
         found = self._views.get(name)
         if found is None:
+            self._host.view(name)  # raises, and expands the field there
             default = self._host.default(name)
             tensor = None if name in _FORCES else self._worlds.own_field(name)
             if tensor is None:  # physics does not read it, or reads what `_put_forces` sets

@@ -99,7 +99,7 @@ class WarpWorlds:
         self.nconmax = int(self._data.naconmax) // count
         self.njmax = int(self._data.njmax)
         self._groups: dict[bytes, Any] = {}
-        self._own: set[str] = set()  # fields with values for each world
+        self._own: set[str] = set()  # model fields with values for each world
         self._all_limited = False
         self._limited = np.tile(model.actuator_forcelimited != 0, (count, 1))
         self._ranges = np.tile(model.actuator_forcerange, (count, 1, 1))
@@ -347,9 +347,10 @@ class WarpWorlds:
         if not isinstance(array, wp.array) or not _is_batched(owner, field) or not array.size:
             return None
         if field not in self._own:
-            whole = wp.empty((self._count, *array.shape[1:]), array.dtype, device=self._device)
-            wp.to_torch(whole).copy_(wp.to_torch(array))
-            setattr(owner, field, whole)
+            shared = wp.to_torch(array)
+            whole = shared.expand(self._count, *shared.shape[1:]).clone()
+            # Memory of torch, so that its stream orders what uses it.
+            setattr(owner, field, wp.from_torch(whole, array.dtype))
             self._own.add(field)
         tensor: torch.Tensor = wp.to_torch(getattr(owner, field))
         return tensor
@@ -362,7 +363,7 @@ class WarpWorlds:
         limits.copy_(ranges)
         if not self._all_limited:
             self._all_limited = True
-            self._model.actuator_forcelimited.fill_(True)
+            wp.to_torch(self._model.actuator_forcelimited).fill_(True)
 
     def enable_fluid(self) -> None:
         """Compute forces of the medium from now on."""

@@ -14,13 +14,7 @@ from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
 from embodichain.lab.sim.objects.solid import Solid
 from embodichain.lab.sim.unavailable import not_available
-from embodichain.utils.arrays import (
-    as_env_ids,
-    field_values,
-    may_be_set,
-    rows_at,
-    to_tensor,
-)
+from embodichain.utils.arrays import as_env_ids, field_values, may_be_set, rows_at, to_tensor
 from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
 
 if TYPE_CHECKING:

@@ -1,6 +1,8 @@
 """Events, commands and actions with arrays on a device do what they do with arrays of the host."""
 
 from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -91,15 +93,19 @@ def fields(env: BaseEnv) -> dict[str, Any]:
 
 def assert_alike(pair: Pair, tolerance: float = 1e-5) -> None:
     """Draws, states and model fields are the same."""
-    counters = [env.streams.state_dict()["counters"] for env in pair]
-    assert counters[0].keys() == counters[1].keys()
-    for name, drawn in counters[0].items():
-        assert np.array_equal(drawn, counters[1][name]), name
+    assert_same_draws(*(env.streams.state_dict()["counters"] for env in pair))
     assert_allclose(rows(pair.device), rows(pair.host), rtol=tolerance, atol=tolerance)
     host, device = map(fields, pair)
     for name, values in host.items():
         here = device[name].reshape(values.shape)
         assert_allclose(here, values, rtol=1e-4, atol=tolerance, err_msg=name)
+
+
+def assert_same_draws(first: dict[str, Any], second: dict[str, Any]) -> None:
+    """Each environment has drawn as many numbers from each stream."""
+    assert first.keys() == second.keys()
+    for name, drawn in first.items():
+        assert np.array_equal(drawn, second[name]), name
 
 
 def fire(env: BaseEnv, name: str) -> None:
@@ -174,3 +180,70 @@ def test_actions_write_the_same(pair: Pair, name: str) -> None:
             )
         for key, value in found[0].items():
             assert_allclose(found[1][key], value, rtol=1e-4, atol=2e-4, err_msg=key)
+
+
+OFTEN = {"mode": "interval", "interval_range_s": [0.03, 0.07]}
+EVERY_STEP = {"mode": "interval", "interval_step": 1}
+SPEEDS = {"velocity_range": {"x": [-0.3, 0.3], "yaw": [-0.3, 0.3]}}
+ROBOT = {"of": {"uid": "go2"}}
+OVER_TIME = {
+    "push": {"func": "push_by_setting_velocity", **OFTEN, "params": ROBOT | SPEEDS},
+    "push_all": {
+        **{"func": "push_by_setting_velocity", **OFTEN, "is_global": True},
+        "params": ROBOT | SPEEDS,
+    },
+    "push_later": {
+        **{"func": "push_articulation_by_setting_velocity", **EVERY_STEP},
+        "params": {**ROBOT, **SPEEDS, "interval_range_s": [0.03, 0.07]},
+    },
+    "impulse": {
+        **{"func": "apply_body_impulse", **EVERY_STEP},
+        "params": {
+            **{**ROBOT, "force_range": [-20, 20], "torque_range": [-1, 1]},
+            **{"duration_s": [0.03, 0.05], "cooldown_s": [0.03, 0.05]},
+        },
+    },
+    "randomize": {
+        **{"func": "randomize", "mode": "reset"},
+        "params": {**ROBOT, "mass": [0.8, 1.2], "operation": "scale", "stiffness": [0.9, 1.1]},
+    },
+}
+
+
+def walked(folder: Path, arrays: str) -> dict[str, Any]:
+    """What 14 steps of a walking robot give, with episodes of 6 steps."""
+    lines = ["seed=4", "sim.engine=warp", f"sim.warp.arrays={arrays}"]
+    lines += ["sim.warp.nconmax=64", "sim.warp.njmax=256"]
+    env = embodichain.make("walk", N, lines, config_dir=folder)
+    rng, found = np.random.default_rng(0), []
+    try:
+        env.reset()
+        for _ in range(14):
+            action = rng.uniform(-1, 1, (N, 12)).astype(np.float32)
+            _, reward, _, truncated, _ = env.step(torch.from_numpy(action))
+            command = env.command_manager.get_command("velocity")
+            found.append((rows(env)[:, :37], reward, truncated, command))
+        names = "rows", "reward", "truncated", "command"
+        columns = (np.stack([np.asarray(v) for v in part]) for part in zip(*found, strict=True))
+        return {**dict(zip(names, columns, strict=True)), "streams": env.streams.state_dict()}
+    finally:
+        env.close()
+
+
+def test_intervals_delays_and_noise_are_the_same_over_several_episodes(tmp_path: Path) -> None:
+    file = resources.files("embodichain") / "conf" / "task" / "quadruped_velocity.yaml"
+    tree = yaml.safe_load(file.read_text())
+    tree["max_episode_steps"] = 6
+    tree["actions"]["legs"] |= {
+        **{"delay": [0, 2], "noise": {"type": "gaussian", "mean": 0.0, "std": 0.1}},
+    }
+    tree["commands"]["velocity"]["resampling_time_s"] = [0.03, 0.07]
+    tree["events"] |= OVER_TIME
+    (tmp_path / "task").mkdir()
+    (tmp_path / "task" / "walk.yaml").write_text(yaml.safe_dump(tree, sort_keys=False))
+    host, device = (walked(tmp_path, arrays) for arrays in ("host", "device"))
+    draws = [found.pop("streams")["counters"] for found in (host, device)]
+    assert_same_draws(*draws)
+    for key, values in host.items():
+        assert_allclose(device[key], values, rtol=1e-3, atol=1e-3, err_msg=key)
+    assert host["truncated"].sum() == 2 * N
