@@ -264,6 +264,10 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
         places = operand(found, self.tensor.device)
         return DeviceArray(self.tensor[(*[slice(None)] * (axis % self.ndim), places)])
 
+    def rows_of(self, table: NDArray[Any]) -> DeviceArray:
+        """Rows of an array of the host at these indices."""
+        return DeviceArray(operand(table, self.tensor.device)[self.tensor])
+
     def swapaxes(self, first: int, second: int) -> DeviceArray:
         """With two axes exchanged; a view."""
         return DeviceArray(self.tensor.transpose(first, second))
