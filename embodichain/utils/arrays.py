@@ -29,8 +29,11 @@ __all__ = [
     "field_values",
     "is_host",
     "may_be_set",
+    "precise",
+    "rows_at",
     "tensor_of",
     "to_tensor",
+    "zeros",
 ]
 
 
@@ -56,6 +59,10 @@ class Arrays:
     def put(self, array: Any) -> Any:
         """Return a copy of an array of the host."""
         return np.array(array)
+
+    def constant(self, array: NDArray[Any]) -> Any:
+        """Return an array of the host, which seldom changes, where arrays are: do not write."""
+        return array
 
     def host(self, array: Any) -> NDArray[Any]:
         """Return an array on the host; from a device it is a copy, which waits for the device."""
@@ -88,11 +95,15 @@ class Arrays:
         """Make random streams whose draws are arrays of this kind."""
         return RandomStreams(seed, count)
 
-    def require_host(self, what: str) -> None:
-        """Check that arrays are on the host.
+    def require_host(self, what: str, path: str = "") -> None:
+        """Refuse something that has no form with arrays on a device.
+
+        Args:
+            what: What needs arrays on the host.
+            path: Key path of the parameter that asks for it, for the message.
 
         Raises:
-            HostTransferError: If they are on a device; says what needs the host.
+            ConfigError: If arrays are on a device.
         """
 
     def saved(self, state: Any) -> Any:
@@ -124,6 +135,14 @@ def tensor_of(array: Any) -> torch.Tensor:
     return found
 
 
+def zeros(shape: tuple[int, ...], like: Any) -> NDArray[np.float64]:
+    """Return zeros, where an array is: float64, on a device in the type of its numbers."""
+    found: NDArray[np.float64] = (
+        np.zeros(shape) if is_host(like) else type(like)(like.tensor.new_zeros(shape))
+    )
+    return found
+
+
 def contiguous(array: Any, dtype: Any = None) -> NDArray[Any]:
     """Return numbers in order of their indices, on the host as `numpy.ascontiguousarray`.
 
@@ -132,6 +151,18 @@ def contiguous(array: Any, dtype: Any = None) -> NDArray[Any]:
     if is_host(array):
         return np.ascontiguousarray(array, dtype)
     found: NDArray[Any] = array if dtype is None else array.astype(dtype, copy=False)
+    return found
+
+
+def precise(array: Any) -> NDArray[Any]:
+    """Return numbers as float64 on a device too, where arrays are float32 otherwise."""
+    found: NDArray[Any] = array if is_host(array) else type(array)(array.tensor.double())
+    return found
+
+
+def rows_at(table: NDArray[Any], indices: Any) -> NDArray[Any]:
+    """Return rows of an array of the host at indices (n,), where these are."""
+    found: NDArray[Any] = table[indices] if is_host(indices) else indices.rows_of(table)
     return found
 
 

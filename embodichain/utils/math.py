@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.utils.arrays import contiguous, is_host
+from embodichain.utils.arrays import contiguous, is_host, zeros
 
 __all__ = [
     "cross",
@@ -159,9 +159,11 @@ def matrix_to_quat(m: F64) -> F64:
     Shepperd's method: divide by the largest of the four components, so no case is ill-conditioned
     (S. W. Shepperd, "Quaternion from rotation matrix", J. Guidance and Control 1(3), 1978).
     """
-    flat = np.asarray(m, np.float64).reshape(-1, 9)
+    flat = _floats(m).reshape(-1, 9)
     count = len(flat)
-    if flat.tobytes() == _UNTURNED * count:  # most poses set from Python: 10 times faster
+    if (
+        is_host(flat) and flat.tobytes() == _UNTURNED * count
+    ):  # most poses set from Python: 10 times faster
         q = np.zeros((count, 4))
         q[:, 0] = 1.0
         return q.reshape(*m.shape[:-2], 4)
@@ -247,8 +249,7 @@ def look_at(eye: F64, target: F64, up: F64) -> F64:
 
 def pose_to_matrix(pose: F64) -> F64:
     """4x4 matrices of 7-vectors (x, y, z, qw, qx, qy, qz), (..., 7) -> (..., 4, 4)."""
-    like = pose if is_host(pose) else pose[..., :1, None]
-    out: F64 = np.zeros((*pose.shape[:-1], 4, 4)) if is_host(pose) else np.tile(like * 0.0, (4, 4))
+    out = zeros((*pose.shape[:-1], 4, 4), pose)
     out[..., :3, :3] = quat_to_matrix(pose[..., 3:])
     out[..., :3, 3] = pose[..., :3]
     out[..., 3, 3] = 1.0

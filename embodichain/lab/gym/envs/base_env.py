@@ -256,7 +256,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             return
         where = None if self.arrays.are_all(ids, self.num_envs) else ids
         self._task_success = self.is_task_success()
-        self.curriculum_manager.compute(where)
+        if not self.arrays.on_device:
+            self.curriculum_manager.compute(where)
         self.sim.reset_objects_state(where, excluded_uids=self._detached_uids)
         for manager in self.managers.values():
             manager.reset(where)
@@ -323,6 +324,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         """
         if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
+        if self.arrays.on_device:  # which environments were reset is not known
+            self.curriculum_manager.compute(None)
         checked, given = self._check_action(action)
         if self._graph is None or kwargs or not isinstance(checked, torch.Tensor):
             return self._step(checked, given, kwargs)

@@ -256,9 +256,9 @@ class EnvReads:
         """Attach an observer; it is called after those attached before.
 
         Raises:
-            HostTransferError: If arrays are on the device.
+            ConfigError: If arrays are on the device.
         """
-        self.arrays.require_host("observers read arrays")
+        self.arrays.require_host("observers")
         if not self.observers:
             self.sim.engine.listeners.append(EngineRelay(self))
         self.observers.append(observer)

@@ -234,7 +234,7 @@ def overridden_hooks(env: EnvHooks) -> frozenset[str]:
     """Return which of `OPTIONAL_HOOKS` an environment's class overrides.
 
     Raises:
-        HostTransferError: If arrays are on the device, where environments are masks, and it takes
+        ConfigError: If arrays are on the device, where environments are masks, and it takes
             indices of environments, or resets in the next step.
     """
     cls, arrays = type(env), env.sim.arrays
@@ -242,9 +242,9 @@ def overridden_hooks(env: EnvHooks) -> frozenset[str]:
         name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(EnvHooks, name)
     )
     if "_initialize_episode" in found:
-        arrays.require_host(f"{cls.__name__}._initialize_episode takes indices")
+        arrays.require_host(f"indices of environments ({cls.__name__}._initialize_episode)")
     if env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
-        arrays.require_host("autoreset mode NEXT_STEP steps some environments only,")
+        arrays.require_host("resets in the next step (autoreset mode NEXT_STEP)")
     return found
 
 

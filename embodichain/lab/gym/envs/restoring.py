@@ -127,7 +127,7 @@ def put(
     Raises:
         ConfigError: If it is of another scene or another action space.
     """
-    sim.arrays.require_host("recorded states are")
+    sim.arrays.require_host("recorded states")
     _check(snapshot, sim.engine.model, episodes.last_action.shape[1])
     where = None if len(ids) == sim.num_envs else ids
     for manager in managers.values():

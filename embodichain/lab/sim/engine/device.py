@@ -15,7 +15,7 @@ import torch
 import warp as wp
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import ALL, F64, Columns
+from embodichain.lab.sim.engine.api import ALL, F64, Columns, RayHits
 from embodichain.lab.sim.engine.cpu import KINEMATIC_STAGES, entries
 from embodichain.lab.sim.engine.device_array import (
     DeviceArray,
@@ -23,6 +23,8 @@ from embodichain.lab.sim.engine.device_array import (
     HostTransferError,
     on_device,
 )
+from embodichain.lab.sim.engine.device_fields import DeviceFields
+from embodichain.lab.sim.engine.fields import DERIVED_FIELDS
 from embodichain.lab.sim.engine.torch_stream import torch_stream
 from embodichain.lab.sim.engine.warp import (
     COLLISION_BITS,
@@ -32,6 +34,7 @@ from embodichain.lab.sim.engine.warp import (
     WarpEngine,
     require_memory,
 )
+from embodichain.utils.arrays import tensor_of
 
 __all__ = ["DeviceEngine"]
 
@@ -69,15 +72,15 @@ class DeviceEngine(WarpEngine):
     """N simulations of one model; states and fields are `DeviceArray`, views of Warp's memory.
 
     Nothing is copied from or to the host in a step, and nothing waits for the device. Environments
-    are None (all) or an `EnvMask`. Model fields are kept on the host, as in `HostEngine`: writing
-    them copies values to the host, and waits. `forward` computes a field when it is next read.
+    are None (all) or an `EnvMask`. Model fields that were written are on the device (`fields`); the
+    batch on the host gets copies where something asks for them. `forward` computes a field when it
+    is next read.
 
     An overflow of memory for contacts or constraints is reported by the next steps, as soon as the
     device has computed it.
 
     Attributes:
-        revision: Increases when model fields were copied to the device, or more fields are
-            computed: recorded steps are then out of date.
+        fields: The model fields.
 
     Args:
         model: The compiled scene.
@@ -117,7 +120,13 @@ class DeviceEngine(WarpEngine):
         pinned = self.device.type == "cuda"
         self._seen = torch.zeros(num_envs, dtype=torch.int32, pin_memory=pinned)
         self._derived_views: dict[str, DeviceArray] = {}
-        self.revision = 0
+        self._views_made = 0
+        self.fields = DeviceFields(self.worlds, self._fields, model, num_envs, self.device)
+
+    @property
+    def revision(self) -> int:
+        """Increases when more fields are computed or differ: recorded steps are out of date."""
+        return self._views_made + self.fields.revision
 
     # -- reads -------------------------------------------------------------------------------------
 
@@ -145,7 +154,7 @@ class DeviceEngine(WarpEngine):
             shape = self._empty(name).shape
             found = DeviceArray(self.worlds.view(name).reshape(shape))
             self._derived_views[name] = found
-            self.revision += 1
+            self._views_made += 1
             self._only_kinematics &= name in KINEMATIC_STAGES and name != "sensordata"
             self._any_dirty = True
         if self._any_dirty:
@@ -189,7 +198,7 @@ class DeviceEngine(WarpEngine):
             self._any_dirty = True
             output = DeviceArray(self.worlds.view(name).reshape(shape))
             found = self._kept[name] = output, output.copy()
-            self.revision += 1
+            self._views_made += 1
         if name in self._late:
             self._compute_late(name)
         return found[1]
@@ -207,8 +216,23 @@ class DeviceEngine(WarpEngine):
         output, copy = self._kept[name]
         copy[ALL if env_ids is None else env_ids] = output
 
-    def cast_rays(self, *args: Any, **kwargs: Any) -> Any:
-        raise HostTransferError("rays have no form on a device: use sim.warp.arrays=host")
+    def cast_rays(
+        self,
+        origins: Any,
+        directions: Any,
+        geoms: NDArray[np.bool_],
+        env_ids: Any = None,
+        *,
+        normal: bool = False,
+    ) -> RayHits:
+        self.derived("geom_xpos")  # the kinematics of the current state
+        rays = np.broadcast_shapes(origins.shape, directions.shape, (1, 1, 3))[1]
+        shape = (self.num_envs, rays, 3)
+        starts, ways = (tensor_of(np.broadcast_to(x, shape)) for x in (origins, directions))
+        with self._stream():
+            found = self.worlds.cast(starts.contiguous(), ways.contiguous(), geoms)
+        hits: list[Any] = [DeviceArray(part) for part in found]
+        return RayHits(hits[0], hits[1], hits[2] if normal else None)
 
     # -- physics -----------------------------------------------------------------------------------
 
@@ -299,23 +323,33 @@ class DeviceEngine(WarpEngine):
     def write_model(
         self, field: str, values: Any, env_ids: Any = None, columns: Columns = ALL
     ) -> None:
-        super().write_model(field, *self._on_host(values, env_ids), columns)
+        self._constants_before(field)
+        self.fields.write(field, values, env_ids, columns)
+        self._mark(env_ids)
+
+    def model_field(self, field: str) -> Any:
+        self._constants_before(field)
+        return self.fields.view(field)
+
+    def model_values(self, field: str) -> Any:
+        self._constants_before(field)
+        return self.fields.values(field)
+
+    def _constants_before(self, field: str) -> None:
+        """Compute constants that are out of date if this field is one of them."""
+        if self._fields.stale and field in DERIVED_FIELDS:
+            self.set_const()
 
     def set_const_later(self, env_ids: Any = None) -> None:
-        super().set_const_later(self._on_host(0, env_ids)[1])
+        self._fields.stale = True
+        self._mark(env_ids)
 
     def set_const(self, env_ids: Any = None) -> None:
-        super().set_const(self._on_host(0, env_ids)[1])
-
-    def _on_host(self, values: Any, env_ids: Any) -> tuple[Any, Any]:
-        """Values (n, k) and environments (n,) on the host; waits for the device."""
-        if isinstance(values, DeviceArray):
-            values = values.host()
-        if isinstance(env_ids, EnvMask):
-            env_ids = np.flatnonzero(env_ids.mask.cpu().numpy())
-            if np.ndim(values) > 1:
-                values = values[env_ids]
-        return values, env_ids
+        """Compute constants of all environments: those of the others do not change."""
+        self._fields.stale = False
+        with self._stream():
+            self.fields.set_const()
+        self._mark(None)
 
     def _mark(self, env_ids: Any) -> None:
         self.version += 1
@@ -323,15 +357,30 @@ class DeviceEngine(WarpEngine):
 
     def _upload(self) -> None:
         if self._fields.stale:
-            self._set_const_now()
-        if self._model_changed:
-            self._model_changed = False
-            self._rows[...] = self.host_rows()
-            self.revision += 1
+            self.set_const()
+        if self.fields.moved:
             with self._stream():
-                self._put_fields()
+                self.worlds.kinematics()
+            names = "geom_xpos", "geom_xmat", "xpos", "xquat"
+            pos, matrices, *bodies = (DeviceArray(self.worlds.view(name)) for name in names)
+            self.fields.place_geoms(pos, matrices, (bodies[0], bodies[1]))
+
+    def _pull_fields(self) -> None:
+        """Copy the model fields to the batch on the host; waits for the device."""
+        for name, values in self.fields.host().items():
+            self._fields.view(name)[...] = values
+        if self.fields.has_constants or self._fields.stale:
+            self._batch.set_const(None)
 
     # -- whole simulations -------------------------------------------------------------------------
+
+    def model_of(self, env_id: int) -> mujoco.MjModel:
+        self._pull_fields()
+        return self._batch.get_model(env_id)
+
+    def model_fields(self) -> dict[str, NDArray[Any]]:
+        self._pull_fields()
+        return super().model_fields()
 
     def data_of(self, env_id: int) -> mujoco.MjData:
         self._rows[...] = self.host_rows()
@@ -343,11 +392,9 @@ class DeviceEngine(WarpEngine):
         self._wild.zero_()
 
     def state_dict(self) -> dict[str, Any]:
-        if self._fields.stale:
-            self._set_const_now()
         return {
             "rows": self.host_rows(),
             "model": self.model_fields(),
             "warning": self._batch.warning.copy(),
-            "acceleration": {name: copy.host() for name, (_, copy) in self._kept.items()},
+            "acceleration": {name: self.acceleration(name).host() for name in self._kept},
         }

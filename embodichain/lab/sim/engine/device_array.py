@@ -84,7 +84,7 @@ def _index(key: Any, device: torch.device) -> tuple[Any, torch.Tensor | None, bo
     arrays = sum(isinstance(part, (DeviceArray, np.ndarray, list)) for part in keys)
     for place, part in enumerate(keys):
         if isinstance(part, EnvMask):
-            before = sum(not isinstance(other, int) for other in keys[:place])
+            before = sum(not isinstance(k, int) for k in keys[:place])  # an integer has no axis
             mask, copies = part.mask.reshape(*[1] * before, -1), True
             keys[place] = slice(None)
         elif isinstance(part, (np.ndarray, list)):
@@ -263,6 +263,10 @@ class DeviceArray(TensorHolder, NDArrayOperatorsMixin):
         found = indices if isinstance(indices, DeviceArray) else np.asarray(indices, np.int64)
         places = operand(found, self.tensor.device)
         return DeviceArray(self.tensor[(*[slice(None)] * (axis % self.ndim), places)])
+
+    def rows_of(self, table: NDArray[Any]) -> DeviceArray:
+        """Rows of an array of the host at these indices."""
+        return DeviceArray(operand(table, self.tensor.device)[self.tensor])
 
     def swapaxes(self, first: int, second: int) -> DeviceArray:
         """With two axes exchanged; a view."""

@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, on_device
-from embodichain.lab.sim.engine.device_values import HostTransferError, torch_type
+from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, constant, on_device
+from embodichain.lab.sim.engine.device_values import torch_type
 from embodichain.utils.arrays import Arrays
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import RandomStreams
 
 __all__ = ["DeviceArrays"]
@@ -39,6 +40,9 @@ class DeviceArrays(Arrays):
 
     def put(self, array: Any) -> Any:
         return on_device(array, self.device)
+
+    def constant(self, array: NDArray[Any]) -> Any:
+        return constant(array, self.device)
 
     def host(self, array: Any) -> NDArray[Any]:
         found: NDArray[Any] = array.host() if isinstance(array, DeviceArray) else array
@@ -69,8 +73,9 @@ class DeviceArrays(Arrays):
 
         return cast("RandomStreams", DeviceStreams(seed, count, str(self.device)))
 
-    def require_host(self, what: str) -> None:
-        raise HostTransferError(f"{what} on the host: use sim.warp.arrays=host")
+    def require_host(self, what: str, path: str = "") -> None:
+        message = f"{what} have no form with arrays on a device: use sim.warp.arrays=host"
+        raise ConfigError([Problem(path, message)])
 
     def saved(self, state: Any) -> Any:
         if isinstance(state, DeviceArray):

@@ -212,11 +212,20 @@ def _take_along_axis(device: torch.device, arr: Any, indices: Any, axis: int) ->
     return torch.take_along_dim(operand(arr, device), operand(indices, device), axis)
 
 
+def _argsort(device: torch.device, a: Any, axis: int = -1, kind: str | None = None) -> torch.Tensor:
+    return torch.argsort(operand(a, device), dim=axis, stable=True)
+
+
+def _searchsorted(device: torch.device, a: Any, v: Any, side: str = "left") -> torch.Tensor:
+    return torch.searchsorted(*of_one_type(device, a, v), side=side)
+
+
 FUNCTIONS: dict[Callable[..., Any], Callable[..., torch.Tensor]] = {
     np.all: _reduction(torch.all),
     np.amax: _reduction(torch.amax),
     np.amin: _reduction(torch.amin),
     np.any: _reduction(torch.any),
+    np.argsort: _argsort,
     np.broadcast_to: _broadcast_to,
     np.clip: _clip,
     np.concatenate: _concatenate,
@@ -230,6 +239,7 @@ FUNCTIONS: dict[Callable[..., Any], Callable[..., torch.Tensor]] = {
     np.ones_like: _like(1),
     np.repeat: _repeat,
     np.reshape: _reshape,
+    np.searchsorted: _searchsorted,
     np.stack: _stack,
     np.sum: _reduction(torch.sum),
     np.swapaxes: _swapaxes,

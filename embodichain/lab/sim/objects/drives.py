@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drive_cfg import NO_LIMIT
-from embodichain.utils.arrays import columns_of, field_values
+from embodichain.utils.arrays import columns_of, field_values, is_host
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
@@ -138,7 +138,7 @@ class Drives:
         self.control_columns = columns_of(columns)
         self._joint_of_control = np.full(self._handle.engine.state("ctrl").shape[1], -1)
         self._joint_of_control[columns] = self.joints
-        self._note_gains()
+        self._note(self.parsed.stiffness[None], self.parsed.max_velocity[None])
 
     # -- targets ---------------------------------------------------------------------------------
 
@@ -269,10 +269,15 @@ class Drives:
         self._forget_velocities(ids)
         changed = self._switched
         if len(changed):
-            where = _at(ids, changed)
-            home = np.broadcast_to(self.parsed.init_qpos[changed], self.stiffness[where].shape)
+            where, columns = _at(ids, changed), self.columns(changed)
+            stiffness = self.stiffness[where]
+            home = np.broadcast_to(self.parsed.init_qpos[changed], stiffness.shape)
             control = self._control(home, where)
-            self._handle.engine.write("ctrl", control, ids, self.columns(changed))
+            if self._arrays.on_device:  # all drives may be switched: others keep their controls
+                now = self._handle.engine.state("ctrl")[where[0], columns]
+                switched = (stiffness > 0) != (self.parsed.stiffness[changed] > 0)
+                control = np.where(switched, control, now)
+            self._handle.engine.write("ctrl", control, ids, columns)
 
     def _forget_velocities(self, ids: EnvIndex | None) -> None:
         if self.has_velocity_target:
@@ -284,7 +289,12 @@ class Drives:
         self.has_velocity_target = self._arrays.on_device or bool(self.target_qvel.any())
 
     def _note_gains(self) -> None:
-        stiffness, fastest = (self._arrays.host(x) for x in (self.stiffness, self.max_velocity))
+        if self._arrays.on_device:  # not known without waiting: results are the same
+            self._rated, self._springless, self._switched = True, True, self.joints
+            return
+        self._note(self.stiffness, self.max_velocity)
+
+    def _note(self, stiffness: F64, fastest: F64) -> None:
         self._rated = bool((fastest < NO_LIMIT).any())
         stiff = stiffness[:, self.joints] > 0
         self._springless = not stiff.all()
@@ -326,7 +336,8 @@ class Drives:
                 self._note_gains()
                 self._write_gains(index.actuator_ids[joints], where, ids)
             if name in ("max_effort", "strength"):
-                self._write_efforts(index.actuator_ids[joints], where, ids)
+                changes = name == "max_effort"
+                self._write_efforts(index.actuator_ids[joints], where, ids, changes)
 
     def _write_gains(self, actuators: Joints, where: Any, ids: EnvIndex | None) -> None:
         engine, model, joints = self._handle.engine, self._handle.engine.model, where[1]
@@ -341,12 +352,16 @@ class Drives:
             columns_now = columns_of(columns + offset)
             engine.write_model("actuator_biasprm", -(value / gear**2), ids, columns_now)
 
-    def _write_efforts(self, actuators: Joints, where: Any, ids: EnvIndex | None) -> None:
+    def _write_efforts(
+        self, actuators: Joints, where: Any, ids: EnvIndex | None, changes: bool
+    ) -> None:
+        """Write force ranges; `changes` is whether other joints may be limited than before."""
         engine = self._handle.engine
         limit = self.max_effort[where]
         limited = limit < NO_LIMIT
         compiled = engine.model.actuator_forcelimited[actuators] != 0
-        if (limited != compiled).any():
+        # Not known on a device without waiting; a strength changes no flag.
+        if bool((limited != compiled).any()) if is_host(limited) else changes:
             self._limits_vary = True
         if self._limits_vary:
             flags = limited.astype(np.float64)

@@ -120,6 +120,7 @@ class Camera(BaseSensor):
         """No effect: images are drawn when they are read. EmbodiChain's name."""
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        self.host.arrays.require_host("images of cameras", f"sensors.{self.uid}")
         self.was_drawn = True
         seen = self._draw(env_ids)
         return tuple(self._image(name, seen) for name in self.reads)
@@ -260,7 +261,7 @@ class Camera(BaseSensor):
 
     def read_intrinsics(self, side: int = 0) -> F64:
         """(N, 4) fx, fy, cx, cy in pixels."""
-        lens = self._view(self.index.ids[side]).lens
+        lens = self.host.arrays.constant(self._view(self.index.ids[side]).lens)
         return np.broadcast_to(lens, (self.num_instances, 4)).copy()
 
     def write_intrinsics(self, lens: F64, env_ids: EnvIndex | None, side: int = 0) -> None:

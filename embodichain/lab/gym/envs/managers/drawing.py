@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import CommandCfg, EventCfg, TermCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.term import CommandTerm
-from embodichain.utils.arrays import tensor_of
+from embodichain.utils.arrays import may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -135,7 +135,8 @@ class DrawingManager(Manager[C]):
         if given is None or given.shape != tuple(shape):
             return None
         n = self.num_envs if env_ids is None else len(env_ids)
-        return np.tile(given, (n, *[1] * len(shape)))
+        rows: F64 = self.env.arrays.put(np.tile(given, (n, *[1] * len(shape))))
+        return rows
 
     def replay(
         self, name: str, mode: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]
@@ -278,7 +279,10 @@ class _Interval:
         cfg = term.cfg
         self.is_global = cfg.is_global
         self.every_step = cfg.interval_range_s is None and cfg.interval_step == 1
-        self.timer = Timer(1 if cfg.is_global else env.num_envs, env.step_dt, env.arrays)
+        # On a device a timer that all share is N equal ones: masks choose among N environments.
+        count = 1 if cfg.is_global and not env.arrays.on_device else env.num_envs
+        self.timer = Timer(count, env.step_dt, env.arrays)
+        self._first = env.arrays.put(np.arange(count) == 0)
 
     def _start(self, env_ids: EnvIndex | None) -> None:
         """Restart the timer. A global one draws from environment 0's stream."""
@@ -287,9 +291,10 @@ class _Interval:
             self.timer.left[slice(None) if env_ids is None else env_ids] = cfg.interval_step
             return
         low, high = cfg.interval_range_s
-        ids = np.zeros(1, np.int64) if self.is_global else env_ids
+        ids = env_ids[self._first] if self.is_global and env_ids is not None else env_ids
         name = f"events.{self.term.name}.interval"
-        self.timer.start(env_ids, self._streams.uniform(name, (), low, high, ids))
+        seconds = self._streams.uniform(name, (), low, high, ids)
+        self.timer.start(env_ids, seconds[:1] if self.is_global else seconds)
 
     def restart(self, env_ids: EnvIndex | None) -> None:
         """Restart the timer of environments that begin an episode; a global one is not changed."""
@@ -300,12 +305,14 @@ class _Interval:
         """Count one step; return the environments that are due, None for all."""
         if self.every_step:
             return None if self.is_global else env_ids
-        if self.is_global and self.timer.left[0] == 0:
-            self._start(None)
-        found = self.timer.advance(None if self.is_global else env_ids)
+        if self.is_global:
+            env_ids, stopped = None, self.timer.left == 0
+            if may_be_set(stopped):
+                self._start(self._arrays.where(stopped))
+        found = self.timer.advance(env_ids)
         due = None if self._arrays.are_all(found, len(self.timer.left)) else found
         if len(found):
-            self._start(due)
+            self._start(found if self.is_global else due)
         return due
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
-from embodichain.utils.arrays import contiguous
+from embodichain.utils.arrays import contiguous, may_be_set
 from embodichain.utils.math import (
     euler_xyz_to_quat,
     quat_conjugate,
@@ -52,7 +52,7 @@ class AbsolutePose:
     Args:
         asset: The robot.
         solver: The kinematics of its tool.
-        num_envs: N.
+        env: The environment.
         frame: Of the pose: ``base``, the robot's root, or ``world``, the environment.
         rotation: ``quat``, ``rpy``, ``keep`` or ``free``, as of `eef_pose`.
         position_range: Low and high of the position, or None: a box around all that the links
@@ -68,7 +68,7 @@ class AbsolutePose:
         self,
         asset: Any,
         solver: ArmSolver,
-        num_envs: int,
+        env: TermContext,
         frame: Literal["base", "world"],
         rotation: Literal["quat", "rpy", "keep", "free"],
         position_range: Box3 | None,
@@ -89,7 +89,8 @@ class AbsolutePose:
             turn = np.asarray(index.quat0, np.float64)[None]
             pos, quat = root + quat_rotate(turn, pos), quat_multiply(turn, quat)
         self.home: F64 = self.action_at(pos, quat)[0]
-        self._kept: F64 = np.tile(quat, (num_envs, 1))
+        self._of = env.arrays.of
+        self._kept: F64 = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
 
     def action_at(self, pos: F64, quat: F64) -> F64:
         """(n, A) the action for a pose (n, 3), (n, 4) in `frame`."""
@@ -108,7 +109,7 @@ class AbsolutePose:
         Returns:
             Position (N, 3) and orientation (N, 4) or None, if that is free.
         """
-        given = np.minimum(np.maximum(action.numpy(), self.low), self.high).astype(np.float64)
+        given = np.minimum(np.maximum(self._of(action), self.low), self.high).astype(np.float64)
         pos, turned = contiguous(given[:, :3]), contiguous(given[:, 3:])
         quat: F64 | None = None
         if self._rotation == "keep":
@@ -152,8 +153,8 @@ def _normalized(quat: F64, orientation: Callable[[], F64]) -> F64:
     norm = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
     void = norm < 1e-6
     unit: F64 = quat / np.where(void, 1.0, norm)[:, None]
-    if void.any():
-        unit[void] = orientation()[void]
+    if may_be_set(void):
+        unit = np.where(void[:, None], orientation(), unit)
     return unit
 
 

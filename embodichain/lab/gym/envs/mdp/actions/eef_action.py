@@ -30,7 +30,7 @@ from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.lab.sim.solvers.chain import matmul
 from embodichain.lab.sim.solvers.least_squares import Target, pose_error
-from embodichain.utils.arrays import contiguous
+from embodichain.utils.arrays import contiguous, precise
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
     quat_conjugate,
@@ -94,7 +94,7 @@ class EefTerm(JointTerm):
 
     def _commanded(self) -> F64:
         """(N, D) joint positions with the moving joints at their targets."""
-        whole: F64 = self._asset.read_qpos().copy()
+        whole: F64 = precise(self._asset.read_qpos().copy())
         whole[:, self._ids] = self._targets()
         return whole
 
@@ -189,9 +189,7 @@ class EefPose(EefTerm):
         posture_gain: UnitInterval = 0.0,
     ) -> None:
         super().__init__(env, entity_cfg, max_velocity, posture_gain)
-        poses = AbsolutePose(
-            self._asset, self._solver, self._count, frame, rotation, position_range
-        )
+        poses = AbsolutePose(self._asset, self._solver, env, frame, rotation, position_range)
         self._poses, self._world = poses, frame == "world"
         self.orientation, self.tool_speeds = tool_orientation(rotation), (np.inf, np.inf)
         self.names, self.low, self.high = poses.names, poses.low, poses.high

@@ -206,6 +206,8 @@ class RandomizePose(Term):
         else:
             self._stop = None if asset.is_non_dynamic else asset.stop
         self._steps = physics_update_step
+        if physics_update_step > 0:
+            env.arrays.require_host("physics steps of some environments", "physics_update_step")
         if relative_to is not None and not relative_position:
             message = "relative_to needs relative_position: true"
             raise ConfigError([Problem("relative_position", message)])
@@ -347,6 +349,7 @@ class RandomizeRobotEefPose(Term):
         position_range: Box3 | None = None,
         rotation_range: Box3 | None = None,
     ) -> None:
+        env.arrays.require_host("searches for joint positions")
         self._asset = asset = entity_cfg.asset
         self._arm = arm_solver(entity_cfg)
         self._position = Uniform.within("position", position_range)

@@ -31,7 +31,11 @@ Side = Literal["left", "right"]
 
 
 def _named(sensor: Camera, kind: str, side: Side, key: str) -> str:
-    """The name of a camera's image; ConfigError for `key` if its config does not ask for it."""
+    """The name of a camera's image; ConfigError for `key` if its config does not ask for it.
+
+    Also if arrays are on a device, where no pictures are drawn.
+    """
+    sensor.host.arrays.require_host("images of cameras", "sensor")
     name = kind if side == "left" else f"{kind}_right"
     if name not in sensor.reads:
         message = (

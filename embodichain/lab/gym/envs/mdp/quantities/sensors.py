@@ -246,6 +246,7 @@ class SensorReading(Term):
         problems = _check_reading(sensor.uid, sensor.cfg, reading)
         if problems:
             raise ConfigError(problems)
+        self._env = env
         self._read = getattr(sensor, f"read_{sensor.reads[0] if reading is None else reading}")
 
     @classmethod
@@ -258,7 +259,7 @@ class SensorReading(Term):
 
     def __call__(self) -> F64:
         """(N, K) the reading; its dimensions after the first are flattened."""
-        values = np.asarray(self._read(), np.float64)
+        values: F64 = self._env.arrays.of(self._read()).astype(np.float64, copy=False)
         return values.reshape(len(values), -1)
 
 
