@@ -213,12 +213,12 @@ def _refusals(resolved: Resolved, kwargs: Mapping[str, Any]) -> list[str]:
             obs, _ = env.reset()
             for _ in range(_TRIED_STEPS):
                 obs, *_ = env.step(policy(obs, env))
-    except TypeError as error:  # `HostTransferError`, or torch's for tensors on a GPU
+    except (ConfigError, TypeError) as error:  # what is wrong on the host too is found again
         return [f"{_term_of(error)}{error}"]
     return []
 
 
-def _term_of(error: TypeError) -> str:
+def _term_of(error: Exception) -> str:
     """The function or class of a term in which an error was raised, for messages."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
         code = frame.f_code

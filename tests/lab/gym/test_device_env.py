@@ -72,20 +72,18 @@ def test_some_environments_can_be_reset(env):
 REFUSED = {
     "observers": lambda env: env.add_observer(StepObserver()),
     "recorded states": lambda env: env.restore(object.__new__(Snapshot)),
-    "environments of numpy's arrays": lambda env: NumpyVectorEnv(env),
+    "results that are arrays of numpy": lambda env: NumpyVectorEnv(env),
 }
 
 
 @pytest.mark.parametrize("message", REFUSED)
 def test_what_needs_the_host_is_refused(env, message):
-    with pytest.raises(
-        ConfigError, match=rf"{message} have no form with .* sim\.warp\.arrays=host"
-    ):
+    with pytest.raises(ConfigError, match=rf"{message} have no form .* sim\.warp\.arrays=host"):
         REFUSED[message](env)
 
 
 def test_a_single_environment_is_of_numpys_arrays():
-    with made(num_envs=1) as env, pytest.raises(ConfigError, match="numpy's arrays"):
+    with made(num_envs=1) as env, pytest.raises(ConfigError, match="arrays of numpy"):
         SingleEnv(env)
 
 
@@ -95,11 +93,9 @@ class Starts(BaseEnv):
 
 
 def test_what_takes_indices_of_environments_is_refused(env):
-    with pytest.raises(ConfigError, match=r"environments \(Starts\._initialize_episode\)"):
+    with pytest.raises(ConfigError, match=r"indices .* Starts\._initialize_episode takes"):
         Starts(env.cfg)
-    with pytest.raises(
-        HostTransferError, match="NEXT_STEP steps some environments only, on the host"
-    ):
+    with pytest.raises(ConfigError, match="steps of some environments, as of .* NEXT_STEP"):
         BaseEnv(env.cfg, autoreset_mode=AutoresetMode.NEXT_STEP)
 
 

@@ -242,9 +242,11 @@ def overridden_hooks(env: EnvHooks) -> frozenset[str]:
         name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(EnvHooks, name)
     )
     if "_initialize_episode" in found:
-        arrays.require_host(f"indices of environments ({cls.__name__}._initialize_episode)")
+        arrays.require_host(
+            f"indices of environments, which {cls.__name__}._initialize_episode takes,"
+        )
     if env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
-        arrays.require_host("resets in the next step (autoreset mode NEXT_STEP)")
+        arrays.require_host("steps of some environments, as of autoreset mode NEXT_STEP,")
     return found
 
 
