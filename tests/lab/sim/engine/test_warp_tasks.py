@@ -27,7 +27,7 @@ FEW = ["cart_pole", "quadruped_velocity"]
 ALL = os.environ.get("EMBODICHAIN_TEST_WARP") == "all"
 TASKS = list_options("task") if ALL else FEW
 N, STEPS, EPISODE = 2, 40, 25
-NO_DEVICE_FORM: dict[str, str] = {}
+NO_DEVICE_FORM = dict.fromkeys(["lift_vision", "reach_vision"], "images of cameras have no form")
 """Tasks that need the host, and what says so."""
 TIE = 1e-6
 """Metres: closer bodies touch or do not, by rounding."""
@@ -122,7 +122,7 @@ def test_a_task_is_the_same_with_arrays_on_the_device(task):
         np.testing.assert_array_equal(device[key], host[key])
     assert host["done"].any() and not host["diverged"].any()
     np.testing.assert_allclose(device["start"], host["start"], rtol=0, atol=1e-6)
-    for key, bound in (("qpos", 1e-5), ("qvel", 1e-4), ("obs", 2e-5), ("reward", 1e-5)):
+    for key, bound in (("qpos", 1e-5), ("qvel", 1e-4), ("obs", 1e-4), ("reward", 1e-5)):
         scale = max(1.0, np.abs(host[key]).max())
         np.testing.assert_allclose(device[key], host[key], rtol=0, atol=bound * scale, err_msg=key)
     assert host["qvel"].any() and host["obs"].any()
