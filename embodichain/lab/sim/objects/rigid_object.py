@@ -245,7 +245,7 @@ class RigidObject(BatchEntity):
         if self._dofs is None:
             return
         rate, (mass, moments) = self._damping[self._rows(ids)], self.read_inertia(ids)
-        linear = np.repeat((rate[:, 0] * mass)[:, None], 3, axis=1)
+        linear = np.broadcast_to((rate[:, 0] * mass)[:, None], (len(mass), 3))
         angular = rate[:, 1:] * self._about_axes(moments, self._rows(ids))
         values = np.concatenate([linear, angular], axis=1)
         self.engine.write_model("dof_damping", values, ids, self._dofs)
