@@ -129,7 +129,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         # EmbodiChain shares one class-level list between all environments of a process.
         self.active_joint_ids = list(type(self).active_joint_ids)
         self.sensors, self._detached_uids = {}, []
-        self.overridden = overridden_hooks(type(self))
+        self.overridden = overridden_hooks(self)
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool, device=self.device)
         self._closed = self.arrays_moved = False
         self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
@@ -256,8 +256,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             return
         where = None if self.arrays.are_all(ids, self.num_envs) else ids
         self._task_success = self.is_task_success()
-        if not self.arrays.on_device:
-            self.curriculum_manager.compute(where)
+        self.curriculum_manager.compute(where)
         self.sim.reset_objects_state(where, excluded_uids=self._detached_uids)
         for manager in self.managers.values():
             manager.reset(where)
@@ -324,8 +323,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         """
         if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
-        if self.arrays.on_device:  # which environments were reset is not known
-            self.curriculum_manager.compute(None)
+        self.curriculum_manager.before_step()
         checked, given = self._check_action(action)
         if self._graph is None or kwargs or not isinstance(checked, torch.Tensor):
             return self._step(checked, given, kwargs)
@@ -363,9 +361,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.control_step += 1
         info["elapsed_steps"], over = self.elapsed_steps, episodes.over()
         if "check_truncated" in self.overridden:
-            over |= as_mask(
-                self.check_truncated(obs, info), self.num_envs, "check_truncated", self.arrays
-            )
+            cut = self.check_truncated(obs, info)
+            over |= as_mask(cut, self.num_envs, "check_truncated", self.arrays)
         terminated, truncated = outcome.ends(over, self.cfg.ignore_terminations)
         if pending is not None and saved is not None:
             self.streams.rewind(saved, pending)

@@ -378,12 +378,21 @@ class CurriculumManager(Manager[CurriculumCfg]):
         super().__init__(env, "curriculum", "curriculum", cfgs)
         self.values: dict[str, float] = {}
 
+    def before_step(self) -> None:
+        """Call the terms for all environments, with arrays on a device only; see `compute`."""
+        if self._arrays.on_device:
+            self._compute(None)
+
     def compute(self, env_ids: EnvIndex | None) -> None:
-        """Call the terms.
+        """Call the terms. With arrays on a device this does nothing: `before_step` calls them.
 
         Args:
             env_ids: (n,) sorted unique int64 environments about to be reset, or None for all.
         """
+        if not self._arrays.on_device:  # there it is not known which environments are reset
+            self._compute(env_ids)
+
+    def _compute(self, env_ids: EnvIndex | None) -> None:
         for name, term in self.terms.items():
             value = term.call(self.env, env_ids)
             if isinstance(value, Mapping):
