@@ -184,8 +184,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         built += [self.event_manager, self.action_manager, self.reward_manager]
         built += [self.termination_manager, self.metric_manager]
         self.managers = {manager.section: manager for manager in built}
-        self.curriculum_manager = CurriculumManager(self, cfg.curriculum)
-        self.managers["curriculum"] = self.curriculum_manager
+        self.curriculum_manager = curricula = CurriculumManager(self, cfg.curriculum)
+        self.managers["curriculum"] = curricula
 
     def _start(self, kwargs: dict[str, Any]) -> None:
         """Make spaces, run startup events, and observe once."""
@@ -195,8 +195,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         space = self.single_action_space
         self.action_space = batch_space(space, cfg.num_envs)
         self._check_action = ActionCheck(space, cfg.num_envs, self.arrays)
-        shape = cfg.num_envs, gym.spaces.utils.flatdim(space)
-        self.episodes.last_action = self.arrays.full(shape, 0.0)
+        self.episodes.last_action = self.arrays.full((cfg.num_envs, gym.spaces.flatdim(space)), 0.0)
         sim.reset_objects_state()
         self._init_sim_state(**kwargs)
         self.event_manager.apply("startup", None)
@@ -256,8 +255,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             return
         where = None if self.arrays.are_all(ids, self.num_envs) else ids
         self._task_success = self.is_task_success()
-        if not self.arrays.on_device:
-            self.curriculum_manager.compute(where)
+        self.curriculum_manager.before_reset(where)
         self.sim.reset_objects_state(where, excluded_uids=self._detached_uids)
         for manager in self.managers.values():
             manager.reset(where)
@@ -324,8 +322,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         """
         if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
-        if self.arrays.on_device:  # which environments were reset is not known
-            self.curriculum_manager.compute(None)
+        self.curriculum_manager.before_step()
         checked, given = self._check_action(action)
         if self._graph is None or kwargs or not isinstance(checked, torch.Tensor):
             return self._step(checked, given, kwargs)

@@ -362,6 +362,8 @@ def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> None:
 class CurriculumManager(Manager[CurriculumCfg]):
     """Calls every term for environments that are about to be reset, before the reset.
 
+    With arrays on a device, it calls them for all environments before each step.
+
     A term returns the values it has set (a number, or several by name) or None;
     ``info["curriculum"]`` of every step contains the current ones. Time is `env.control_step`,
     which counts on through resets.
@@ -377,6 +379,19 @@ class CurriculumManager(Manager[CurriculumCfg]):
     def __init__(self, env: TermContext, cfgs: Mapping[str, CurriculumCfg]) -> None:
         super().__init__(env, "curriculum", "curriculum", cfgs)
         self.values: dict[str, float] = {}
+
+    def before_reset(self, env_ids: EnvIndex | None) -> None:
+        """Call the terms for environments (n,) that are about to be reset, or None for all."""
+        if not self._arrays.on_device:
+            self.compute(env_ids)
+
+    def before_step(self) -> None:
+        """Call the terms for all environments if arrays are on a device.
+
+        Which of them a step resets is not known there, and a recorded step calls no terms.
+        """
+        if self._arrays.on_device:
+            self.compute(None)
 
     def compute(self, env_ids: EnvIndex | None) -> None:
         """Call the terms.
