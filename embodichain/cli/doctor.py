@@ -25,6 +25,8 @@ __all__ = ["EXTRAS", "Check", "command"]
 
 EXTRAS = {
     "robots": ("robots of example-robot-data", "example-robot-data"),
+    "rsl_rl": ("trainings on the environment's device: algo=rsl_rl_ppo", "rsl-rl-lib"),
+    "skrl": ("trainings on the environment's device: algo=skrl_ppo", "skrl"),
     "gpu": ("MuJoCo Warp: sim.engine=warp, device=cuda", "mujoco-warp", "warp-lang"),
     "decompose": ("convex parts of meshes: collision: decompose", "coacd"),
     "plot": ("curves of trainings as PNG", "matplotlib"),

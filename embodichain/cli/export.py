@@ -156,7 +156,7 @@ def _export_policy(options: SimpleNamespace) -> None:
     target, lines = one_target("export", options.words[1:])
     if target.file is None or target.file.suffix in _POLICIES.values():
         name = target.policy
-        raise ConfigError(f"policy: only zips of Stable-Baselines3 are exported, not {name}")
+        raise ConfigError(f"policy: only zips of trainings are exported, not {name}")
     if options.output is not None:
         out = Path(options.output)
     elif target.run is not None:
@@ -167,19 +167,19 @@ def _export_policy(options: SimpleNamespace) -> None:
     if options.json:
         print_json(facts)
     else:
-        worst = f"at most {facts['largest_difference']:.2g} from Stable-Baselines3's actions"
+        worst = f"at most {facts['largest_difference']:.2g} from the policy's actions"
         sys.stdout.write(f"{out}: {facts['task']}, {facts['algo']}, {worst}\n")
 
 
 def _write_policy(target: Target, overrides: list[str], out: Path, form: Format) -> dict[str, Any]:
     from embodichain.config.factory import make_env
     from embodichain.learning.exporting import export_policy
-    from embodichain.learning.policy import load_model
+    from embodichain.learning.policy import load_checkpoint
 
     fresh = {"viewer": {"name": "none"}, "algo": None, "num_envs": 1, "resume": None}
     fresh |= {"allow_changed": False}
     resolved = target.resolve(overrides, fresh)
-    policy = load_model(Path(target.policy))
+    policy = load_checkpoint(Path(target.policy))
     policy.allow_changed = resolved.root.allow_changed
     env = make_env(resolved)
     try:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
+from embodichain.config.tensor_algorithms import RslRlPpoCfg, SkrlPpoCfg, TensorAlgoCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
@@ -68,7 +69,7 @@ Schedule = Positive | Annotated[str, Field(pattern=_LINEAR)]
 
 @configclass
 class AlgoCfg:
-    """The keys that every algorithm has."""
+    """The keys that every algorithm of Stable-Baselines3 has."""
 
     name: str = ""
     policy: str = "MlpPolicy"
@@ -191,7 +192,8 @@ ALGORITHMS: dict[str, tuple[str, str]] = {
         "batch_size chunk_size ensemble_decay validation_share ignore max_grad_norm",
     ),
 }
-"""Algorithm -> its class, and the keys of its config besides those of `AlgoCfg`."""
+"""Algorithm -> its class, and the keys of its config besides those of `AlgoCfg`. Those of rsl_rl
+and skrl are in `tensor_algorithms`."""
 
 
 LEARN_FROM_DATA = "bc", "sac", "td3", "ddpg", "tqc", "crossq"
@@ -215,8 +217,8 @@ def _config(name: str) -> type[AlgoCfg]:
 
 
 if TYPE_CHECKING:
-    AnyAlgoCfg = AlgoCfg
+    AnyAlgoCfg = AlgoCfg | TensorAlgoCfg
 else:
-    _members = reduce(or_, map(_config, ALGORITHMS))
+    _members = reduce(or_, map(_config, ALGORITHMS)) | RslRlPpoCfg | SkrlPpoCfg
     AnyAlgoCfg = Annotated[_members, Field(discriminator="name")]
 """The union of the algorithms' configs, chosen by ``name``."""

@@ -1,4 +1,7 @@
-"""Checkpoints: zip files of Stable-Baselines3 with metadata (a note), written atomically."""
+"""Checkpoints: zip files with metadata (a note), written atomically.
+
+They are models of Stable-Baselines3, or policies of rsl_rl and skrl as TorchScript.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +23,13 @@ __all__ = [
     "CHECKPOINTS",
     "DIGEST",
     "FINAL",
+    "SCRIPT",
     "find_checkpoint",
     "made_by",
     "read_digest",
     "read_note",
     "save_checkpoint",
+    "save_script",
 ]
 
 CHECKPOINTS = "checkpoints"
@@ -34,7 +39,9 @@ DIGEST = "trained_in"
 """Key of the note with the JSON of a `TaskDigest`."""
 NOTE = "embodichain"
 """Key of the note in the zip's ``data``: an attribute, which Stable-Baselines3 saves as JSON."""
-_MEMBERS = ("data", "policy.pth")
+SCRIPT = "policy.pt"
+"""The TorchScript file in a zip of rsl_rl or skrl."""
+_MODEL = "policy.pth"
 
 
 def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -> None:
@@ -52,6 +59,20 @@ def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(path) as temporary, temporary.open("wb") as stream:
         model.save(stream)
+
+
+def save_script(script: bytes, path: Path, note: Mapping[str, Any]) -> None:
+    """Write a policy of rsl_rl or skrl atomically; arguments and errors as of `save_checkpoint`.
+
+    Args:
+        script: The content of a TorchScript file.
+        path: The file; its folder is created.
+        note: Plain JSON.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        archive.writestr("data", json.dumps({NOTE: dict(note)}))
+        archive.writestr(SCRIPT, script)
 
 
 def find_checkpoint(path: str | Path) -> Path:
@@ -84,7 +105,9 @@ def read_note(path: Path) -> dict[str, Any]:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            missing = [name for name in _MEMBERS if name not in archive.namelist()]
+            names = archive.namelist()
+            policy = SCRIPT if SCRIPT in names else _MODEL
+            missing = [name for name in ("data", policy) if name not in names]
             if missing:
                 raise _wrong(path, f"it has no {' and no '.join(missing)}")
             data = json.loads(archive.read("data"))

@@ -7,6 +7,7 @@ from collections import deque
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 __all__ = ["EPISODE_WINDOW", "TrainStatistics"]
 
@@ -48,6 +49,16 @@ class TrainStatistics:
         self._lengths.append(info["episode"]["l"])
         if "is_success" in info:
             self._successes.append(info["is_success"])
+
+    def extend(
+        self, returns: ArrayLike, lengths: ArrayLike, successes: ArrayLike | None = None
+    ) -> None:
+        """Count episodes that ended, (E,) each; without successes if success is undefined."""
+        self.episodes += len(np.asarray(returns))
+        self._returns.extend(np.asarray(returns).tolist())
+        self._lengths.extend(np.asarray(lengths, np.int64).tolist())
+        if successes is not None:
+            self._successes.extend(np.asarray(successes, np.bool_).tolist())
 
     def begin(self) -> None:
         """Start the clock."""

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import importlib
+import io
 import json
 import warnings
+import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.learning.checkpoint import DIGEST, read_digest
+from embodichain.learning.checkpoint import DIGEST, SCRIPT, read_digest
 from embodichain.learning.chunks import ChunkMemory, blend
 from embodichain.learning.spaces import observation_box
 from embodichain.learning.trained_policy import TrainedPolicy, check_columns
@@ -33,6 +35,7 @@ __all__ = [
     "PolicyMetadata",
     "load_exported",
     "need_onnx",
+    "script_bytes",
 ]
 
 METADATA = "embodichain.json"
@@ -97,19 +100,27 @@ class ExportedPolicy(TrainedPolicy):
             to (N, H, A) with a `chunk_size` H in the metadata.
         metadata: The file's metadata; None for files of other programs.
         name: Its name in messages.
+        module: The network of a TorchScript file, on tensors.
 
     Raises:
         ConfigError: The metadata are damaged.
     """
 
     def __init__(
-        self, network: Callable[[F32], F32], metadata: PolicyMetadata | None, name: str
+        self,
+        network: Callable[[F32], F32],
+        metadata: PolicyMetadata | None,
+        name: str,
+        module: torch.nn.Module | None = None,
     ) -> None:
         group = metadata.group if metadata is not None else "policy"
         note = {} if metadata is None else {DIGEST: metadata.trained_in}
         super().__init__(name, group, read_digest(note, Path(name)))
         self.metadata = metadata
+        self.algo = None if metadata is None else metadata.algo
+        self.task = None if metadata is None else metadata.task
         self.network = network
+        self.module = module
         self._memory: ChunkMemory | None = None
         self._starts: NDArray[np.bool_] | None = None
 
@@ -149,14 +160,37 @@ class ExportedPolicy(TrainedPolicy):
 
 
 def load_exported(path: Path) -> ExportedPolicy:
-    """Read a policy from a file with a suffix in `SUFFIXES`; runs no Python code of the file.
+    """Read a policy from a file with a suffix in `SUFFIXES`, or a checkpoint of rsl_rl or skrl.
+
+    It runs no Python code of the file.
 
     Raises:
         ConfigError: If the file cannot be read, has another format, or onnxruntime is missing.
     """
     if path.suffix in ONNX:
         return _load_onnx(path)
-    return _load_torchscript(path)
+    if zipfile.is_zipfile(path):  # TorchScript files are, too
+        with zipfile.ZipFile(path) as archive:
+            if SCRIPT in archive.namelist():
+                return _load_torchscript(io.BytesIO(archive.read(SCRIPT)), path)
+    return _load_torchscript(str(path), path)
+
+
+def script_bytes(network: torch.nn.Module, example: torch.Tensor, about: PolicyMetadata) -> bytes:
+    """Return a network as the content of a TorchScript file.
+
+    Args:
+        network: Maps (N, K) to (N, A) or (N, H, A).
+        example: (n, K) observations that it is traced with.
+        about: The file's metadata.
+    """
+    stream = io.BytesIO()
+    with warnings.catch_warnings(), torch.no_grad():
+        warnings.simplefilter("ignore")  # deprecated, but C++ programs load this format
+        scripted = isinstance(network, torch.jit.ScriptModule)
+        traced: Any = network if scripted else torch.jit.trace(network, example)  # type: ignore[no-untyped-call]
+        torch.jit.save(traced, stream, _extra_files={METADATA: about.to_json()})
+    return stream.getvalue()
 
 
 def need_onnx(package: str) -> Any:
@@ -198,12 +232,12 @@ def _load_onnx(path: Path) -> ExportedPolicy:
     return ExportedPolicy(act, PolicyMetadata.from_json(text, path), str(path))
 
 
-def _load_torchscript(path: Path) -> ExportedPolicy:
+def _load_torchscript(source: str | BinaryIO, path: Path) -> ExportedPolicy:
     extra: dict[str, Any] = {METADATA: ""}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # the format stays supported
-            module = torch.jit.load(str(path), map_location="cpu", _extra_files=extra)  # type: ignore[no-untyped-call]
+            module = torch.jit.load(source, map_location="cpu", _extra_files=extra)  # type: ignore[no-untyped-call]
     except (RuntimeError, ValueError, OSError) as error:
         raise _wrong(path, f"it is no TorchScript file: {_first_line(error)}") from error
 
@@ -212,7 +246,7 @@ def _load_torchscript(path: Path) -> ExportedPolicy:
             actions: F32 = module(torch.from_numpy(obs)).numpy()
         return actions
 
-    return ExportedPolicy(act, PolicyMetadata.from_json(extra[METADATA], path), str(path))
+    return ExportedPolicy(act, PolicyMetadata.from_json(extra[METADATA], path), str(path), module)
 
 
 def _first_line(error: Exception) -> str:

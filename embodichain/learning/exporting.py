@@ -1,4 +1,4 @@
-"""`export_policy`: writes a model of Stable-Baselines3 as one ONNX or TorchScript file.
+"""`export_policy`: writes a trained policy as one ONNX or TorchScript file.
 
 Normalization, clipping and scaling to the task's bounds are part of the exported network.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -28,6 +29,7 @@ from embodichain.learning.exported import (
     PolicyMetadata,
     load_exported,
     need_onnx,
+    script_bytes,
 )
 from embodichain.learning.normalization import number_keys
 from embodichain.learning.policy import LearnedPolicy
@@ -52,19 +54,25 @@ F64 = NDArray[np.float64]
 
 
 def export_policy(
-    policy: LearnedPolicy, env: BaseEnv, path: str | Path, form: Format, *, task: str | None = None
+    policy: LearnedPolicy | ExportedPolicy,
+    env: BaseEnv,
+    path: str | Path,
+    form: Format,
+    *,
+    task: str | None = None,
 ) -> float:
     """Write a policy's deterministic action as a new file, and check the file.
 
     Args:
         policy: The result of `load_policy` for a zip, with deterministic actions.
-        env: An environment of its task, for the observation columns and the action bounds.
+        env: An environment of its task, for the observation columns and the action bounds; the
+            policy of a checkpoint of rsl_rl or skrl plays in it.
         path: A file that does not exist yet.
         form: ``onnx`` or ``torchscript``.
         task: The task's name in the metadata; None takes it from the checkpoint.
 
     Returns:
-        The largest difference from Stable-Baselines3's actions, in the task's units.
+        The largest difference from the policy's actions, in the task's units.
 
     Raises:
         ConfigError: If the policy does not fit, was trained in another task (and its
@@ -73,12 +81,16 @@ def export_policy(
         RuntimeError: If the actions of the written file differ; the file is removed.
     """
     path = Path(path)
-    _refuse(policy, path)
+    if os.path.lexists(path):
+        raise _taken(path)
+    if isinstance(policy, LearnedPolicy):
+        _refuse(policy)
     if form == "onnx":
         for package in ("onnx", "onnxruntime"):
             need_onnx(package)
     policy.check(env)
-    network = _Network(policy, env)
+    network: _Network
+    network = _Learned(policy, env) if isinstance(policy, LearnedPolicy) else _Script(policy, env)
     metadata = PolicyMetadata(
         task=task or policy.task or "unknown",
         algo=policy.algo or "unknown",
@@ -90,13 +102,16 @@ def export_policy(
         trained_in=policy.trained_in.to_json() if policy.trained_in is not None else None,
         **network.chunking,
     )
-    observations = _observations(network)
+    observations = network.examples()
     split = network.split(observations)
-    wanted = policy.plan(split) if network.chunking else policy.act(split)
+    if isinstance(policy, LearnedPolicy) and network.chunking:
+        wanted = policy.plan(split)
+    else:
+        wanted = policy.act(split)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, new=True) as temporary:
-            _WRITERS[form](network, observations[:2], temporary, metadata)
+            _WRITERS[form](network.written, observations[:2], temporary, metadata)
             worst = _compare(load_exported(temporary), observations, wanted, network)
     except FileExistsError as error:
         raise _taken(path) from error
@@ -105,7 +120,7 @@ def export_policy(
     return worst
 
 
-class _Network(torch.nn.Module):
+class _Network(torch.nn.Module, ABC):
     """Maps observations (N, K) of the task to actions of the task.
 
     Attributes:
@@ -113,22 +128,69 @@ class _Network(torch.nn.Module):
             empty for other policies, with (N, A).
     """
 
-    mean: torch.Tensor
-    deviation: torch.Tensor
     low: torch.Tensor
     high: torch.Tensor
 
-    def __init__(self, policy: LearnedPolicy, env: BaseEnv) -> None:
+    def __init__(self, group: str, env: BaseEnv) -> None:
         super().__init__()
-        self.policy = policy.model.policy.eval()
         self.chunking: dict[str, Any] = {}
+        self.width = len(observation_columns(env, group))
+        space: Any = env.single_action_space
+        self.register_buffer("low", torch.from_numpy(np.array(space.low, np.float32)))
+        self.register_buffer("high", torch.from_numpy(np.array(space.high, np.float32)))
+
+    @property
+    def written(self) -> torch.nn.Module:
+        """The module that is written to the file."""
+        return self
+
+    def split(self, obs: Any) -> Any:
+        """Return flat observations (N, K), arrays or tensors, as the policy takes them."""
+        return obs
+
+    @abstractmethod
+    def examples(self) -> F32:
+        """Return (n, K) observations on which the file is compared with the policy."""
+
+
+class _Script(_Network):
+    """A policy that is TorchScript already: those of rsl_rl and skrl."""
+
+    def __init__(self, policy: ExportedPolicy, env: BaseEnv) -> None:
+        super().__init__(policy.group, env)
+        if policy.module is None:
+            raise ConfigError([Problem("policy", f"{policy.name} is a file of ONNX already")])
+        self._policy, self._env, self._script = policy, env, policy.module
+
+    @property
+    def written(self) -> torch.nn.Module:
+        """The TorchScript module: others cannot be traced through it."""
+        return self._script
+
+    def examples(self) -> F32:
+        """Return (n, K) observations of episodes that the policy plays: its scales are unknown."""
+        env, policy, rows = self._env, self._policy, list[F32]()
+        obs, _ = env.reset(seed=0)
+        while len(rows) * env.num_envs < _CHECKED:
+            rows.append(policy.observed(obs, env))
+            obs = env.step(policy(obs, env))[0]
+        return np.concatenate(rows)
+
+
+class _Learned(_Network):
+    """A policy of Stable-Baselines3, with normalization and scaling."""
+
+    mean: torch.Tensor
+    deviation: torch.Tensor
+
+    def __init__(self, policy: LearnedPolicy, env: BaseEnv) -> None:
+        super().__init__(policy.group, env)
+        self.policy = policy.model.policy.eval()
         if isinstance(self.policy, ChunkPolicy) and self.policy.has_memory:
             names = ("chunk_size", "ensemble_decay")
             self.chunking = {name: getattr(self.policy, name) for name in names}
-        space: Any = env.single_action_space
         statistics = policy.statistics
         self.entries = _entries(policy, env)
-        self.width = len(observation_columns(env, policy.group))
         self.normalizes = statistics is not None and statistics.norm_obs
         self.clip = statistics.clip_obs if statistics is not None else 0.0
         if statistics is not None and self.normalizes:
@@ -137,8 +199,14 @@ class _Network(torch.nn.Module):
             self.register_buffer("mean", torch.from_numpy(mean))
             deviation = np.sqrt(variance + statistics.epsilon)
             self.register_buffer("deviation", torch.from_numpy(deviation))
-        self.register_buffer("low", torch.from_numpy(np.array(space.low, np.float32)))
-        self.register_buffer("high", torch.from_numpy(np.array(space.high, np.float32)))
+
+    def examples(self) -> F32:
+        """Return (n, K) observations distributed as in training, some of them far outside."""
+        drawn = np.random.default_rng(0).normal(size=(_CHECKED, self.width))
+        drawn[::4] *= 20.0  # outside the clipping range
+        if self.normalizes:
+            drawn = self.mean.numpy() + drawn * self.deviation.numpy()
+        return drawn.astype(np.float32)
 
     def _flat(self, moments: Any) -> F64:
         """(K,) means or variances of the columns."""
@@ -169,9 +237,7 @@ class _Network(torch.nn.Module):
         return 0.5 * ((1.0 - action) * self.low + (1.0 + action) * self.high)
 
 
-def _refuse(policy: LearnedPolicy, path: Path) -> None:
-    if os.path.lexists(path):
-        raise _taken(path)
+def _refuse(policy: LearnedPolicy) -> None:
     if not policy.deterministic:
         raise ConfigError([Problem("policy", "only deterministic policies are exported")])
     space = actor_space(policy.model.policy)
@@ -190,15 +256,6 @@ def _entries(policy: LearnedPolicy, env: BaseEnv) -> dict[str, tuple[int, ...]] 
         return None
     names = env.observation_manager.group_terms(policy.group)
     return {name: space[name].shape or () for name in names}
-
-
-def _observations(network: _Network) -> F32:
-    """(n, K) observations distributed as in training, some of them far outside."""
-    drawn = np.random.default_rng(0).normal(size=(_CHECKED, network.width))
-    drawn[::4] *= 20.0  # outside the clipping range
-    if network.normalizes:
-        drawn = network.mean.numpy() + drawn * network.deviation.numpy()
-    return drawn.astype(np.float32)
 
 
 def _compare(written: ExportedPolicy, observations: F32, wanted: F32, network: _Network) -> float:
@@ -220,7 +277,9 @@ def _compare(written: ExportedPolicy, observations: F32, wanted: F32, network: _
     return float(error.max())
 
 
-def _write_onnx(network: _Network, example: F32, path: Path, metadata: PolicyMetadata) -> None:
+def _write_onnx(
+    network: torch.nn.Module, example: F32, path: Path, metadata: PolicyMetadata
+) -> None:
     onnx = need_onnx("onnx")
     with warnings.catch_warnings(), torch.no_grad():
         # The tracing exporter: the other one needs one more package for the same graph.
@@ -243,15 +302,12 @@ def _write_onnx(network: _Network, example: F32, path: Path, metadata: PolicyMet
 
 
 def _write_torchscript(
-    network: _Network, example: F32, path: Path, metadata: PolicyMetadata
+    network: torch.nn.Module, example: F32, path: Path, metadata: PolicyMetadata
 ) -> None:
-    with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # deprecated, but C++ programs load this format
-        traced: Any = torch.jit.trace(network, torch.from_numpy(example))  # type: ignore[no-untyped-call]
-        torch.jit.save(traced, str(path), _extra_files={METADATA: metadata.to_json()})
+    path.write_bytes(script_bytes(network, torch.from_numpy(example), metadata))
 
 
-_WRITERS: dict[Format, Callable[[_Network, F32, Path, PolicyMetadata], None]] = {
+_WRITERS: dict[Format, Callable[[torch.nn.Module, F32, Path, PolicyMetadata], None]] = {
     "onnx": _write_onnx,
     "torchscript": _write_torchscript,
 }

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, read_note, save_checkpoint
-from embodichain.learning.normalization import save_statistics, statistics_path
-from embodichain.learning.plain_state import read_tree, write_tree
-from embodichain.learning.session import Session
-from embodichain.learning.training_state import (
-    buffer_of,
-    buffer_path,
-    capture,
-    full_size,
-    save_buffer,
-)
+from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, read_note
+from embodichain.learning.episodes import TrainStatistics
+from embodichain.learning.normalization import statistics_path
+from embodichain.learning.plain_state import read_tree
+from embodichain.learning.training_state import buffer_path
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 __all__ = [
     "BEST",
     "CheckpointKeeper",
+    "Saved",
     "WriteError",
     "find_resumable",
     "state_path",
@@ -33,7 +27,32 @@ __all__ = [
 BEST = "best.zip"
 _STEP = "step_{:012d}.zip"
 _STATE = ".state.npz"
-_log = logging.getLogger(__name__)
+
+
+class Saved(Protocol):
+    """A training that can be saved.
+
+    Attributes:
+        run_dir: The run's folder.
+        statistics: The progress of the training.
+    """
+
+    run_dir: Path
+    statistics: TrainStatistics
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps taken, summed over environments."""
+
+    def save(self, path: Path, note: dict[str, Any], *, resumable: bool, rolling: bool) -> None:
+        """Write a checkpoint.
+
+        Args:
+            path: The zip, written last.
+            note: Its metadata.
+            resumable: Whether to write beside it what the training needs to go on.
+            rolling: Whether a rollout has begun.
+        """
 
 
 class CheckpointKeeper:
@@ -46,26 +65,13 @@ class CheckpointKeeper:
         note: Metadata of the zips; gets ``env_steps``.
         every: Environment steps between two periodic checkpoints.
         keep: Number of periodic checkpoints to keep.
-        replay_buffer: Whether resumable checkpoints include the replay buffer.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        note: Mapping[str, Any],
-        every: int,
-        keep: int,
-        *,
-        replay_buffer: bool = False,
-    ) -> None:
+    def __init__(self, session: Saved, note: Mapping[str, Any], every: int, keep: int) -> None:
         self._folder = session.run_dir / CHECKPOINTS
         self._session = session
         self._note = note
         self._every, self._keep = every, keep
-        self._buffer = buffer_of(session.model) if replay_buffer else None
-        if self._buffer is not None:
-            size = full_size(self._buffer) / 1e6
-            _log.info("each checkpoint has the replay buffer, %.0f MB when it is full", size)
         self._written: list[Path] = []
         self._next: int | None = None
 
@@ -77,7 +83,7 @@ class CheckpointKeeper:
 
     def boundary(self) -> None:
         """Write a checkpoint if one is due, and delete the oldest; call it before each rollout."""
-        steps = self._session.model.num_timesteps
+        steps = self._session.env_steps
         if self._next is None:  # the first rollout, or the first after a resume
             self._next = steps + self._every
         if steps < self._next:
@@ -106,27 +112,17 @@ class CheckpointKeeper:
 
     def _judge(self) -> None:
         """Write the best checkpoint if the current model has the best score."""
-        statistics, steps = self._session.statistics, self._session.model.num_timesteps
+        statistics, steps = self._session.statistics, self._session.env_steps
         score = statistics.score
         if score is not None and (statistics.best is None or score > statistics.best[1]):
             statistics.best = steps, score
             self._write(BEST, resumable=False)
 
     def _write(self, name: str, *, resumable: bool, rolling: bool = True) -> Path:
-        model, path = self._session.model, self._folder / name
+        session, path = self._session, self._folder / name
         self._folder.mkdir(parents=True, exist_ok=True)
-        normalizer = model.get_vec_normalize_env()
-        if normalizer is not None:
-            save_statistics(statistics_path(path), normalizer)
-        steps = model.num_timesteps
-        if resumable:
-            if self._buffer is not None:
-                save_buffer(buffer_path(path), self._buffer, steps)
-            state: dict[str, Any] = {"env_steps": steps, "replay_buffer": self._buffer is not None}
-            state["training"] = capture(model, self._session.vec_env, rolling=rolling)
-            state["statistics"] = self._session.statistics.state_dict()
-            write_tree(state_path(path), state)
-        save_checkpoint(model, path, {**self._note, "env_steps": steps})
+        note = {**self._note, "env_steps": session.env_steps}
+        session.save(path, note, resumable=resumable, rolling=rolling)
         return path
 
 

@@ -26,8 +26,8 @@ def write_tree(path: Path, tree: Mapping[str, Any]) -> None:
 
     Args:
         path: The file.
-        tree: Maps with strings as keys, lists, tuples, arrays, tensors, numbers, strings, None.
-            Numbers are stored exactly: floats as their `repr`, integers of any size.
+        tree: Maps with strings or with integers as keys, lists, tuples, arrays, tensors, numbers,
+            strings, None. Numbers are stored exactly: floats as their `repr`, integers of any size.
 
     Raises:
         TypeError: The tree contains another type; names its path.
@@ -77,6 +77,8 @@ def _pack(value: Any, path: str, arrays: dict[str, NDArray[Any]]) -> Any:
         return {_KIND: kind, "name": name}
     if isinstance(value, Mapping):
         items = [(k, _pack(v, f"{path}.{k}", arrays)) for k, v in value.items()]
+        if items and all(type(k) is int for k, _ in items):
+            return {_KIND: "int_map", "items": {str(k): v for k, v in items}}
         if not all(isinstance(k, str) for k, _ in items):
             raise TypeError(f"{path} has keys that are no text: {[k for k, _ in items]}")
         return {_KIND: "map", "items": dict(items)}
@@ -94,6 +96,8 @@ def _unpack(value: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     kind = value[_KIND]
     if kind == "map":
         return {k: _unpack(v, arrays) for k, v in value["items"].items()}
+    if kind == "int_map":
+        return {int(k): _unpack(v, arrays) for k, v in value["items"].items()}
     if kind == "tuple":
         return tuple(_unpack(v, arrays) for v in value["items"])
     array = arrays[value["name"]]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from embodichain.config.run_folder import CONFIG
+from embodichain.config.tensor_algorithms import TENSOR_ALGORITHMS
 from embodichain.learning.algorithms import algorithm_class
 from embodichain.learning.asymmetric import actor_space
 from embodichain.learning.checkpoint import find_checkpoint, read_digest, read_note
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.types import EnvObs
 
-__all__ = ["LearnedPolicy", "load_model", "load_policy"]
+__all__ = ["LearnedPolicy", "load_checkpoint", "load_model", "load_policy"]
 
 # Not needed for acting; above all a replay buffer for a million steps.
 _UNUSED = {"seed": None, "buffer_size": 1, "learning_starts": 0, "tensorboard_log": None}
@@ -55,7 +56,8 @@ def load_policy(
 
     Loading a zip runs code from the file: Stable-Baselines3 stores Python objects in it with
     cloudpickle. **Load only zips that you trust**, as you would run only programs that you trust; a
-    zip outside a run folder causes a warning. ONNX and TorchScript files contain no Python.
+    zip outside a run folder causes a warning. ONNX and TorchScript files, and zips of rsl_rl and
+    skrl, contain no Python.
 
     Args:
         path: A zip file, with ``NAME.normalize.npz`` beside it if observations were normalized; an
@@ -76,19 +78,34 @@ def load_policy(
     """
     file = find_checkpoint(path)
     policy: LearnedPolicy | ExportedPolicy
-    if file.suffix not in SUFFIXES:
-        policy = load_model(file, deterministic=deterministic)
-    elif deterministic:
-        policy = load_exported(file)
+    if file.suffix in SUFFIXES:
+        policy = _only_means(file, deterministic)
     else:
-        message = f"{file} gives mean actions only: leave deterministic=false out"
-        raise ConfigError([Problem("policy", message)])
+        policy = load_checkpoint(file, deterministic=deterministic)
     policy.allow_changed = allow_changed
     if policy.trained_in is None:
         _log.warning("%s does not say what it was trained in: the task is not compared", file)
     if env is not None:
         policy.check(env)
     return policy
+
+
+def load_checkpoint(file: Path, *, deterministic: bool = True) -> LearnedPolicy | ExportedPolicy:
+    """Load a zip of any algorithm, see `load_model`; one of rsl_rl or skrl runs no code of it.
+
+    Raises:
+        ConfigError: If the file is not a policy, or its statistics are missing.
+    """
+    if read_note(file).get("algo") in TENSOR_ALGORITHMS:
+        return _only_means(file, deterministic)
+    return load_model(file, deterministic=deterministic)
+
+
+def _only_means(file: Path, deterministic: bool) -> ExportedPolicy:
+    if not deterministic:
+        message = f"{file} gives mean actions only: leave deterministic=false out"
+        raise ConfigError([Problem("policy", message)])
+    return load_exported(file)
 
 
 def load_model(file: Path, *, deterministic: bool = True) -> LearnedPolicy:

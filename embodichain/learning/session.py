@@ -6,6 +6,7 @@ divides the wall time into physics, environment, policy and update.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,24 +18,32 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
 
+from embodichain.learning.checkpoint import save_checkpoint
 from embodichain.learning.cloning import BehaviorCloning
 from embodichain.learning.episodes import TrainStatistics
-from embodichain.learning.normalization import load_statistics, statistics_path
+from embodichain.learning.keeper import state_path
+from embodichain.learning.normalization import load_statistics, save_statistics, statistics_path
+from embodichain.learning.plain_state import write_tree
+from embodichain.learning.tensor_env import TensorEnv
 from embodichain.learning.train_logs import log_episode, log_interval, make_logger
 from embodichain.learning.training_state import (
     buffer_of,
     buffer_path,
+    capture,
+    full_size,
     load_buffer,
     load_parameters,
     restore,
     restore_exploration,
     restore_generators,
+    save_buffer,
 )
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["PARTS", "Progress", "Session", "TimeSplit"]
 
+_log = logging.getLogger(__name__)
 Progress = Callable[[TrainStatistics], None]
 """Called after every control step; KeyboardInterrupt stops at the next rollout boundary."""
 PARTS = ("physics", "environment", "policy", "update")
@@ -53,6 +62,7 @@ class Session:
         statistics: The progress of the training.
         run_dir: The run's folder.
         writers: Further outputs of the logged numbers.
+        replay_buffer: Whether resumable checkpoints include the replay buffer.
     """
 
     model: BaseAlgorithm
@@ -60,7 +70,20 @@ class Session:
     statistics: TrainStatistics
     run_dir: Path
     writers: tuple[KVWriter, ...] = ()
+    replay_buffer: bool = False
     _restored: dict[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        self._buffer = buffer_of(self.model) if self.replay_buffer else None
+        if self._buffer is not None:
+            size = full_size(self._buffer) / 1e6
+            _log.info("each checkpoint has the replay buffer, %.0f MB when it is full", size)
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps taken, summed over environments."""
+        steps: int = self.model.num_timesteps
+        return steps
 
     def resume(self, checkpoint: Path, state: dict[str, Any]) -> None:
         """Restore a new model to the state of a checkpoint.
@@ -130,6 +153,21 @@ class Session:
             watch.end()
             logger.close()
         return None, True
+
+    def save(self, path: Path, note: dict[str, Any], *, resumable: bool, rolling: bool) -> None:
+        """Write a checkpoint, see `keeper.Saved`."""
+        model, steps = self.model, self.env_steps
+        normalizer = model.get_vec_normalize_env()
+        if normalizer is not None:
+            save_statistics(statistics_path(path), normalizer)
+        if resumable:
+            if self._buffer is not None:
+                save_buffer(buffer_path(path), self._buffer, steps)
+            state: dict[str, Any] = {"env_steps": steps, "replay_buffer": self._buffer is not None}
+            state["training"] = capture(model, self.vec_env, rolling=rolling)
+            state["statistics"] = self.statistics.state_dict()
+            write_tree(state_path(path), state)
+        save_checkpoint(model, path, note)
 
     def _restore_exploration(self) -> None:
         """Restore, once, the exploration that the first rollout after a resume drew anew."""
@@ -225,12 +263,12 @@ class TimeSplit:
         total = sum(self.seconds.values())
         return {name: value / total for name, value in self.seconds.items()} if total > 0 else {}
 
-    def rollout_begins(self, env: SB3VecEnv) -> None:
+    def rollout_begins(self, env: SB3VecEnv | TensorEnv) -> None:
         """Count the time since the last rollout as the update's."""
         self.end()
         self._before = _spent(env)
 
-    def rollout_ends(self, env: SB3VecEnv) -> None:
+    def rollout_ends(self, env: SB3VecEnv | TensorEnv) -> None:
         """Count the time of a rollout that ended; the algorithm's update begins."""
         whole = self._lap()
         physics, steps = (
@@ -249,5 +287,5 @@ class TimeSplit:
         return 0.0 if before is None else self._mark - before
 
 
-def _spent(env: SB3VecEnv) -> tuple[float, float]:
+def _spent(env: SB3VecEnv | TensorEnv) -> tuple[float, float]:
     return env.base.sim.physics_seconds, env.step_seconds

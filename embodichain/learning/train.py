@@ -19,6 +19,7 @@ from embodichain.config.algorithms import DEFAULT_ALGORITHM, LEARN_FROM_DATA, Al
 from embodichain.config.resolved import thaw
 from embodichain.config.run_folder import SUMMARY
 from embodichain.config.schema import RootCfg
+from embodichain.config.tensor_algorithms import TensorAlgoCfg
 from embodichain.config.validation import check_training_keys
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.managers.observation_manager import no_vector
@@ -32,6 +33,8 @@ from embodichain.learning.keeper import CheckpointKeeper, find_resumable, tellin
 from embodichain.learning.plots import draw_curves
 from embodichain.learning.session import Progress, Session
 from embodichain.learning.task_digest import TaskDigest, check_unchanged
+from embodichain.learning.tensor_env import GROUP, TensorEnv
+from embodichain.learning.tensor_training import TensorAlgorithm, TensorSession
 from embodichain.learning.train_logs import check_wandb, wandb_writers
 from embodichain.learning.training_state import buffer_of
 from embodichain.learning.vec_env import SB3VecEnv
@@ -49,10 +52,10 @@ __all__ = [
     "train",
 ]
 
-GROUP = "policy"
 DEMONSTRATIONS = "demonstrations"
 """Key of a checkpoint's note with the checksum of the demonstrations."""
 _EVAL_KEYS = {field.name for field in dataclasses.fields(Evaluation)} - {"per_episode"}
+AnyAlgorithm = Algorithm | TensorAlgorithm
 _log = logging.getLogger(__name__)
 TORCH_THREADS = 1
 """Threads of torch while learning: one, as networks are small and physics needs the cores."""
@@ -137,7 +140,7 @@ def train(
         if resolved.root.dataset is not None:
             if episodes is None:
                 raise ConfigError([Problem("dataset", "give its episodes: train(episodes=...)")])
-            found = Demonstrations.of(episodes(env), vec_env)
+            found = Demonstrations.of(episodes(env), _sb3(vec_env))
         with (
             _torch_threads(TORCH_THREADS),
             wandb_writers(resolved.root.wandb, run_dir, thaw(resolved.tree)) as writers,
@@ -190,7 +193,7 @@ def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
         ConfigError: If the task cannot be learned or an argument is wrong.
     """
     algorithm = _checked_algorithm(resolved)
-    algorithm.build(_vec_env(env, algorithm), resolved.root.seed)
+    _build(algorithm, _vec_env(env, algorithm), resolved.root.seed)
 
 
 def check_episode(resolved: Resolved, env: BaseEnv, episode: Demonstration) -> None:
@@ -204,10 +207,10 @@ def check_episode(resolved: Resolved, env: BaseEnv, episode: Demonstration) -> N
     Raises:
         ConfigError: If the episode's observations or actions are not the task's.
     """
-    Demonstrations.of([episode], _vec_env(env, _checked_algorithm(resolved)))
+    Demonstrations.of([episode], _sb3(_vec_env(env, _checked_algorithm(resolved))))
 
 
-def _vec_env(env: BaseEnv, algorithm: Algorithm) -> SB3VecEnv:
+def _vec_env(env: BaseEnv, algorithm: AnyAlgorithm) -> SB3VecEnv | TensorEnv:
     """The environment as the algorithm's policy takes it."""
     manager = env.observation_manager
     images = manager.image_terms(GROUP) if GROUP in manager.groups else ()
@@ -225,10 +228,28 @@ def _vec_env(env: BaseEnv, algorithm: Algorithm) -> SB3VecEnv:
     ]
     if unknown:
         raise ConfigError(unknown)
+    if isinstance(algorithm, TensorAlgorithm):
+        return TensorEnv(env, algorithm.critic_groups)
     return SB3VecEnv(env, GROUP, flatten=algorithm.flat, critic_groups=algorithm.critic_groups)
 
 
-def _checked_algorithm(resolved: Resolved) -> Algorithm:
+def _sb3(vec_env: SB3VecEnv | TensorEnv) -> SB3VecEnv:
+    """The environment of an algorithm that takes demonstrations."""
+    if isinstance(vec_env, TensorEnv):
+        raise TypeError("only algorithms of Stable-Baselines3 take demonstrations")
+    return vec_env
+
+
+def _build(algorithm: AnyAlgorithm, vec_env: SB3VecEnv | TensorEnv, seed: int | None) -> Any:
+    """Construct the algorithm, a `BaseAlgorithm` or a `Learner`, for the result of `_vec_env`."""
+    if isinstance(algorithm, TensorAlgorithm):
+        if not isinstance(vec_env, TensorEnv):
+            raise TypeError(f"{algorithm.name} takes a TensorEnv")
+        return algorithm.build(vec_env, seed)
+    return algorithm.build(_sb3(vec_env), seed)
+
+
+def _checked_algorithm(resolved: Resolved) -> AnyAlgorithm:
     """Check the config keys for learning, before building."""
     root = resolved.root
     problems = check_training_keys(root) + check_wandb(root.wandb)
@@ -237,7 +258,7 @@ def _checked_algorithm(resolved: Resolved) -> Algorithm:
     if root.video and not root.eval.episodes:
         problems.append(Problem("video", "there is no evaluation to film: eval.episodes is 0"))
     try:
-        algorithm = Algorithm.of(root.algo or AlgoCfg(name=DEFAULT_ALGORITHM))
+        algorithm = _algorithm(root.algo or AlgoCfg(name=DEFAULT_ALGORITHM))
     except ConfigError as error:
         raise ConfigError([*problems, *error.problems]) from error
     if root.checkpoint.replay_buffer and not algorithm.has_replay_buffer:
@@ -247,6 +268,10 @@ def _checked_algorithm(resolved: Resolved) -> Algorithm:
     if problems:
         raise ConfigError(problems)
     return algorithm
+
+
+def _algorithm(cfg: AlgoCfg | TensorAlgoCfg) -> AnyAlgorithm:
+    return TensorAlgorithm.of(cfg) if isinstance(cfg, TensorAlgoCfg) else Algorithm.of(cfg)
 
 
 def _check_dataset(root: RootCfg) -> list[Problem]:
@@ -265,8 +290,8 @@ def _check_dataset(root: RootCfg) -> list[Problem]:
 
 def _learn(
     resolved: Resolved,
-    algorithm: Algorithm,
-    vec_env: SB3VecEnv,
+    algorithm: AnyAlgorithm,
+    vec_env: SB3VecEnv | TensorEnv,
     run_dir: Path,
     progress: Progress | None,
     writers: tuple[KVWriter, ...],
@@ -282,10 +307,10 @@ def _learn(
         before = read_digest(read_note(found[0]), found[0])
         check_unchanged(str(found[0]), before, vec_env.base, GROUP, allow=root.allow_changed)
     digest = TaskDigest.of(vec_env.base, GROUP)
-    model, every = algorithm.build(vec_env, seed), _between_checkpoints(root)
+    model, every = _build(algorithm, vec_env, seed), _between_checkpoints(root)
     note: dict[str, Any] = {"algo": algorithm.name, "group": GROUP, "task": task}
     note[DIGEST] = digest.to_json()
-    if demonstrations is not None:
+    if demonstrations is not None and isinstance(model, BaseAlgorithm):
         note[DEMONSTRATIONS] = demonstrations.checksum
         if found is not None:
             _check_same(note, found[0])
@@ -293,12 +318,15 @@ def _learn(
     # An evaluation while cloning is one episode in each environment.
     window = vec_env.num_envs if algorithm.is_cloning else EPISODE_WINDOW
     statistics = TrainStatistics(total, window)
-    session = Session(model, vec_env, statistics, run_dir, writers)
+    session: Session | TensorSession
+    if isinstance(vec_env, TensorEnv):
+        session = TensorSession(model, vec_env, statistics, run_dir, writers, seed)
+    else:
+        buffer = root.checkpoint.replay_buffer
+        session = Session(model, vec_env, statistics, run_dir, writers, buffer)
     if found is not None:
         session.resume(*found)
-    keeper = CheckpointKeeper(
-        session, note, every, root.checkpoint.keep, replay_buffer=root.checkpoint.replay_buffer
-    )
+    keeper = CheckpointKeeper(session, note, every, root.checkpoint.keep)
     interrupt, resumable = session.learn(keeper.boundary, progress)
     checkpoint = keeper.final(resumable=resumable, rolling=interrupt is not None)
     summary = TrainSummary(

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import wandb
 
 __all__ = [
+    "MOST_ROWS",
     "TENSORBOARD",
     "WandbWriter",
     "check_wandb",
@@ -38,7 +39,8 @@ __all__ = [
 ]
 
 TENSORBOARD = "tensorboard"
-_MOST_ROWS = 200
+MOST_ROWS = 200
+"""Most rows of `progress.csv`, about."""
 _log = logging.getLogger(__name__)
 
 
@@ -64,7 +66,7 @@ def log_interval(model: BaseAlgorithm, total_timesteps: int) -> int:
     """
     if isinstance(model, OnPolicyAlgorithm):
         rollouts = total_timesteps // (model.n_steps * model.n_envs)
-        return max(1, rollouts // _MOST_ROWS)
+        return max(1, rollouts // MOST_ROWS)
     return max(4, model.n_envs)
 
 

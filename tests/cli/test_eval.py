@@ -139,7 +139,7 @@ def test_eval_of_other_policies(here: Path, capsys: pytest.CaptureFixture[str]) 
         (["eval", "RUN", "task.max_episode_steps=x"], "command line: task.max_episode_steps"),
         (["eval", "RUN", "algo=ppo"], "algo: 'algo=ppo' does not change a run that was made"),
         (["eval", "RUN", "task=cart_pole"], "has observations (21,), this task has (4,)"),
-        (["export", "policy", "zero"], "policy: only zips of Stable-Baselines3 are exported"),
+        (["export", "policy", "zero"], "policy: only zips of trainings are exported"),
         (["export", "policy"], "export what?"),
         (["export"], "export what? One of: policy RUN"),
         (["export", "policy", "RUN", "task=cart_pole"], "has observations (21,)"),

@@ -73,8 +73,8 @@ def test_an_unknown_suggested_algorithm(write_task: WriteTask) -> None:
         resolve(["task=mine"], "train")
     assert str(error.value) == (
         "conf/task/mine.yaml:37: task.suggested.train.algo.name: unknown algorithm 'poo';"
-        " one of: ppo, a2c, sac, td3, ddpg, dqn, trpo, tqc, crossq, recurrent_ppo, bc. Did you mean"
-        " 'ppo'?"
+        " one of: ppo, a2c, sac, td3, ddpg, dqn, trpo, tqc, crossq, recurrent_ppo, bc,"
+        " rsl_rl_ppo, skrl_ppo. Did you mean 'ppo'?"
     )
 
 

@@ -38,8 +38,11 @@ class CountingEnv(gym.Env):
             group_terms=self._group_terms,
             image_terms=lambda group: (),
             flat_rows=lambda obs, group: np.concatenate([obs["where", "id"], obs["time"]], axis=1),
+            flatten=lambda obs, group: torch.cat([obs["where", "id"], obs["time"]], dim=1),
         )
         self.judges_success = has_success
+        self.curriculum_manager = SimpleNamespace(values={})
+        self.cfg = {"counts": True}
         self.termination_manager = SimpleNamespace(values={})
         self.weights = np.arange(float(self.num_envs))
         self.level = 3
@@ -77,6 +80,7 @@ class CountingEnv(gym.Env):
         info["fail"] = torch.from_numpy(terminated) & ~success
         info["diverged"] = torch.zeros(self.num_envs, dtype=torch.bool)
         info["elapsed_steps"] = torch.from_numpy(self.count.astype(np.int32))
+        info["rewards"] = {"steps": torch.ones(self.num_envs)}
         info["episode_sums"] = {"steps": torch.from_numpy(self.count.copy())}
         obs = self._obs()
         done = terminated | truncated

@@ -84,7 +84,8 @@ def _index(key: Any, device: torch.device) -> tuple[Any, torch.Tensor | None, bo
     arrays = sum(isinstance(part, (DeviceArray, np.ndarray, list)) for part in keys)
     for place, part in enumerate(keys):
         if isinstance(part, EnvMask):
-            mask, copies = part.mask.reshape(*[1] * place, -1), True
+            before = sum(not isinstance(k, int) for k in keys[:place])  # an integer has no axis
+            mask, copies = part.mask.reshape(*[1] * before, -1), True
             keys[place] = slice(None)
         elif isinstance(part, (np.ndarray, list)):
             positions = _positions(np.asarray(part))

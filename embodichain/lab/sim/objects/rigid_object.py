@@ -46,8 +46,7 @@ class RigidObject(BatchEntity):
         count, attrs = self.num_instances, cfg.attrs
         self._declared_damping = np.array([attrs.linear_damping, attrs.angular_damping], np.float64)
         full = host.arrays.full
-        damping = np.tile(self._declared_damping, (count, 1))
-        self._damping: F64 = host.arrays.put(damping)  # 1/s
+        self._damping: F64 = host.arrays.put(np.tile(self._declared_damping, (count, 1)))  # 1/s
         self._scale: F64 = full((count, 3), 1.0)  # relative to the compiled size
         self._zeros: F64 = full((count, 3), 0.0)
         self._mass0: F64 = full(count, 0.0)  # of the present shape as compiled
@@ -331,22 +330,18 @@ class RigidObject(BatchEntity):
         if variants is None:
             raise ValueError(f"{self.uid} has one shape: declare others in any_of")
         where, body = self._rows(ids), self.index.root_body_id
-
-        def of(values: NDArray[Any]) -> NDArray[Any]:
-            return rows_at(values, chosen)
-
-        mass, inertia = of(variants.mass), of(variants.inertia)
+        mass, inertia = (rows_at(v, chosen) for v in (variants.mass, variants.inertia))
         put = self.host.arrays.of
         self._variant[where], self._mass0[where] = put(chosen), put(mass)
         self._inertia[where] = put(inertia)
         one = slice(int(geoms[0]), int(geoms[-1]) + 1)
-        write("geom_contype", of(variants.contype), ids, one)
-        write("geom_conaffinity", of(variants.conaffinity), ids, one)
-        write("geom_matid", of(variants.materials), ids, one)
-        write("geom_rgba", of(variants.alpha), ids, 4 * geoms + 3)
+        write("geom_contype", rows_at(variants.contype, chosen), ids, one)
+        write("geom_conaffinity", rows_at(variants.conaffinity, chosen), ids, one)
+        write("geom_matid", rows_at(variants.materials, chosen), ids, one)
+        write("geom_rgba", rows_at(variants.alpha, chosen), ids, 4 * geoms + 3)
         write("body_user", chosen[:, None], ids, slice(body, body + 1))
-        write("body_ipos", of(variants.ipos), ids, self._columns(3))
-        write("body_iquat", of(variants.iquat), ids, self._columns(4))
+        write("body_ipos", rows_at(variants.ipos, chosen), ids, self._columns(3))
+        write("body_iquat", rows_at(variants.iquat, chosen), ids, self._columns(4))
         self._write_inertia(ids, mass, inertia)
 
     @property
