@@ -317,7 +317,7 @@ def _check_engine(root: RootCfg) -> list[Problem]:
     """Check that the engine exists here and runs on the device."""
     engine, problems = choose_engine(root.sim.engine, root.device or "cpu")
     for key, value in vars(root.sim.warp).items():
-        if engine != "warp" and value != getattr(WarpCfg(), key):
+        if engine != "warp" and value not in (getattr(WarpCfg(), key), "host"):
             message = "is for sim.engine=warp, but the engine is mujoco"
             problems.append(Problem(f"sim.warp.{key}", message))
     record = root.record

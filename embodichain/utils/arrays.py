@@ -106,6 +106,14 @@ class Arrays:
             ConfigError: If arrays are on a device.
         """
 
+    def saved(self, state: Any) -> Any:
+        """Return a state of maps and lists in which every array is on the host."""
+        return state
+
+    def loaded(self, state: Any) -> Any:
+        """Return a state with its arrays where they were before `saved`."""
+        return state
+
 
 def is_host(array: Any) -> bool:
     """Whether an array, or anything else, is not on a device."""

@@ -129,7 +129,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         # EmbodiChain shares one class-level list between all environments of a process.
         self.active_joint_ids = list(type(self).active_joint_ids)
         self.sensors, self._detached_uids = {}, []
-        self.overridden = overridden_hooks(type(self))
+        self.overridden = overridden_hooks(self)
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool, device=self.device)
         self._closed = self.arrays_moved = False
         self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
@@ -184,8 +184,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         built += [self.event_manager, self.action_manager, self.reward_manager]
         built += [self.termination_manager, self.metric_manager]
         self.managers = {manager.section: manager for manager in built}
-        self.curriculum_manager = curricula = CurriculumManager(self, cfg.curriculum)
-        self.managers["curriculum"] = curricula
+        self.curriculum_manager = CurriculumManager(self, cfg.curriculum)
+        self.managers["curriculum"] = self.curriculum_manager
 
     def _start(self, kwargs: dict[str, Any]) -> None:
         """Make spaces, run startup events, and observe once."""
@@ -195,7 +195,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         space = self.single_action_space
         self.action_space = batch_space(space, cfg.num_envs)
         self._check_action = ActionCheck(space, cfg.num_envs, self.arrays)
-        self.episodes.last_action = self.arrays.full((cfg.num_envs, gym.spaces.flatdim(space)), 0.0)
+        shape = cfg.num_envs, gym.spaces.utils.flatdim(space)
+        self.episodes.last_action = self.arrays.full(shape, 0.0)
         sim.reset_objects_state()
         self._init_sim_state(**kwargs)
         self.event_manager.apply("startup", None)
@@ -255,7 +256,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             return
         where = None if self.arrays.are_all(ids, self.num_envs) else ids
         self._task_success = self.is_task_success()
-        self.curriculum_manager.before_reset(where)
+        self.curriculum_manager.compute(where)
         self.sim.reset_objects_state(where, excluded_uids=self._detached_uids)
         for manager in self.managers.values():
             manager.reset(where)
@@ -360,9 +361,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.control_step += 1
         info["elapsed_steps"], over = self.elapsed_steps, episodes.over()
         if "check_truncated" in self.overridden:
-            over |= as_mask(
-                self.check_truncated(obs, info), self.num_envs, "check_truncated", self.arrays
-            )
+            cut = self.check_truncated(obs, info)
+            over |= as_mask(cut, self.num_envs, "check_truncated", self.arrays)
         terminated, truncated = outcome.ends(over, self.cfg.ignore_terminations)
         if pending is not None and saved is not None:
             self.streams.rewind(saved, pending)

@@ -253,7 +253,12 @@ class EnvReads:
     # -- observers -----------------------------------------------------------------------------
 
     def add_observer(self, observer: StepObserver) -> None:
-        """Attach an observer; it is called after those attached before."""
+        """Attach an observer; it is called after those attached before.
+
+        Raises:
+            HostTransferError: If arrays are on the device.
+        """
+        self.arrays.require_host("observers")
         if not self.observers:
             self.sim.engine.listeners.append(EngineRelay(self))
         self.observers.append(observer)

@@ -49,7 +49,7 @@ class Episodes:
     """
 
     def __init__(self, num_envs: int, limit: int, arrays: Arrays) -> None:
-        self.limit = limit
+        self.limit, self._arrays = limit, arrays
         self.begun = False
         self.elapsed: NDArray[np.int32] = arrays.full(num_envs, 0, np.int32)
         self.ids: NDArray[np.int64] = arrays.full(num_envs, -1, np.int64)
@@ -121,7 +121,7 @@ class Episodes:
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         self.elapsed, self.ids = saved["elapsed"].copy(), saved["ids"].copy()
-        self.begun = bool(self.ids[0] >= 0)
+        self.begun = bool(self._arrays.host(self.ids)[0] >= 0)
         self.success, self.last_action = saved["success"].copy(), saved["last_action"].copy()
         self.pending = None if saved["pending"] is None else saved["pending"].copy()
         self.cut = None if saved["cut"] is None else saved["cut"].copy()

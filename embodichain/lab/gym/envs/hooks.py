@@ -11,6 +11,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import torch
+from gymnasium.vector import AutoresetMode
 
 from embodichain.lab.gym.envs.judging import task_state
 from embodichain.lab.gym.envs.managers.action_manager import drive_robot
@@ -49,6 +50,7 @@ class EnvHooks:
     """
 
     cfg: EnvCfg
+    metadata: dict[str, Any]
     sim: SimulationManager
     robot: Robot | None
     active_joint_ids: list[int] = []
@@ -228,11 +230,24 @@ OPTIONAL_HOOKS = (
 """Hooks with special treatment where a class does not override them: most are not called."""
 
 
-def overridden_hooks(cls: type[EnvHooks]) -> frozenset[str]:
-    """Return which of `OPTIONAL_HOOKS` a class overrides."""
-    return frozenset(
+def overridden_hooks(env: EnvHooks) -> frozenset[str]:
+    """Return which of `OPTIONAL_HOOKS` an environment's class overrides.
+
+    Raises:
+        HostTransferError: If arrays are on the device, where environments are masks, and it takes
+            indices of environments, or resets in the next step.
+    """
+    cls, arrays = type(env), env.sim.arrays
+    found = frozenset(
         name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(EnvHooks, name)
     )
+    if "_initialize_episode" in found:
+        arrays.require_host(
+            f"indices of environments, which {cls.__name__}._initialize_episode takes,"
+        )
+    if env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
+        arrays.require_host("steps of some environments, as of autoreset mode NEXT_STEP,")
+    return found
 
 
 def set_extensions(env: object, extensions: dict[str, Any]) -> None:

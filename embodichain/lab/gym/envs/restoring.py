@@ -60,7 +60,7 @@ class SavedEnv(Protocol):
 
 def state_of(env: SavedEnv) -> dict[str, Any]:
     """Return the state from which an environment continues bit for bit (copies)."""
-    return {
+    state = {
         "num_envs": env.num_envs,
         "control_step": env.control_step,
         "np_random": env.np_random.bit_generator.state,
@@ -68,6 +68,8 @@ def state_of(env: SavedEnv) -> dict[str, Any]:
         "managers": {name: manager.state_dict() for name, manager in env.managers.items()},
         **{name: getattr(env, name).state_dict() for name in _PARTS},
     }
+    saved: dict[str, Any] = env.sim.arrays.saved(state)
+    return saved
 
 
 def load_state(env: SavedEnv, saved: dict[str, Any]) -> None:
@@ -80,6 +82,7 @@ def load_state(env: SavedEnv, saved: dict[str, Any]) -> None:
         raise ValueError(
             f"this state is of {saved['num_envs']} environments, the environment has {env.num_envs}"
         )
+    saved = env.sim.arrays.loaded(saved)
     for name in _PARTS:
         getattr(env, name).load_state_dict(saved[name])
     env.np_random.bit_generator.state = saved["np_random"]
@@ -124,6 +127,7 @@ def put(
     Raises:
         ConfigError: If it is of another scene or another action space.
     """
+    sim.arrays.require_host("recorded states")
     _check(snapshot, sim.engine.model, episodes.last_action.shape[1])
     where = None if len(ids) == sim.num_envs else ids
     for manager in managers.values():

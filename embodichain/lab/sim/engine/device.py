@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import ALL, F64, Columns, RayHits
 from embodichain.lab.sim.engine.cpu import KINEMATIC_STAGES, entries
-from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, HostTransferError
+from embodichain.lab.sim.engine.device_array import (
+    DeviceArray,
+    EnvMask,
+    HostTransferError,
+    on_device,
+)
 from embodichain.lab.sim.engine.device_fields import DeviceFields
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS
 from embodichain.lab.sim.engine.torch_stream import torch_stream
@@ -300,8 +305,10 @@ class DeviceEngine(WarpEngine):
         self._mark(env_ids)
 
     def _write_row(self, values: Any, env_ids: Any, places: NDArray[np.int64]) -> None:
-        """Set columns of state rows, (k,) or (N, k), from an array of the host."""
+        """Set columns of state rows, from a number or an array (k,) or (N, k) of the host."""
         numbers = np.asarray(values, np.float64)
+        if not numbers.ndim:
+            numbers = np.full(len(places), numbers)
         for name, columns in self._layout.items():
             here = (places >= columns.start) & (places < columns.stop)
             if not here.any():
@@ -378,6 +385,11 @@ class DeviceEngine(WarpEngine):
     def data_of(self, env_id: int) -> mujoco.MjData:
         self._rows[...] = self.host_rows()
         return super().data_of(env_id)
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        kept = {k: on_device(v, self.device) for k, v in state["acceleration"].items()}
+        super().load_state_dict({**state, "acceleration": kept})
+        self._wild.zero_()
 
     def state_dict(self) -> dict[str, Any]:
         return {

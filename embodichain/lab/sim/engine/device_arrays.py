@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -16,6 +16,9 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import RandomStreams
 
 __all__ = ["DeviceArrays"]
+
+_ON_DEVICE = "on_device"
+"""Key of an array of the device in a saved state."""
 
 
 class DeviceArrays(Arrays):
@@ -73,3 +76,17 @@ class DeviceArrays(Arrays):
     def require_host(self, what: str, path: str = "") -> None:
         message = f"{what} have no form with arrays on a device: use sim.warp.arrays=host"
         raise ConfigError([Problem(path, message)])
+
+    def saved(self, state: Any) -> Any:
+        if isinstance(state, DeviceArray):
+            return {_ON_DEVICE: state.host()}
+        if isinstance(state, Mapping):
+            return {key: self.saved(part) for key, part in state.items()}
+        return type(state)(map(self.saved, state)) if type(state) in (list, tuple) else state
+
+    def loaded(self, state: Any) -> Any:
+        if isinstance(state, Mapping):
+            if state.keys() == {_ON_DEVICE}:
+                return DeviceArray(torch.from_numpy(state[_ON_DEVICE].copy()).to(self.device))
+            return {key: self.loaded(part) for key, part in state.items()}
+        return type(state)(map(self.loaded, state)) if type(state) in (list, tuple) else state

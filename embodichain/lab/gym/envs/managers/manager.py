@@ -362,8 +362,6 @@ def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> None:
 class CurriculumManager(Manager[CurriculumCfg]):
     """Calls every term for environments that are about to be reset, before the reset.
 
-    With arrays on a device, it calls them for all environments before each step.
-
     A term returns the values it has set (a number, or several by name) or None;
     ``info["curriculum"]`` of every step contains the current ones. Time is `env.control_step`,
     which counts on through resets.
@@ -380,25 +378,21 @@ class CurriculumManager(Manager[CurriculumCfg]):
         super().__init__(env, "curriculum", "curriculum", cfgs)
         self.values: dict[str, float] = {}
 
-    def before_reset(self, env_ids: EnvIndex | None) -> None:
-        """Call the terms for environments (n,) that are about to be reset, or None for all."""
-        if not self._arrays.on_device:
-            self.compute(env_ids)
-
     def before_step(self) -> None:
-        """Call the terms for all environments if arrays are on a device.
-
-        Which of them a step resets is not known there, and a recorded step calls no terms.
-        """
+        """Call the terms for all environments, with arrays on a device only; see `compute`."""
         if self._arrays.on_device:
-            self.compute(None)
+            self._compute(None)
 
     def compute(self, env_ids: EnvIndex | None) -> None:
-        """Call the terms.
+        """Call the terms. With arrays on a device this does nothing: `before_step` calls them.
 
         Args:
             env_ids: (n,) sorted unique int64 environments about to be reset, or None for all.
         """
+        if not self._arrays.on_device:  # there it is not known which environments are reset
+            self._compute(env_ids)
+
+    def _compute(self, env_ids: EnvIndex | None) -> None:
         for name, term in self.terms.items():
             value = term.call(self.env, env_ids)
             if isinstance(value, Mapping):

@@ -356,8 +356,9 @@ class RewardManager(Manager[RewardCfg]):
         self.weights = MappingProxyType(dict(state["weights"]))
         self.revision += 1
         self._bind()
-        sums = [np.asarray(state["episode_sums"][name], np.float32) for name in self._names]
-        self._sums = np.array(sums, np.float32).reshape(len(sums), self.num_envs)
+        self._sums = np.empty_like(self._sums)
+        for row, name in enumerate(self._names):
+            self._sums[row] = state["episode_sums"][name]
 
 
 class JudgedEnv(TermContext, Protocol):
