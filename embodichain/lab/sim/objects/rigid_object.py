@@ -488,7 +488,7 @@ class RigidObject(BatchEntity):
         self._inertia[...] = state["inertia"]
         if self.index.variants is not None:
             self._variant[...] = state["shape"]
-            self._mass0[...] = self.index.variants.mass[self._variant]
+            self._mass0[...] = rows_at(self.index.variants.mass, self._variant)
 
     set_body_type = not_available("set_body_type", "the body type is compiled into the model")
     set_attrs = not_available("set_attrs", "use set_mass, set_friction, set_damping, set_inertia")
