@@ -178,7 +178,14 @@ def with_warp_values(
     if chosen == "host" or (chosen == "device" and verb is None):  # `BaseEnv` says it itself
         return resolved
     find = why_host if chosen == "auto" else why_not_device
-    reasons = find(resolved.root, verb) or _refusals(resolved, kwargs or {})
+    reasons = find(resolved.root, verb)
+    try:
+        reasons = reasons or _refusals(resolved, kwargs or {})
+    except ConfigError as error:
+        if chosen == "device":
+            raise
+        # If it is no matter of the arrays, the environment of the job raises it again.
+        reasons = [f"{problem.path}: {problem.message}" for problem in error.problems]
     if chosen == "device":
         if reasons:
             raise ConfigError([Problem("sim.warp.arrays", f"device: {why}") for why in reasons])

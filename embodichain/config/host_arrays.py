@@ -20,9 +20,9 @@ def why_not_device(root: RootCfg, verb: Verb | None) -> list[str]:
         verb: The verb of the job; None is an environment without a log, a viewer or a policy.
     """
     found = [
-        f"task.sensors.{uid}: pictures are drawn on the host"
+        f"task.sensors.{uid}.observe: pictures are drawn on the host"
         for uid, sensor in root.task.sensors.items()
-        if sensor.sensor_type in _CAMERAS
+        if sensor.observe and sensor.sensor_type in _CAMERAS
     ]
     if root.viewer.name == "native" or (verb is not None and root.viewer.name != "none"):
         found.append(f"viewer={root.viewer.name} shows arrays of the host")

@@ -256,7 +256,7 @@ class EnvReads:
         """Attach an observer; it is called after those attached before.
 
         Raises:
-            HostTransferError: If arrays are on the device.
+            ConfigError: If arrays are on the device.
         """
         self.arrays.require_host("observers")
         if not self.observers:

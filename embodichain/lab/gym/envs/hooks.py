@@ -234,7 +234,7 @@ def overridden_hooks(env: EnvHooks) -> frozenset[str]:
     """Return which of `OPTIONAL_HOOKS` an environment's class overrides.
 
     Raises:
-        HostTransferError: If arrays are on the device, where environments are masks, and it takes
+        ConfigError: If arrays are on the device, where environments are masks, and it takes
             indices of environments, or resets in the next step.
     """
     cls, arrays = type(env), env.sim.arrays

@@ -396,5 +396,5 @@ class DeviceEngine(WarpEngine):
             "rows": self.host_rows(),
             "model": self.model_fields(),
             "warning": self._batch.warning.copy(),
-            "acceleration": {name: copy.host() for name, (_, copy) in self._kept.items()},
+            "acceleration": {name: self.acceleration(name).host() for name in self._kept},
         }

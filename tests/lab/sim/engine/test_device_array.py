@@ -95,12 +95,14 @@ def test_reductions(function, axis, keepdims):
     same(function.reduce(on(values), axis=axis, keepdims=keepdims), wanted)
 
 
+EDGES = np.sort(X[0].ravel())
 INDICES = np.argsort(X, axis=1)
 FUNCTION_EXAMPLES = {
     np.all: [((FLAGS,), {}), ((FLAGS, 1), {}), ((FLAGS,), {"axis": (0, 1), "keepdims": True})],
     np.amax: [((X,), {}), ((X, -1), {}), ((COUNTS,), {"axis": (0, 1)})],
     np.amin: [((X,), {}), ((X, -1), {}), ((COUNTS,), {"axis": (0, 1)})],
     np.any: [((FLAGS,), {}), ((FLAGS, 1), {}), ((FLAGS,), {"axis": (0, 1), "keepdims": True})],
+    np.argsort: [((X,), {}), ((X, 1), {}), ((COUNTS,), {"axis": 0, "kind": "stable"})],
     np.broadcast_to: [((Y, (2, 4, 3)), {})],
     np.clip: [((X, 0.3, 0.6), {}), ((X, Y, None), {}), ((X, None, Y), {})],
     np.concatenate: [(([X, COUNTS],), {}), (([X, X], -1), {}), (([X, Y],), {"axis": None})],
@@ -114,6 +116,7 @@ FUNCTION_EXAMPLES = {
     np.ones_like: [((X,), {}), ((X, np.bool_), {})],
     np.repeat: [((X, 2), {"axis": 1}), ((X, 3), {})],
     np.reshape: [((X, (4, -1)), {}), ((X, -1), {})],
+    np.searchsorted: [((EDGES, X), {}), ((EDGES, X), {"side": "right"})],
     np.stack: [(([X, COUNTS],), {}), (([X, X], -1), {})],
     np.sum: [((X,), {}), ((X, -1), {}), ((FLAGS,), {"axis": (0, 1), "keepdims": True})],
     np.swapaxes: [((X, 0, 2), {})],

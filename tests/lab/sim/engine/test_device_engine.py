@@ -134,13 +134,17 @@ def test_a_step(both):
 def test_accelerations_are_those_of_the_last_step_or_forward(both):
     """`forward` after a reset changes them for environments that were reset only."""
     engine = both[1]
-    found = engine.acceleration("qacc")
+    engine.acceleration("qacc")
     engine.step(1)
-    stepped = found.host()
+    stepped = engine.acceleration("qacc").host()
     engine.reset(mask(*IDS))
     engine.derived("xpos")
-    np.testing.assert_array_equal(found.host(), stepped)
-    engine.forward(mask(*IDS))
+    np.testing.assert_array_equal(engine.acceleration("qacc").host(), stepped)
+    engine.forward(mask(IDS[0]))
+    engine.forward(mask(IDS[1]))
+    saved = engine.state_dict()["acceleration"]["qacc"]
+    found = engine.acceleration("qacc")
+    np.testing.assert_array_equal(saved, found.host())
     changed = (found.host() != stepped).any(axis=1)
     assert changed.tolist() == [True, False, True, False]
     both[0].acceleration("qacc")
@@ -192,10 +196,11 @@ def test_model_fields_differ_between_environments(both):
     fields = both[0].model_fields()
     assert {"body_mass", "opt.gravity", "body_subtreemass"} <= fields.keys()
     for name, values in both[1].model_fields().items():
-        np.testing.assert_array_equal(values, fields[name])
+        np.testing.assert_allclose(values, fields[name], rtol=1e-6)
     values = both[1].state("ctrl") * 0 + 1.5  # (N, 2) on the device
     both[1].write_model("dof_damping", values, mask(3), slice(0, 2))
-    assert both[1].model_values("dof_damping")[:, 0].tolist() == [0.2, 0.2, 0.2, 1.5]
+    found = both[1].model_values("dof_damping")[:, 0].host()
+    np.testing.assert_allclose(found, [0.2, 0.2, 0.2, 1.5])
 
 
 @pytest.mark.parametrize("way", [(0, 1), (1, 0), (1, 1)], ids=["to it", "from it", "its own"])
@@ -210,14 +215,14 @@ def test_a_state_can_be_exchanged(model, both, way):
         other.write("qvel", np.nan)
         other.step(1)
     other.load_state_dict(source.state_dict())
-    rows = [e.host_rows() if isinstance(e, DeviceEngine) else e.rows for e in (source, other)]
-    np.testing.assert_allclose(rows[1], rows[0], atol=1e-15)
+    rows = [engine.state_dict()["rows"] for engine in (source, other)]
+    np.testing.assert_allclose(rows[1], rows[0], rtol=0, atol=1e-15)
     forces = [np.asarray(e.state_dict()["acceleration"]["qacc"]) for e in (source, other)]
     np.testing.assert_array_equal(*forces)
     for engine in (source, other):
         engine.step(3)
-    pair = [e.state_dict()["rows"] for e in (source, other)]
-    np.testing.assert_allclose(pair[1], pair[0], atol=0 if way == (1, 1) else 1e-6)
+    rows = [engine.state_dict()["rows"] for engine in (source, other)]
+    close(rows[1], rows[0], 1e-6)  # constants are computed in float32 here, in float64 there
     diverged = other.take_diverged()
     assert diverged is None or not diverged.host().any()
 
