@@ -3,7 +3,8 @@
 They learn on the tensors that the environment returns, on its device. Names and meanings of the
 keys are those of the library; the defaults are the settings that Isaac Lab publishes for a Unitree
 Go2 on flat ground (its `rsl_rl_ppo_cfg.py` and `skrl_flat_ppo_cfg.yaml`; those for a UR10 that
-reaches differ in the size of the networks and the number of epochs), with normalized observations.
+reaches differ in the size of the networks and the number of epochs), with normalized observations
+and `init_std` in the units of actions here.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ class TensorAlgoCfg:
     hidden_dims: Annotated[list[PositiveInt], Field(min_length=1)] = [128, 128, 128]
     """Widths of the hidden layers of actor and critic, which are separate networks."""
     activation: Literal["elu", "gelu", "relu", "selu", "sigmoid", "tanh"] = "elu"
-    init_std: PositiveFloat = 1.0
-    """Standard deviation of actions in [-1, 1] at the start."""
+    init_std: PositiveFloat = 0.25
+    """Standard deviation of actions in [-1, 1] at the start. Isaac Lab's is 1 in units of the
+    action term; where actions are clipped to 4 such units, that is the same."""
     obs_normalization: bool = True
     """Whether observations are normalized by their mean and standard deviation so far."""
     desired_kl: PositiveFloat | None = 0.01

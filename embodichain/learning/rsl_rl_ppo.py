@@ -28,8 +28,9 @@ class RslRlVecEnv(VecEnv):  # type: ignore[misc]
 
     Observations are a TensorDict with an entry (N, K) for each group: ``policy`` and the groups of
     the critic, which a runner's ``obs_groups`` names. Actions are (N, A) in [-1, 1]. The extras
-    have ``time_outs`` (N,), and under ``log`` each reward term and metric, (N,), of which a runner
-    logs the mean over environments and steps. The environment is reset when it is first observed.
+    have ``time_outs`` (N,), and under ``log`` the mean over environments of each reward term and
+    metric, of which a runner logs the mean over steps. The environment is reset when it is first
+    observed.
 
     Args:
         env: A batched environment (wrapped or not) with ``autoreset_mode`` SAME_STEP.
@@ -69,9 +70,12 @@ class RslRlVecEnv(VecEnv):  # type: ignore[misc]
         """Step all environments; return observations, rewards (N,), dones (N,) and extras."""
         step = self.env.step(actions)
         self._groups = step.groups
-        log = {f"Reward/{name}": value for name, value in step.info["rewards"].items()}
-        log |= {f"Metrics/{name}": value for name, value in step.info["metrics"].items()}
-        extras = {"time_outs": step.time_out, "log": log}
+        values = {f"Reward/{name}": value for name, value in step.info["rewards"].items()}
+        values |= {f"Metrics/{name}": value for name, value in step.info["metrics"].items()}
+        extras: dict[str, Any] = {"time_outs": step.time_out}
+        if values:
+            means = torch.stack([v.to(torch.float32) for v in values.values()]).mean(dim=1)
+            extras["log"] = dict(zip(values, means, strict=True))
         return observations(step.groups), step.reward, step.done, extras
 
 

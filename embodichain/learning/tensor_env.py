@@ -62,8 +62,8 @@ class TensorStep:
 class TensorEnv:
     """A batched environment with observation groups (N, K) and actions in [-1, 1], as tensors.
 
-    Learners keep the tensors of a step until the next step has returned, so the environment must
-    not overwrite them before.
+    Learners keep observations, rewards and flags until the next step has returned, so the
+    environment must not overwrite them before. ``info`` is read at once.
 
     Args:
         env: A batched environment (wrapped or not) with ``autoreset_mode`` SAME_STEP.
@@ -101,6 +101,11 @@ class TensorEnv:
         self.high = torch.as_tensor(space.high, dtype=torch.float32, device=self.device)
         """(A,) upper bounds of the task's actions."""
         self.step_seconds = 0.0
+
+    @property
+    def restorable(self) -> bool:
+        """Whether the environment's state can be saved and restored: on the CPU."""
+        return self.device.type == "cpu"
 
     def reset(self, seed: int | None = None) -> Groups:
         """Reset every environment; return the observation groups, (N, K) each."""

@@ -160,6 +160,8 @@ class TensorSession:
     def resume(self, checkpoint: Path, state: dict[str, Any]) -> None:
         """Restore networks, environment, statistics and generators from a checkpoint.
 
+        On a GPU, where the state of the environment is not saved, new episodes begin.
+
         Args:
             checkpoint: The zip.
             state: The training state from the file beside it.
@@ -171,10 +173,12 @@ class TensorSession:
         try:
             saved = state["training"]
             self.learner.load_state_dict(saved["learner"])
-            self.vec_env.reset()  # creates lazily built state, which is overwritten below
-            self.vec_env.base.load_state_dict(saved["env"])
-            self._groups = {name: value.to(device) for name, value in saved["groups"].items()}
-            self._recorder.returns = saved["returns"].to(device)
+            seed = self.seed + state["env_steps"]  # of the new episodes, where they are
+            self._groups = self.vec_env.reset(seed=seed)  # creates state that is built lazily
+            if saved["env"] is not None:
+                self.vec_env.base.load_state_dict(saved["env"])
+                self._groups = {name: value.to(device) for name, value in saved["groups"].items()}
+                self._recorder.returns = saved["returns"].to(device)
             self._generators = saved["generators"]
             self.statistics.load_state_dict(state["statistics"])
         except (KeyError, RuntimeError, ValueError) as error:
@@ -269,7 +273,7 @@ class TensorSession:
         if resumable:
             training = {
                 "learner": self.learner.state_dict(),
-                "env": self.vec_env.base.state_dict(),
+                "env": self.vec_env.base.state_dict() if self.vec_env.restorable else None,
                 "groups": self._groups,
                 "returns": self._recorder.returns,
                 "generators": _get_generators(self.vec_env.device),

@@ -48,6 +48,8 @@ def test_it_is_an_environment_of_rsl_rl(reach):
     assert torch.equal(env.get_observations()["policy"], obs["policy"])
     assert rewards.shape == dones.shape == extras["time_outs"].shape == (3,)
     assert set(extras["log"]) == {"Reward/distance", "Reward/near", "Metrics/success"}
+    assert extras["log"]["Reward/distance"].shape == ()  # of all environments
+    assert 3 * float(extras["log"]["Metrics/success"]) in (0.0, 1.0, 2.0, 3.0)
     for _ in range(4):
         obs, _, dones, extras = env.step(torch.zeros(3, 6))
     assert dones.all() and extras["time_outs"].all()

@@ -117,7 +117,7 @@ def test_rows_have_the_columns_of_other_trainings(tmp_path, algo):
     assert sum(last[f"Episode_Termination/{kind}"] for kind in ENDS) == 1.0
     assert 0.0 <= last["rollout/success_rate"] <= 1.0
     assert last["Episode_Reward/distance"] < 0 and last["train/value_loss"] > 0
-    assert 0 < last["train/learning_rate"] <= 1e-2 and 0.5 < last["train/std"] < 2.0
+    assert 0 < last["train/learning_rate"] <= 1e-2 and 0.2 < last["train/std"] < 0.3
 
 
 @BOTH
@@ -138,6 +138,17 @@ def test_resumed_equals_uninterrupted(tmp_path, algo):
     np.testing.assert_array_equal(everything(second), everything(whole))
     before = json.loads((whole / "summary.json").read_text())
     assert [summary.episodes, summary.mean_return] == [before["episodes"], before["mean_return"]]
+
+
+def test_new_episodes_begin_where_the_state_of_the_environment_is_not_saved(tmp_path, monkeypatch):
+    monkeypatch.setattr(TensorEnv, "restorable", property(lambda env: False))
+    first, second = folder(tmp_path, "first"), folder(tmp_path, "second")
+    before = train(config(*SKRL, TWO), first)
+    saved = read_tree(first / "checkpoints/final.state.npz")["training"]
+    assert saved["env"] is None
+    after = train(config(*SKRL, FOUR, f"resume={first}"), second)
+    # 16 steps end 2 episodes of 7 in each of 4 environments, and so do 16 further ones.
+    assert (before.episodes, after.episodes, after.env_steps) == (8, 16, 128)
 
 
 @BOTH
@@ -212,9 +223,9 @@ def test_another_task_is_refused(tmp_path):
 
 @BOTH
 def test_what_it_learns_balances_the_pole(tmp_path, algo):
-    """With the settings that are shipped: 11 updates, from 20 steps on average to hundreds."""
-    lines = ["task=cart_pole", algo[0], "total_timesteps=4224", "seed=1", "sim.num_threads=1"]
-    resolved = resolve(lines, "train")
+    """11 updates lead from 20 steps on average to hundreds; but for the noise as shipped."""
+    lines = ["task=cart_pole", algo[0], "algo.init_std=1.0", "total_timesteps=4224", "seed=1"]
+    resolved = resolve([*lines, "sim.num_threads=1"], "train")
     train(resolved, tmp_path)
     env = make_env(resolved)
     try:

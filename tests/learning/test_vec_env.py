@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
@@ -83,6 +84,34 @@ def test_time_limit_is_truncated_and_not_terminated(end, limit, truncated):
     _, _, dones, infos = advance(vec_env, 3, np.zeros((1, 2)))
     assert dones[0]
     assert infos[0]["TimeLimit.truncated"] is truncated
+
+
+def test_vectors_on_another_device_are_copied_once(monkeypatch):
+    """Packed into one tensor, the results are those of copies one by one."""
+    counts = []
+    numpy = torch.Tensor.numpy
+
+    def counted(self, **kwargs):
+        counts.append(self.shape)
+        return numpy(self, **kwargs)
+
+    envs = [SB3VecEnv(CountingEnv([2, 0, 3], limit=4)) for _ in range(2)]
+    envs[1]._packs = True
+    for env in envs:
+        env.reset()
+    for step in range(5):
+        action = np.full((3, 2), 0.1 * step, np.float32)
+        wanted = envs[0].step(action)
+        with monkeypatch.context() as patch:
+            patch.setattr(torch.Tensor, "numpy", counted)
+            found = envs[1].step(action)
+        for a, b in zip(found[:3], wanted[:3], strict=True):
+            np.testing.assert_array_equal(a, b)
+            assert a.dtype == b.dtype
+        assert [info.keys() for info in found[3]] == [info.keys() for info in wanted[3]]
+        if step == 0:  # no episode ended
+            assert counts == [(3, 3 + 3)]
+        found[0][:] = found[1][:] = np.nan  # is the caller's
 
 
 def test_episode_counts_begin_anew():

@@ -206,6 +206,7 @@ class DeviceEngine(WarpEngine):
     def _compute_late(self, name: str) -> None:
         """Compute a field where `forward` was called after the last step."""
         env_ids = self._late.pop(name)
+        self._upload()
         with self._stream():
             if name in _OF_ACTUATORS:  # needs neither contacts nor the solver
                 self.worlds.actuation()

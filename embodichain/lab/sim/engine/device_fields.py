@@ -60,6 +60,7 @@ class DeviceFields:
         self._worlds, self._host, self._model = worlds, host, model
         self._count, self._device = count, device
         self._views: dict[str, DeviceArray] = {}
+        self._wide = torch.tensor([-NO_LIMIT, NO_LIMIT], device=device)
         welded = model.body_weldid[model.geom_bodyid] == 0
         self._constant: NDArray[np.int64] = np.flatnonzero(welded)
         self.moved = self.has_constants = False
@@ -116,10 +117,8 @@ class DeviceFields:
         """Flags of limited actuators are shared by all worlds: the others get a wide range."""
         limited, ranges = (self.view(name).tensor for name in _FORCES)
         shape = (*limited.shape, 2)
-        wide = torch.tensor([-NO_LIMIT, NO_LIMIT], device=self._device)
-        self._worlds.limit_forces(
-            torch.where(limited[..., None] != 0, ranges.view(shape), wide.expand(shape))
-        )
+        wide = self._wide.expand(shape)
+        self._worlds.limit_forces(torch.where(limited[..., None] != 0, ranges.view(shape), wide))
 
     def set_const(self) -> None:
         """Compute the constants that depend on other fields, of all worlds."""

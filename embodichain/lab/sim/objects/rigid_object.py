@@ -245,7 +245,7 @@ class RigidObject(BatchEntity):
         if self._dofs is None:
             return
         rate, (mass, moments) = self._damping[self._rows(ids)], self.read_inertia(ids)
-        linear = np.repeat((rate[:, 0] * mass)[:, None], 3, axis=1)
+        linear = np.broadcast_to((rate[:, 0] * mass)[:, None], (len(mass), 3))
         angular = rate[:, 1:] * self._about_axes(moments, self._rows(ids))
         values = np.concatenate([linear, angular], axis=1)
         self.engine.write_model("dof_damping", values, ids, self._dofs)
@@ -488,7 +488,7 @@ class RigidObject(BatchEntity):
         self._inertia[...] = state["inertia"]
         if self.index.variants is not None:
             self._variant[...] = state["shape"]
-            self._mass0[...] = self.index.variants.mass[self._variant]
+            self._mass0[...] = rows_at(self.index.variants.mass, self._variant)
 
     set_body_type = not_available("set_body_type", "the body type is compiled into the model")
     set_attrs = not_available("set_attrs", "use set_mass, set_friction, set_damping, set_inertia")

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 import embodichain
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.envs.cfg import EventCfg
+from embodichain.lab.gym.envs.cfg import ActionTermCfg, EventCfg
 from embodichain.lab.gym.envs.managers.manager import build_term
 from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError
@@ -158,28 +158,81 @@ def test_commands_draw_the_same(pair: Pair, name: str) -> None:
         assert_allclose(values[1][key].cpu(), value, rtol=1e-5, atol=1e-5, err_msg=key)
 
 
+def acted(env: BaseEnv, term: Any, seed: int) -> dict[str, Any]:
+    """What an action term writes and returns for a drawn action."""
+    assert np.isfinite(env.arrays.host(term.hold())).all()
+    share = np.random.default_rng(seed).uniform(0.1, 0.9, (N, len(term.low))).astype(np.float32)
+    action = term.low + share * (term.high - term.low)
+    term.apply(tensor_of(env.arrays.put(action)))
+    term.before_physics()
+    metrics = getattr(term, "metrics", dict)()
+    return {
+        "rows": rows(env),
+        "hold": np.broadcast_to(env.arrays.host(term.hold()), action.shape),
+        **{key: env.arrays.host(value) for key, value in metrics.items()},
+    }
+
+
+def assert_acts_the_same(pair: Pair, terms: list[Any]) -> None:
+    for seed in range(2):
+        host, device = (acted(env, term, seed) for env, term in zip(pair, terms, strict=True))
+        assert host.keys() == device.keys()
+        for key, value in host.items():
+            assert_allclose(device[key], value, rtol=1e-4, atol=2e-4, err_msg=key)
+
+
 @pytest.mark.parametrize("name", sorted(EXAMPLES["action"]))
 def test_actions_write_the_same(pair: Pair, name: str) -> None:
-    for seed in range(2):
-        found = []
-        for env in pair:
-            term = env.action_manager.terms[name].instance
-            assert np.isfinite(env.arrays.host(term.hold())).all()
-            rng = np.random.default_rng(seed)
-            share = rng.uniform(0.1, 0.9, (N, len(term.low))).astype(np.float32)
-            action = term.low + share * (term.high - term.low)
-            term.apply(tensor_of(env.arrays.put(action)))
-            term.before_physics()
-            metrics = getattr(term, "metrics", dict)()
-            found.append(
-                {
-                    "rows": rows(env),
-                    "hold": np.broadcast_to(env.arrays.host(term.hold()), action.shape),
-                    **{key: env.arrays.host(value) for key, value in metrics.items()},
-                }
-            )
-        for key, value in found[0].items():
-            assert_allclose(found[1][key], value, rtol=1e-4, atol=2e-4, err_msg=key)
+    assert_acts_the_same(pair, [env.action_manager.terms[name].instance for env in pair])
+
+
+UR10, FINGER = {"uid": "ur10"}, {"uid": "panda", "joint_names": "panda_finger_joint1"}
+PANDA = {"uid": "panda", "joint_names": "panda_joint.*"}
+VARIANTS = {
+    "eef_pose": [
+        {"of": UR10, "frame": "world", "rotation": "quat", "max_velocity": 0.5},
+        {"of": UR10, "rotation": "rpy"},
+        {"of": UR10, "rotation": "free", "posture_gain": 0.1},
+    ],
+    "eef_delta_pose": [
+        {"of": UR10, "frame": "world", "rotation": "keep", "reference": "qpos"},
+        {"of": UR10, "frame": "base", "rotation": "free", "posture_gain": 0.2},
+    ],
+    "joint_action": [
+        {"of": UR10, "control": "velocity", "scale": 0.3, "clip": [-1, 1]},
+        {"of": UR10, "centre": "qpos", "clip": [-1, 1]},
+        {"of": {"uid": "go"}, "control": "effort", "scale": 9.0, "clip": [-1, 1]},
+    ],
+    "operational_space": [
+        {"of": PANDA, "command": "pose", "frame": "world", "max_position_error": 0.02},
+        {"of": PANDA, "frame": "tool", "rotation": "free", "reference": "target"},
+    ],
+    "parallel_gripper": [
+        {"of": FINGER, "width": [0.0, 0.08], "force": 5.0, "speed": 0.1},
+        {"of": FINGER, "command_mode": "binary", "open_command": 0.04, "close_command": 0.0},
+    ],
+}
+"""Action -> parameters by which it computes otherwise than in its example."""
+
+
+@pytest.mark.parametrize(
+    ("name", "params"),
+    [(name, params) for name, several in VARIANTS.items() for params in several],
+)
+def test_actions_with_other_parameters_write_the_same(
+    pair: Pair, name: str, params: dict[str, Any]
+) -> None:
+    cfg = ActionTermCfg(func=name, params=params)
+    terms = [build_term(env, "action", name, cfg, f"actions.{name}").instance for env in pair]
+    assert_acts_the_same(pair, terms)
+
+
+def test_impedance_without_decoupling_is_refused(pair: Pair) -> None:
+    cfg = ActionTermCfg(func="operational_space", params={"of": PANDA, "decoupling": False})
+    with pytest.raises(
+        ConfigError, match="actions.arm.params.decoupling: the modes of its dampers"
+    ):
+        build_term(pair.device, "action", "arm", cfg, "actions.arm")
 
 
 OFTEN = {"mode": "interval", "interval_range_s": [0.03, 0.07]}

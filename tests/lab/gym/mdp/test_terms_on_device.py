@@ -24,6 +24,8 @@ from tests.lab.gym.mdp.test_examples import ENTRIES, HINTS, SECTION_OF, example_
 pytestmark = pytest.mark.unmeasured
 
 N, STEPS, WARM = 3, 8, 2
+REPEATED = (6, 7)
+"""Steps that are taken once more in the end, from the saved state before them."""
 DRAWN = ("camera_image", "camera_mask", "camera_points")
 """Terms that are refused: pictures are drawn on the host."""
 
@@ -178,12 +180,16 @@ def play(arrays: str, folder: Path) -> Played:
             played.errors["get_data"] = str(error)
         env.reset()
         home = on_host(env.action_manager.home())
-        draw = np.random.default_rng(0)
-        for step in range(STEPS):
+        draws = np.random.default_rng(0).uniform(-0.3, 0.3, (STEPS, N, home.shape[-1]))
+        saved = None
+        for count, step in enumerate((*range(STEPS), *REPEATED)):
             if step == 2:
                 env.reset(options={"reset_ids": [1]})
-            action = torch.from_numpy(home + draw.uniform(-0.3, 0.3, (N, home.shape[-1]))).float()
-            action = action.to(env.device)
+            if count == REPEATED[0]:
+                saved = env.state_dict()
+            if count == STEPS:
+                env.load_state_dict(saved)
+            action = torch.from_numpy(home + draws[step]).float().to(env.device)
             obs, reward, _, _, info = env.step(action)
             played.rewards.append(on_host(reward))
             strict = arrays == "device" and step >= WARM  # fields and constants are made at first
@@ -210,6 +216,12 @@ def evaluated(env: Any, term: Any, obs: Any, action: Any, info: Any) -> Any:
     return value
 
 
+def agree(found: np.ndarray, wanted: np.ndarray, what: str) -> None:
+    """Check that numbers differ by rounding only, relative to the largest."""
+    largest = np.abs(wanted[np.isfinite(wanted)]).max(initial=1.0)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-4 * largest, err_msg=what)
+
+
 @pytest.fixture(scope="module")
 def host(tmp_path_factory: pytest.TempPathFactory) -> Played:
     return play("host", tmp_path_factory.mktemp("host"))
@@ -229,8 +241,13 @@ def test_values_are_those_of_arrays_on_the_host(name: str, host: Played, device:
     assert name not in host.errors, host.errors[name]
     assert name not in device.errors, device.errors[name]
     for step, (a, b) in enumerate(zip(host.values[name], device.values[name], strict=True)):
-        largest = np.abs(a[np.isfinite(a)]).max(initial=1.0)
-        np.testing.assert_allclose(b, a, rtol=0, atol=2e-4 * largest, err_msg=f"step {step}")
+        agree(b, a, f"step {step}")
+
+
+def test_a_saved_state_continues(device: Played) -> None:
+    for name in set(CASES) - set(device.errors):
+        for again, step in enumerate(REPEATED, STEPS):
+            agree(device.values[name][again], device.values[name][step], name)
 
 
 @pytest.mark.parametrize("name", DRAWN)

@@ -119,6 +119,8 @@ class OperationalSpace(JointTerm):
         super().__init__(env, moving_joints(entity_cfg, solver), driven=False)
         self._refuse_drives()
         count, joints = env.num_envs, self.names
+        if not decoupling:
+            env.arrays.require_host("the modes of its dampers", "decoupling")
         given = {"scale": scale, "clip": clip, "position_range": position_range}
         poses: AbsolutePose | RelativePose
         if command == "pose":
