@@ -38,7 +38,7 @@ def command(source: str, **kwargs: Any) -> None:
     options = SimpleNamespace(**kwargs)
     path = _source(source)
     lines = [*options.words, *job_options(options)]
-    execute(_resolved(path, lines), collect_job, command_line())
+    execute(_resolved(path, lines), collect_job, command_line(), verb="collect")
 
 
 def _source(name: str) -> Path:

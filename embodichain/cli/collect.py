@@ -63,7 +63,7 @@ def command(**kwargs: Any) -> None:
         start("collect", collect_job, options)
     else:
         resolved, folder = _resumed(lines)
-        execute(resolved, collect_job, command_line(), folder, goes_on=True)
+        execute(resolved, collect_job, command_line(), folder, verb="collect", goes_on=True)
 
 
 def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:

@@ -241,7 +241,7 @@ def start(verb: Verb, body: Body, options: Any) -> None:
         return resolved_job(compose(lines, verb), verb)
 
     def do(resolved: Resolved, folder: Path | None = None) -> float | None:
-        return execute(resolved, body, line, folder)
+        return execute(resolved, body, line, folder, verb=verb)
 
     hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
     prints = options.cfg is not None or options.info is not None
@@ -285,6 +285,7 @@ def execute(
     command: Sequence[str],
     folder: Path | None = None,
     *,
+    verb: Verb = "run",
     goes_on: bool = False,
 ) -> float | None:
     """Run a job in its folder, with a log file.
@@ -294,6 +295,7 @@ def execute(
         body: The work of the job.
         command: The command line, as typed.
         folder: The run folder; None claims a new one.
+        verb: The verb of the job.
         goes_on: Whether the folder belongs to this job already; its config stays.
 
     Raises:
@@ -306,10 +308,10 @@ def execute(
 
     resolved = pinned(resolved)
     if resolved.tree["sim"]["engine"] == "warp":
-        from embodichain.config.factory import with_warp_sizes
+        from embodichain.config.factory import with_warp_values
 
         with resolved.locating():
-            resolved = with_warp_sizes(resolved)
+            resolved = with_warp_values(resolved, verb)
     if folder is None:
         folder = claim(resolved.root.output_dir, resolved.task_name)
     if not goes_on:

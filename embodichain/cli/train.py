@@ -53,16 +53,18 @@ def command(**kwargs: Any) -> None:
     if lines is None:
         start("train", train_job, options)
     else:
-        execute(_resumed(lines), train_job, command_line())
+        execute(_resumed(lines), train_job, command_line(), verb="train")
 
 
 def train_job(job: Job) -> float | None:
     """Train, evaluate the policy and print the results of both."""
+    from embodichain.config.host_arrays import with_arrays
+
     episodes, seed = job.root.eval.episodes, job.root.seed
     asked = evaluated = None
     if episodes and seed is not None:  # as `embodichain eval RUN`; checked before training
         asked = Asked(episodes, seed)
-        evaluated = evaluation_config(job.resolved, asked)
+        evaluated = evaluation_config(with_arrays(job.resolved, "auto"), asked)
     summary = _learn(job)
     if asked is not None and evaluated is not None and summary["status"] == "finished":
         summary |= _evaluate(job, evaluated, asked)

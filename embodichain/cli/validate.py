@@ -70,7 +70,11 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
             notes = composed.notes
             resolved = resolved_job(composed, verb)
         notes = resolved.notes
-        with warnings_on_stderr():
+        with warnings_on_stderr(), resolved.locating():
+            from embodichain.config.factory import with_warp_values
+
+            resolved = with_warp_values(resolved, verb)
+            notes = resolved.notes
             _try_out(resolved, verb)
     except ConfigError as error:
         problems = error.problems

@@ -7,21 +7,26 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Sequence
+import logging
+import traceback
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.config.gymnasium_ids import task_of_id
+from embodichain.config.host_arrays import why_host, why_not_device, with_arrays
 from embodichain.config.resolved import Resolved, resolve, thaw
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
+    from embodichain.config.schema import Verb
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["make", "make_env", "with_warp_sizes"]
+__all__ = ["make", "make_env", "with_warp_sizes", "with_warp_values"]
 
-
+_log = logging.getLogger(__name__)
 _KWARGS = ("autoreset_mode", "render_mode", "run_dir")
 """Arguments of `BaseEnv` besides its config; it passes others on to methods of subclasses."""
 
@@ -66,14 +71,14 @@ def make(
     except ConfigError:
         _check_name(task, config_dir)
         raise
-    return make_env(resolved, **kwargs)
+    return make_env(with_warp_values(resolved, None, kwargs), **kwargs)
 
 
 def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
     """Build the environment of a config, as an instance of the class that the config names.
 
     Args:
-        resolved: A checked config.
+        resolved: A checked config. ``auto`` arrays are on the host; see `with_warp_values`.
         **kwargs: For `BaseEnv`, or for the class.
 
     Raises:
@@ -117,7 +122,7 @@ def with_warp_sizes(resolved: Resolved) -> Resolved:
         ConfigError: As `make_env` does.
     """
     sim = thaw(resolved.tree["sim"])
-    sizes = sim["warp"]
+    sizes = vars(resolved.root.sim.warp)
     if sim["engine"] != "warp" or None not in sizes.values():
         return resolved
     import numpy as np
@@ -126,7 +131,7 @@ def with_warp_sizes(resolved: Resolved) -> Resolved:
     from embodichain.lab.sim.engine.warp_worlds import measured_sizes
     from embodichain.lab.sim.prepared_scene import PreparedScene
 
-    probe = {**sim, "engine": "mujoco", "warp": dict.fromkeys(sizes)}
+    probe = {**sim, "engine": "mujoco", "warp": {"nconmax": None, "njmax": None}}
     unseen = {**resolved.tree["viewer"], "name": "none"}
     on_cpu = resolved.changed(num_envs=_PROBE_ENVS, device="cpu", sim=probe, viewer=unseen)
     env = make_env(dataclasses.replace(on_cpu, prepared=PreparedScene()))
@@ -143,6 +148,83 @@ def with_warp_sizes(resolved: Resolved) -> Resolved:
         env.close()
     filled = {key: found[key] if given is None else given for key, given in sizes.items()}
     return resolved.changed(sim={**sim, "warp": filled})
+
+
+_TRIED_ENVS, _TRIED_STEPS = 2, 3
+"""Environments and control steps of a trial with arrays on the device."""
+
+
+def with_warp_values(
+    resolved: Resolved, verb: Verb | None, kwargs: Mapping[str, Any] | None = None
+) -> Resolved:
+    """Return the config with the values of `sim.warp` that are chosen for each job.
+
+    Memory that is not given is measured (`with_warp_sizes`). ``arrays: auto`` becomes ``device`` if
+    nothing in the job needs the host and a few environments take some steps with arrays on the
+    device; else it becomes ``host``, and a note says why.
+
+    Args:
+        resolved: A checked config; it is returned as it is unless it runs on Warp.
+        verb: The verb of the job; None is an environment without a log, a viewer or a policy.
+        kwargs: Arguments of the environment.
+
+    Raises:
+        ConfigError: As `make_env` does; or ``arrays`` is ``device``, and a job needs the host.
+    """
+    if resolved.tree["sim"]["engine"] != "warp":
+        return resolved
+    resolved = with_warp_sizes(resolved)
+    chosen = resolved.root.sim.warp.arrays
+    if chosen == "host" or (chosen == "device" and verb is None):  # `BaseEnv` says it itself
+        return resolved
+    find = why_host if chosen == "auto" else why_not_device
+    reasons = find(resolved.root, verb)
+    try:
+        reasons = reasons or _refusals(resolved, kwargs or {})
+    except ConfigError as error:
+        if chosen == "device":
+            raise
+        # If it is no matter of the arrays, the environment of the job raises it again.
+        reasons = [f"{problem.path}: {problem.message}" for problem in error.problems]
+    if chosen == "device":
+        if reasons:
+            raise ConfigError([Problem("sim.warp.arrays", f"device: {why}") for why in reasons])
+        return resolved
+    if not reasons:
+        return with_arrays(resolved, "device")
+    note = Problem("sim.warp.arrays", f"host, because {'; '.join(reasons)}")
+    if verb is None:
+        _log.info("%s", note)
+    return dataclasses.replace(with_arrays(resolved, "host"), notes=(*resolved.notes, note))
+
+
+def _refusals(resolved: Resolved, kwargs: Mapping[str, Any]) -> list[str]:
+    """Why a few environments do not step with arrays on the device; empty if they do."""
+    from embodichain.lab.gym.policies import resolve_policy
+    from embodichain.lab.sim.prepared_scene import PreparedScene
+
+    unseen = {**resolved.tree["viewer"], "name": "none"}
+    tried = with_arrays(resolved, "device").changed(num_envs=_TRIED_ENVS, viewer=unseen)
+    tried = dataclasses.replace(tried, prepared=PreparedScene())
+    try:
+        given = {key: value for key, value in kwargs.items() if key != "run_dir"}
+        with closing(make_env(tried, **given)) as env:
+            policy = resolve_policy("random")
+            obs, _ = env.reset()
+            for _ in range(_TRIED_STEPS):
+                obs, *_ = env.step(policy(obs, env))
+    except (ConfigError, TypeError) as error:  # what is wrong on the host too is found again
+        return [f"{_term_of(error)}{error}"]
+    return []
+
+
+def _term_of(error: Exception) -> str:
+    """The function or class of a term in which an error was raised, for messages."""
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        code = frame.f_code
+        if any(part in code.co_filename for part in ("/envs/mdp/", "/compat/terms/")):
+            return f"{code.co_qualname} in {Path(code.co_filename).name}: "
+    return ""
 
 
 def _check_once(key: str, value: int, overrides: Sequence[str]) -> None:

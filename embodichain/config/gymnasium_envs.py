@@ -17,6 +17,10 @@ from embodichain.utils.errors import ConfigError
 __all__ = ["TaskEnv", "make_task_vec"]
 
 
+_HOST = "sim.warp.arrays=host"
+"""Numpy's arrays are on the host."""
+
+
 class TaskEnv(SingleEnv):
     """One environment of a YAML task, with numpy arrays and no batch dimension.
 
@@ -43,7 +47,7 @@ class TaskEnv(SingleEnv):
         wrong += [line for line in overrides if line.lstrip("+").startswith("num_envs=")]
         if wrong:
             raise ConfigError(_BATCHES.format(wrong=", ".join(wrong), id=task_id(task), task=task))
-        super().__init__(make(task, 1, overrides, **kwargs), flatten)
+        super().__init__(make(task, 1, [_HOST, *overrides], **kwargs), flatten)
 
 
 _BATCHES = (
@@ -78,7 +82,7 @@ def make_task_vec(
         TypeError: If an argument is unknown.
     """
     mode = parse_mode(autoreset_mode)  # before building, so that an unknown mode is reported early
-    lines = list(overrides)
+    lines = [_HOST, *overrides]
     if max_episode_steps is not None:
         lines.append(f"task.max_episode_steps={max_episode_steps}")
     return NumpyVectorEnv(make(task, num_envs, lines, **kwargs), mode, flatten)

@@ -44,6 +44,9 @@ def resolve_again(
     """
     source = folder / CONFIG
     tree = {**read_config(source), **(values or {})}
+    warp = (tree.get("sim") or {}).get("warp")
+    if isinstance(warp, dict):  # the run's choice was for what that run needed
+        tree["sim"] = {**tree["sim"], "warp": {**warp, "arrays": "auto"}}
     with config_loader() as loader:
         parsed = parse(overrides, loader)
         problems = [*parsed.problems, *_unfit(parsed)]

@@ -33,7 +33,7 @@ from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.registry import SECTIONS, resolve_term
 from embodichain.lab.gym.policies import resolve_policy
-from embodichain.lab.sim.cfg import choose_engine
+from embodichain.lab.sim.cfg import WarpCfg, choose_engine
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -317,7 +317,7 @@ def _check_engine(root: RootCfg) -> list[Problem]:
     """Check that the engine exists here and runs on the device."""
     engine, problems = choose_engine(root.sim.engine, root.device or "cpu")
     for key, value in vars(root.sim.warp).items():
-        if engine != "warp" and value is not None:
+        if engine != "warp" and value not in (getattr(WarpCfg(), key), "host"):
             message = "is for sim.engine=warp, but the engine is mujoco"
             problems.append(Problem(f"sim.warp.{key}", message))
     record = root.record

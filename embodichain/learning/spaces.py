@@ -217,7 +217,8 @@ def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:
 
 def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
     """Return a group of an observation as a new (N, K) array, one flat vector per environment."""
-    return env.observation_manager.flat_rows(obs, group)
+    rows: F32 = env.arrays.host(env.observation_manager.flat_rows(obs, group))
+    return rows
 
 
 def require_torch_batch(env: gym.Env[Any, Any], caller: str) -> None:

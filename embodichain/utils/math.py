@@ -7,8 +7,12 @@ one call and then selected: with few environments the number of numpy calls dete
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
+from embodichain.utils.arrays import contiguous, is_host, zeros
 
 __all__ = [
     "cross",
@@ -45,6 +49,11 @@ _FACTOR = np.array([[-2.0, 2, 2, 2, -2, 2, 2, 2, -2]]).T
 _IDENTITY = np.eye(3).reshape(9, 1)
 # Likewise for the 9 products a[i] b[j] of two vectors.
 _CROSS_PLUS, _CROSS_MINUS = np.array([5, 6, 1]), np.array([7, 2, 3])
+
+
+def _floats(values: Any) -> F64:
+    """Numbers as float64, on a device in the type that they have."""
+    return np.asarray(values, np.float64) if is_host(values) else values
 
 
 def _products(a: F64, b: F64) -> F64:
@@ -104,7 +113,7 @@ def normalize_quat(q: F64) -> F64:
     s = q * q
     norm = np.sqrt(s[..., 0] + s[..., 1] + s[..., 2] + s[..., 3])
     # If a value is not finite, the smallest or the largest is not (NaN is both).
-    if norm.size and not 1e-9 < norm.min() <= norm.max() < np.inf:
+    if is_host(norm) and norm.size and not 1e-9 < norm.min() <= norm.max() < np.inf:
         raise ValueError("a quaternion is zero or not finite; wxyz with unit length is wanted")
     return q / norm[..., None]
 
@@ -112,7 +121,7 @@ def normalize_quat(q: F64) -> F64:
 def quat_to_matrix(q: F64) -> F64:
     """Rotation matrices (..., 3, 3) of unit wxyz quaternions (..., 4)."""
     # A row for each component, so that constants broadcast along contiguous rows.
-    rows = np.ascontiguousarray(q.reshape(-1, 4).T)
+    rows = contiguous(q.reshape(-1, 4).T)
     products = (rows[:, None] * rows).reshape(16, -1)
     sums = products.take(_FIRST, 0) + _SECOND_SIGN * products.take(_SECOND, 0)
     found: F64 = (_IDENTITY + _FACTOR * sums).T.reshape(*q.shape[:-1], 3, 3)
@@ -138,8 +147,8 @@ _SIGNS = np.array(
     ],
     np.float64,
 )
-_TAKEN = np.ascontiguousarray(np.moveaxis(_PLACES, -1, 0).reshape(-1))
-_SIGNED = np.ascontiguousarray(np.moveaxis(_SIGNS, -1, 0).reshape(3, 16))
+_TAKEN = contiguous(np.moveaxis(_PLACES, -1, 0).reshape(-1))
+_SIGNED = contiguous(np.moveaxis(_SIGNS, -1, 0).reshape(3, 16))
 _UNIT = np.eye(4).reshape(16)
 _UNTURNED = np.eye(3).tobytes()
 
@@ -150,9 +159,11 @@ def matrix_to_quat(m: F64) -> F64:
     Shepperd's method: divide by the largest of the four components, so no case is ill-conditioned
     (S. W. Shepperd, "Quaternion from rotation matrix", J. Guidance and Control 1(3), 1978).
     """
-    flat = np.asarray(m, np.float64).reshape(-1, 9)
+    flat = _floats(m).reshape(-1, 9)
     count = len(flat)
-    if flat.tobytes() == _UNTURNED * count:  # most poses set from Python: 10 times faster
+    if (
+        is_host(flat) and flat.tobytes() == _UNTURNED * count
+    ):  # most poses set from Python: 10 times faster
         q = np.zeros((count, 4))
         q[:, 0] = 1.0
         return q.reshape(*m.shape[:-2], 4)
@@ -167,7 +178,7 @@ def matrix_to_quat(m: F64) -> F64:
 
 def euler_xyz_to_quat(angles: F64) -> F64:
     """Wxyz quaternions of intrinsic XYZ Euler angles in radians (R = Rx Ry Rz), (..., 3)."""
-    half = 0.5 * np.ascontiguousarray(np.moveaxis(np.asarray(angles, np.float64), -1, 0))
+    half = 0.5 * contiguous(np.moveaxis(_floats(angles), -1, 0))
     (cx, cy, cz), (sx, sy, sz) = np.cos(half), np.sin(half)
     return np.stack(
         [
@@ -182,7 +193,7 @@ def euler_xyz_to_quat(angles: F64) -> F64:
 
 def rotvec_to_quat(vectors: F64) -> F64:
     """Wxyz quaternions of rotation vectors (axis times angle in rad), (..., 3)."""
-    x, y, z = np.ascontiguousarray(np.moveaxis(np.asarray(vectors, np.float64), -1, 0))
+    x, y, z = contiguous(np.moveaxis(_floats(vectors), -1, 0))
     angle = np.sqrt(x * x + y * y + z * z)
     half = 0.5 * angle
     # sin(half) / angle tends to 1/2 for small angles.
@@ -192,7 +203,7 @@ def rotvec_to_quat(vectors: F64) -> F64:
 
 def quat_to_rotvec(quats: F64) -> F64:
     """Rotation vectors (axis times angle in rad, at most pi), (..., 3), of unit quaternions."""
-    w, x, y, z = np.ascontiguousarray(np.moveaxis(quats, -1, 0))
+    w, x, y, z = contiguous(np.moveaxis(quats, -1, 0))
     sine = np.sqrt(x * x + y * y + z * z)
     angle = 2.0 * np.arctan2(sine, np.abs(w))
     # angle / sine tends to 2 for small angles.
@@ -238,7 +249,7 @@ def look_at(eye: F64, target: F64, up: F64) -> F64:
 
 def pose_to_matrix(pose: F64) -> F64:
     """4x4 matrices of 7-vectors (x, y, z, qw, qx, qy, qz), (..., 7) -> (..., 4, 4)."""
-    out: F64 = np.zeros((*pose.shape[:-1], 4, 4))
+    out = zeros((*pose.shape[:-1], 4, 4), pose)
     out[..., :3, :3] = quat_to_matrix(pose[..., 3:])
     out[..., :3, 3] = pose[..., :3]
     out[..., 3, 3] = 1.0

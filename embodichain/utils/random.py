@@ -15,7 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GAMMA", "RandomStreams", "constant", "first_seed", "splitmix64"]
+__all__ = [
+    "GAMMA",
+    "RandomStreams",
+    "constant",
+    "first_seed",
+    "given_seed",
+    "splitmix64",
+    "stream_keys",
+]
 
 U64 = NDArray[np.uint64]
 GAMMA = np.uint64(0x9E3779B97F4A7C15)
@@ -105,6 +113,26 @@ def first_seed(seed: int | None) -> int:
     return 0 if seed is None else int(seed)
 
 
+def given_seed(seed: Any) -> int:
+    """Return the seed that a user gave; a random one for -1.
+
+    Raises:
+        ValueError: If it is not an integer.
+    """
+    if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool):
+        raise ValueError(
+            f"seed must be one integer (each environment has its own stream): {seed!r}"
+        )
+    return first_seed(int(seed))
+
+
+def stream_keys(seed: int, name: str, numbers: U64) -> U64:
+    """(n,) keys of a stream for environments with these numbers."""
+    digest = hashlib.blake2b(f"{seed}\0{name}".encode(), digest_size=8).digest()
+    base = np.uint64(int.from_bytes(digest, "little"))
+    return splitmix64(splitmix64((numbers + np.uint64(1)) * GAMMA) + base)
+
+
 class RandomStreams:
     """Named counter-based streams for N environments.
 
@@ -125,15 +153,9 @@ class RandomStreams:
     def _stream(self, name: str) -> tuple[U64, U64]:
         keys = self._keys.get(name)
         if keys is None:
-            keys = self._keys[name] = self._key(name, self._numbers)
+            keys = self._keys[name] = stream_keys(self.seed, name, self._numbers)
             self._counters[name] = np.zeros(self.num_envs, np.uint64)
         return keys, self._counters[name]
-
-    def _key(self, name: str, numbers: U64) -> U64:
-        """(n,) keys of a stream for environments with these numbers."""
-        digest = hashlib.blake2b(f"{self.seed}\0{name}".encode(), digest_size=8).digest()
-        base = np.uint64(int.from_bytes(digest, "little"))
-        return splitmix64(splitmix64((numbers + np.uint64(1)) * GAMMA) + base)
 
     def renumber(self, env_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
         """Let environments draw from now on what others would draw at their start.
@@ -149,7 +171,7 @@ class RandomStreams:
             self._settle(name)
         self._numbers[env_ids] = numbers.astype(np.uint64)
         for name, keys in self._keys.items():
-            keys[env_ids] = self._key(name, self._numbers[env_ids])
+            keys[env_ids] = stream_keys(self.seed, name, self._numbers[env_ids])
             self._counters[name][env_ids] = 0
 
     def bits(self, name: str, width: int, env_ids: NDArray[np.int64] | None = None) -> U64:
@@ -261,17 +283,17 @@ class RandomStreams:
         Raises:
             ValueError: If the seed is not an integer.
         """
-        if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool):
-            raise ValueError(
-                f"seed must be one integer (each environment has its own stream): {seed!r}"
-            )
-        self.load_state_dict({"seed": first_seed(int(seed)), "counters": {}})
+        self.load_state_dict({"seed": given_seed(seed), "counters": {}})
+
+    def save_counters(self) -> dict[str, Any]:
+        """Copy all counters, for `rewind`."""
+        return self.state_dict()
 
     def rewind(self, saved: dict[str, Any], rows: NDArray[np.bool_]) -> None:
         """Restore the counters of some environments from a saved state.
 
         Args:
-            saved: An earlier `state_dict` with the same seed.
+            saved: An earlier `save_counters` with the same seed.
             rows: (N,) boolean mask of environments.
         """
         now = self.state_dict()

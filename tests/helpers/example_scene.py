@@ -96,7 +96,11 @@ rewards:
 
 @contextmanager
 def environment(
-    section: str, terms: dict[str, dict[str, Any]], folder: Path, num_envs: int = 2
+    section: str,
+    terms: dict[str, dict[str, Any]],
+    folder: Path,
+    num_envs: int = 2,
+    overrides: tuple[str, ...] = (),
 ) -> Iterator[BaseEnv]:
     """Make the scene's environment with further terms in a section, and close it in the end.
 
@@ -105,9 +109,11 @@ def environment(
         terms: Name -> declaration.
         folder: An empty one for the task's files.
         num_envs: N.
+        overrides: Of the config.
     """
     write_task(section, terms, folder)
-    env = embodichain.make("everything", num_envs, ["seed=1"], config_dir=folder)
+    lines = ["seed=1", *overrides]
+    env = embodichain.make("everything", num_envs, lines, config_dir=folder)
     try:
         yield env
     finally:

@@ -116,13 +116,14 @@ def target_position(env: TermContext, key: str) -> F64:
     poses: Any = getattr(env, key, None)
     if poses is None:
         if int(env.episode_ids[0]) < 0:
-            return np.zeros((env.num_envs, 3))
+            origin: F64 = env.arrays.full((env.num_envs, 3), 0.0)
+            return origin
         message = (
             f"the environment has no poses {key!r}: an event writes them, "
             f"as randomize_target_pose with store_key: {key}"
         )
         raise ConfigError([Problem("target_pose_key", message)])
-    array = np.asarray(poses.detach() if hasattr(poses, "detach") else poses)
+    array: F64 = env.arrays.of(poses)
     count = env.num_envs
     if array.shape == (count, 3):
         return array.astype(np.float64)

@@ -16,6 +16,7 @@ from embodichain.lab.gym.envs.managers.aliases import alias, register_aliases
 from embodichain.lab.gym.envs.managers.registry import import_object, register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
     matrix_to_pose,
@@ -28,6 +29,7 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     import torch
+    from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
@@ -203,6 +205,8 @@ class RegisterInfoToEnv(Term):
         self._keys: dict[str, None] = {}
         self._registry = [(env.scene_entity(entry.entity_cfg), entry) for entry in registry]
         self._steps = _UPDATE_STEPS if sim_update else 0
+        if sim_update:
+            env.arrays.require_host("physics steps of some environments", "sim_update")
         for number, entry in enumerate(registry):
             if entry.pose_register_params is not None:
                 path = f"registry.{number}.pose_register_params.compute_relative"
@@ -225,9 +229,10 @@ class RegisterInfoToEnv(Term):
         both = isinstance(value, torch.Tensor) and isinstance(old, torch.Tensor)
         rows = env_ids is not None and both and len(value) == self._env.num_envs
         if rows and old.shape == value.shape:
-            merged = old.clone()  # references to the old tensor keep its values
-            merged[env_ids] = value[env_ids]
-            value = merged
+            arrays = self._env.arrays
+            merged = arrays.of(old).copy()  # references to the old tensor keep its values
+            merged[env_ids] = arrays.of(value)[env_ids]
+            value = tensor_of(merged)
         table[key] = value
 
     def state_dict(self) -> dict[str, Any]:
@@ -273,19 +278,19 @@ class RegisterInfoToEnv(Term):
         if how.compute_pose_object_to_arena:
             for attr, value in getattr(env, EXTRA_ATTRS, {}).get(uid, {}).items():
                 if attr.endswith("_pose_object"):
-                    part_pos, part_quat = _as_pose(value, len(pos))
+                    part_pos, part_quat = _as_pose(env.arrays.of(value), len(pos))
                     found[f"{uid}_{attr}"] = part_pos, part_quat
                     arena = pos + quat_rotate(quat, part_pos), quat_multiply(quat, part_quat)
                     found[f"{uid}_{attr.removesuffix('_object')}"] = arena
         for key, pose in found.items():
             values = np.concatenate(pose, axis=1)
             values = pose_to_matrix(values) if how.to_matrix else values
-            self._put(key, torch.from_numpy(values.astype(np.float32)), env_ids)
+            self._put(key, tensor_of(values.astype(np.float32)), env_ids)
 
 
-def _as_pose(value: Any, count: int) -> tuple[F64, F64]:
+def _as_pose(array: NDArray[Any], count: int) -> tuple[F64, F64]:
     """(N, 3) and (N, 4) of 4x4 matrices or 7-vectors, of one or of all environments."""
-    array = np.asarray(value, np.float64)
+    array = array.astype(np.float64)
     if array.shape[-2:] == (4, 4):
         array = matrix_to_pose(array)
     elif array.shape[-1:] != (7,):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-import lazy_loader
 import numpy as np
 from pydantic import Field
 
@@ -15,16 +14,15 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.lab.gym.envs.mdp.events.pushes import EpisodeTimer, PushBySettingVelocity
+from embodichain.utils.arrays import rows_at, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, pose_to_matrix, quat_multiply
 
 if TYPE_CHECKING:
-    import torch
+    from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = [
     "PlannerGridCellSampler",
@@ -39,7 +37,9 @@ Count = Annotated[int, Field(ge=1)]
 
 def _initial_quats(env: TermContext, asset: Any) -> F64:
     """(N, 4) initial orientation."""
-    return np.tile(np.asarray(asset.entity.quat0, np.float64), (env.num_envs, 1))
+    quat0 = np.asarray(asset.entity.quat0, np.float64)
+    quats: F64 = env.arrays.put(np.tile(quat0, (env.num_envs, 1)))
+    return quats
 
 
 @register_term("event", name="sample_rigid_object_pose_from_workspace")
@@ -80,6 +80,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
             links = list(robot_cfg.link_names) or None
             picked = {"uid": robot_cfg.uid, "control_parts": control_part, "link_names": links}
             robot_cfg = env.scene_entity(picked)
+        env.arrays.require_host("searches for joint positions")
         self._arm = arm_solver(robot_cfg, "robot_cfg")
         self._robot, self._asset = robot_cfg.asset, entity_cfg.asset
         box = np.array(position_bounds, np.float64)
@@ -161,13 +162,15 @@ class PlannerGridCellSampler(Term):
         self._centres = _centres(position_range, rows, columns, reference_height)
         self._keys = Uniform("cells", np.zeros(rows * columns), np.ones(rows * columns))
         self._steps = physics_update_step
+        if physics_update_step > 0:
+            env.arrays.require_host("physics steps of some environments", "physics_update_step")
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw cells and place the objects of these environments."""
         keys = self._keys(env.event_manager, env_ids)
         order = np.argsort(keys, axis=1, kind="stable")
         for number, asset in enumerate(self._assets):
-            pos = self._centres[order[:, number]]
+            pos = rows_at(self._centres, order[:, number])
             asset.write_pose(pos, self._quats[number][: len(pos)], env_ids)
             asset.stop(env_ids)
         if self._steps > 0:
@@ -229,10 +232,9 @@ class RandomizeAnchorHeight(Term):
             self._candidates = np.asarray(height_delta_candidates, np.float64)
             bounds = 0.0, float(len(self._candidates))
         self._height = Uniform("height", [bounds[0]], [bounds[1]])
-        self._delta: F64 = np.zeros(env.num_envs)
+        self._delta: F64 = env.arrays.full(env.num_envs, 0.0)
         if store_key is not None:
-            count = env.num_envs
-            stored(env, store_key, lambda: torch.zeros(count), "store_key")
+            stored(env, store_key, lambda: tensor_of(self._heights()), "store_key")
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Clear the draws, as a reset restores the configured heights."""
@@ -243,7 +245,7 @@ class RandomizeAnchorHeight(Term):
         where: Any = slice(None) if env_ids is None else env_ids
         height = self._height(env.event_manager, env_ids)[:, 0]
         if self._candidates is not None:
-            height = self._candidates[height.astype(np.int64)]
+            height = rows_at(self._candidates, height.astype(np.int64))
         pos = self._anchor.read_pose()[0][where].copy()
         pos[:, 2] = float(self._anchor.entity.pos0[2]) + height
         self._anchor.write_pose(pos, None, env_ids)
@@ -256,7 +258,10 @@ class RandomizeAnchorHeight(Term):
 
     def _publish(self) -> None:
         if self._key is not None:
-            setattr(self._env, self._key, torch.from_numpy(self._delta.astype(np.float32)))
+            setattr(self._env, self._key, tensor_of(self._heights()))
+
+    def _heights(self) -> NDArray[np.float32]:
+        return self._delta.astype(np.float32)
 
     def state_dict(self) -> dict[str, Any]:
         """The current heights (a copy)."""
@@ -308,13 +313,16 @@ class RandomizeTargetPose(Term):
         self._position = Uniform("position", *position_range)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
         count = env.num_envs
-        stored(env, store_key, lambda: torch.eye(4).repeat(count, 1, 1), "store_key")
+        unturned = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (count, 1))
+        self._unturned: F64 = env.arrays.put(unturned)
+        first = tensor_of(env.arrays.put(np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))))
+        stored(env, store_key, lambda: first, "store_key")
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw the target poses of these environments."""
         where: Any = slice(None) if env_ids is None else env_ids
         pos = self._position(env.event_manager, env_ids)
-        quat: F64 = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (len(pos), 1))
+        quat = self._unturned[: len(pos)]
         if self._reference is not None:
             pos = self._reference.position()[where] + pos if self._moves else pos
             quat = self._reference.orientation()[where]
@@ -323,9 +331,9 @@ class RandomizeTargetPose(Term):
             quat = quat_multiply(quat, turn) if self._turns else turn
         matrices = pose_to_matrix(np.concatenate([pos, quat], axis=1))
         # A new tensor: references to the old one keep its values.
-        poses: torch.Tensor = getattr(env, self._key).clone()
-        poses[where] = torch.from_numpy(matrices.astype(np.float32))
-        setattr(env, self._key, poses)
+        poses = env.arrays.of(getattr(env, self._key)).copy()
+        poses[where] = matrices
+        setattr(env, self._key, tensor_of(poses))
 
     def state_dict(self) -> dict[str, Any]:
         """The poses (a copy)."""

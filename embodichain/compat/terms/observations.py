@@ -16,6 +16,7 @@ from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp.quantities.bodies import pose_matrix
+from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import pose_to_matrix
 
@@ -134,7 +135,7 @@ def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: ResolvedEntity
     if hasattr(asset, "get_body_scale"):
         scale: torch.Tensor = asset.get_body_scale()
         return scale
-    scale = torch.tensor(asset.cfg.body_scale, dtype=torch.float32)
+    scale = torch.tensor(asset.cfg.body_scale, dtype=torch.float32, device=env.device)
     return scale.repeat(env.num_envs, 1)
 
 
@@ -148,7 +149,7 @@ def get_object_uid(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> to
     Example:
         ``{func: get_object_uid, params: {entity_cfg: {uid: cube}}}``
     """
-    return torch.full((env.num_envs,), entity_cfg.body_id, dtype=torch.int32)
+    return torch.full((env.num_envs,), entity_cfg.body_id, dtype=torch.int32, device=env.device)
 
 
 @register_term("observation")
@@ -257,14 +258,14 @@ class NormalizeRobotJointData(Term):
                 f"normalize_robot_joint_data needs ({env.num_envs}, {self._width}), one column for "
                 f"each active joint, got {tuple(data.shape)}"
             )
-        values = data.numpy().astype(np.float64)
+        values = env.arrays.of(data).astype(np.float64)
         low, high = self._limits.T
         if self._drives is not None:
             low, high = self._drives.limits.of(self._ids, None)
             low, high = np.where(self._turning, -np.pi, low), np.where(self._turning, np.pi, high)
         picked = values[:, self._columns]
         values[:, self._columns] = (picked - low) / (high - low) * self._span + self._start
-        return torch.from_numpy(values.astype(np.float32))
+        return tensor_of(values.astype(np.float32))
 
 
 def _active_columns(

@@ -18,6 +18,7 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.lab.gym.envs.mdp.quantities.pairs import distance
 from embodichain.lab.gym.envs.mdp.shapes import Rate, tanh_kernel
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.math import quat_conjugate, quat_multiply
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ __all__ = [
 def _closeness(d: F64, exponential: bool, sigma: float) -> F64:
     if not exponential:
         return -d
-    found: F64 = np.exp(np.ascontiguousarray(d * d * (-0.5 / (sigma * sigma))))
+    found: F64 = np.exp(contiguous(d * d * (-0.5 / (sigma * sigma))))
     return found
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.managers.check import check_params
 from embodichain.lab.gym.envs.managers.param_types import NonNegative
 from embodichain.lab.gym.envs.managers.registry import describe_term, import_object
+from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -116,7 +117,7 @@ def hold(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
         ConfigError: If the actions of the environment are no joint positions.
     """
     if len(env.action_manager):
-        return torch.from_numpy(env.action_manager.hold().astype(np.float32))
+        return tensor_of(env.action_manager.hold().astype(np.float32))
     return _joint_robot(env).body_data.target_qpos[:, env.active_joint_ids]
 
 
@@ -252,4 +253,5 @@ def _joint_robot(env: BaseEnv) -> Robot:
 
 
 def _repeated(row: F64, env: BaseEnv) -> torch.Tensor:
-    return torch.from_numpy(np.tile(row.astype(np.float32), (env.num_envs, 1)))
+    rows = torch.from_numpy(np.tile(row.astype(np.float32), (env.num_envs, 1)))
+    return rows.to(env.device)

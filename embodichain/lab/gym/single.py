@@ -39,6 +39,7 @@ class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
                 f"SingleEnv shows one environment, this batch has {env.num_envs}: "
                 "NumpyVectorEnv shows a batch in numpy, SB3VecEnv to Stable-Baselines3"
             )
+        env.arrays.require_host("results that are arrays of numpy")
         env.metadata["autoreset_mode"] = AutoresetMode.DISABLED
         self.env = env
         self.metadata = {k: v for k, v in env.metadata.items() if k != "autoreset_mode"}

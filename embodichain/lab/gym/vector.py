@@ -46,6 +46,7 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         flatten: bool = True,
     ) -> None:
+        env.arrays.require_host("results that are arrays of numpy")
         self.env = env
         env.metadata["autoreset_mode"] = parse_mode(autoreset_mode)
         self.metadata = env.metadata

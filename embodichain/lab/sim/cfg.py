@@ -134,12 +134,16 @@ class WindowRecordCfg:
 
 @configclass
 class WarpCfg:
-    """Memory of MuJoCo Warp; too little is an error that names the key."""
+    """Memory of MuJoCo Warp, too little is an error that names the key; and where arrays are."""
 
     nconmax: Annotated[int, Field(ge=1)] | None = None
     """Contacts and pairs of geoms near each other, for each environment; all share the memory."""
     njmax: Annotated[int, Field(ge=1)] | None = None
     """Rows of constraints of each environment."""
+    arrays: Literal["auto", "host", "device"] = "auto"
+    """Where states, observations and rewards are: copied to the host in every step, or on the
+    device, in float32. ``auto`` is chosen by `embodichain.make` and the commands; without them it
+    is the host."""
 
 
 @configclass

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.drawing.views import Pictures, View
     from embodichain.lab.sim.engine.api import Engine
+    from embodichain.utils.arrays import Arrays
 
 __all__ = ["Host"]
 
@@ -19,6 +20,7 @@ class Host(Protocol):
 
     num_envs: int
     device: torch.device
+    arrays: Arrays
 
     @property
     def engine(self) -> Engine:

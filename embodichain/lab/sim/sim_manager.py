@@ -27,7 +27,7 @@ from embodichain.lab.sim.cfg import (
 from embodichain.lab.sim.compiler.drives import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
 from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.objects._arrays import as_env_ids
+from embodichain.lab.sim.engine.device_arrays import DeviceArrays
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
@@ -36,6 +36,7 @@ from embodichain.lab.sim.scene import Entity, Scene
 from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.unavailable import with_simulation_members
+from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
 
 if TYPE_CHECKING:
@@ -63,7 +64,6 @@ _SENSORS = {
     "StereoCamera": "StereoCamera",
 }
 """Type of a sensor -> its handle, imported when it is added."""
-
 
 _Found = TypeVar("_Found")
 
@@ -94,7 +94,8 @@ class SimulationManager:
 
     Attributes:
         num_envs: N.
-        device: Device of all tensors: the CPU, wherever physics runs.
+        device: Device of all tensors.
+        arrays: Where arrays are: on the host, or on the device (``sim.warp.arrays``).
         instance_id: The simulation's number among those of this process.
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
             contains no robots.
@@ -114,7 +115,9 @@ class SimulationManager:
         )
         if problems:
             raise DeviceError(problems)
-        self.device = torch.device("cpu")
+        there = self._engine_name == "warp" and self.sim_config.warp.arrays == "device"
+        self.arrays = DeviceArrays(str(self.sim_config.sim_device)) if there else Arrays()
+        self.device = self.arrays.device
         self.num_envs = int(self.sim_config.num_envs)
         if self.num_envs < 1:
             raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
@@ -269,10 +272,12 @@ class SimulationManager:
             return
         cfg, scene = self.sim_config, self._scene.compile()
         if self._engine_name == "warp":
+            from embodichain.lab.sim.engine.device import DeviceEngine
             from embodichain.lab.sim.engine.warp import WarpEngine
 
+            kind = DeviceEngine if self.arrays.on_device else WarpEngine
             sizes = str(cfg.sim_device), cfg.warp.nconmax, cfg.warp.njmax
-            self._engine = WarpEngine(scene.model, self.num_envs, cfg.num_threads, *sizes)
+            self._engine = kind(scene.model, self.num_envs, cfg.num_threads, *sizes)
         else:
             self._engine = CpuEngine(scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
         self._initial_row = scene.initial_row
@@ -325,8 +330,7 @@ class SimulationManager:
         uids = self.scene.entities if only is None else only
         chosen = [self.get_asset(uid) for uid in uids if uid not in excluded_uids]
         if only is None and not excluded_uids:
-            engine.reset(ids)
-            engine.write("row", self._initial_row, ids)
+            engine.reset(ids, self._initial_row)
         else:
             for handle in chosen:
                 if handle is not None:

@@ -4,7 +4,7 @@ import torch
 
 from embodichain.lab.gym.envs import BaseEnv
 from embodichain.lab.gym.envs.cfg import MetricCfg, ObservationCfg, RewardCfg, TerminationCfg
-from embodichain.lab.sim.objects._arrays import all_finite
+from embodichain.utils.arrays import all_finite
 from tests.lab.gym.conftest import flat, home, jumping, marker, targets
 
 BAD = 1

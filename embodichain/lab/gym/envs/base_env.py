@@ -21,9 +21,16 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs import restoring, scene_setup
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.env_reads import EnvReads
-from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals, zeroed
+from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals
 from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks, set_extensions
-from embodichain.lab.gym.envs.judging import StateDump, StepJudge, as_mask, none_set, reset_ids
+from embodichain.lab.gym.envs.judging import (
+    StateDump,
+    StepJudge,
+    as_mask,
+    none_set,
+    reset_ids,
+    zeroed,
+)
 from embodichain.lab.gym.envs.managers.action_manager import (
     ActionCheck,
     ActionManager,
@@ -42,14 +49,15 @@ from embodichain.lab.gym.envs.observation import Observation, observation_space
 from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
-from embodichain.lab.sim.objects._arrays import as_env_ids
+from embodichain.lab.gym.envs.step_graph import StepGraph
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
+from embodichain.utils.arrays import as_env_ids, tensor_of
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.random import RandomStreams, first_seed
+from embodichain.utils.random import first_seed
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
@@ -77,6 +85,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
     Attributes:
         sim_steps_per_control: K, physics steps a control step.
         control_step: Control steps since the environment was built.
+        arrays_moved: Whether code outside of steps may have replaced arrays (see `StepGraph`).
         managers: All managers by section of the config.
         single_action_space, single_observation_space: Spaces of one environment; those of all N
             are `action_space` and `observation_space`.
@@ -107,23 +116,22 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.cfg = cfg = scene_setup.frozen_cfg(cfg, num_envs)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
-        self.render_mode = render_mode
-        self.run_dir, self.control_step = run_dir, 0
+        self.render_mode, self.run_dir, self.control_step = render_mode, run_dir, 0
         self.sim_steps_per_control = cfg.sim_steps_per_control
         self.metadata = {**type(self).metadata, "autoreset_mode": parse_mode(autoreset_mode)}
         self.metadata["render_fps"] = self.control_frequency
-        self.streams = RandomStreams(first_seed(cfg.seed), cfg.num_envs)
+        self.sim = SimulationManager(cfg.sim_cfg)
+        self.streams = self.arrays.streams(first_seed(cfg.seed), cfg.num_envs)
         if cfg.seed is not None:
             seed_globals(self, self.streams.seed)
-        self.episodes = Episodes(cfg.num_envs, cfg.max_episode_steps)
+        self.episodes = Episodes(cfg.num_envs, cfg.max_episode_steps, self.arrays)
         self.observers: list[StepObserver] = []
         # EmbodiChain shares one class-level list between all environments of a process.
         self.active_joint_ids = list(type(self).active_joint_ids)
         self.sensors, self._detached_uids = {}, []
-        self.overridden = overridden_hooks(type(self))
-        self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool)
-        self._closed = False
-        self.sim = SimulationManager(cfg.sim_cfg)
+        self.overridden = overridden_hooks(self)
+        self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool, device=self.device)
+        self._closed = self.arrays_moved = False
         self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
             self._build_scene(kwargs)
@@ -186,13 +194,14 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             self.single_action_space = action_space(robot, joints, self.action_manager)
         space = self.single_action_space
         self.action_space = batch_space(space, cfg.num_envs)
-        self._check_action = ActionCheck(space, cfg.num_envs, self.device)
-        self.episodes.last_action = np.zeros((cfg.num_envs, gym.spaces.utils.flatdim(space)))
+        self._check_action = ActionCheck(space, cfg.num_envs, self.arrays)
+        shape = cfg.num_envs, gym.spaces.utils.flatdim(space)
+        self.episodes.last_action = self.arrays.full(shape, 0.0)
         sim.reset_objects_state()
         self._init_sim_state(**kwargs)
         self.event_manager.apply("startup", None)
         sim.engine.forward()
-        self._dump = StateDump(sim.engine)
+        self._dump = None if self.arrays.on_device else StateDump(sim.engine)
         self._judge = StepJudge(self, self.overridden)
         own_code = self.overridden & {"get_obs", "_extend_obs"}
         self.observation_buffer = buffer = ObservationBuffer(
@@ -204,6 +213,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.streams.load_state_dict(saved)  # the first reset draws as if this had not happened
         self.single_observation_space = observation_space(first)
         self.observation_space = batch_space(self.single_observation_space, cfg.num_envs)
+        self._graph = StepGraph(self) if self.device.type == "cuda" else None
         if cfg.sim_cfg.visualization is not None:
             cfg.sim_cfg.visualization.attach(self)
 
@@ -232,25 +242,27 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             ValueError: If the indices or the mask are invalid.
         """
         options = dict(options or {})
-        ids = reset_ids(options, self.num_envs)
+        ids = self.arrays.environments(reset_ids(options, self.num_envs), self.num_envs)
         if seed is not None:
             self.streams.reseed(seed)
             seed_globals(self, self.streams.seed)
+        self.arrays_moved = True
         self._reset_rows(ids, options)
         self.episodes.settle(ids)
         return self._observe_reset(ids, options), dict(self.get_info(**options).items())
 
-    def _reset_rows(self, ids: NDArray[np.int64], options: dict[str, Any]) -> None:
+    def _reset_rows(self, ids: EnvIndex, options: dict[str, Any]) -> None:
         if not len(ids):
             return
-        where = None if len(ids) == self.num_envs else ids
+        where = None if self.arrays.are_all(ids, self.num_envs) else ids
         self._task_success = self.is_task_success()
         self.curriculum_manager.compute(where)
         self.sim.reset_objects_state(where, excluded_uids=self._detached_uids)
         for manager in self.managers.values():
             manager.reset(where)
         self.episodes.set_last_action(ids, 0.0)
-        self._initialize_episode(torch.from_numpy(ids.copy()), **options)
+        if "_initialize_episode" in self.overridden:
+            self._initialize_episode(torch.from_numpy(ids.copy()), **options)
         self.event_manager.apply("reset", where)
         self.command_manager.resample(where)
         self.sim.engine.forward(where)
@@ -258,12 +270,12 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         for observer in self.observers:
             observer.on_reset(self, ids)
 
-    def _observe_reset(self, ids: NDArray[np.int64], options: dict[str, Any]) -> Observation:
+    def _observe_reset(self, ids: EnvIndex, options: dict[str, Any]) -> Observation:
         """Observe after a reset; the other rows keep their last observation, bit for bit."""
-        others = np.ones(self.num_envs, np.bool_)
+        others = self.arrays.full(self.num_envs, True, np.bool_)
         others[ids] = False
-        where = ids if len(ids) < self.num_envs else None
-        saved = None if where is None else self.streams.state_dict()
+        where = None if self.arrays.are_all(ids, self.num_envs) else ids
+        saved = None if where is None else self.streams.save_counters()
         obs = self._observe(options, where)
         if saved is not None:
             self.streams.rewind(saved, others)
@@ -309,17 +321,24 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             ValueError: If its shape or device is wrong or it is not finite; no state has changed.
             gymnasium.error.ResetNeeded: If `reset` has not been called.
         """
-        episodes = self.episodes
-        if not episodes.begun:
+        if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
-        action, given = self._check_action(action)
+        self.curriculum_manager.before_step()
+        checked, given = self._check_action(action)
+        if self._graph is None or kwargs or not isinstance(checked, torch.Tensor):
+            return self._step(checked, given, kwargs)
+        return self._graph.step(lambda a: self._step(*self._check_action(a), {}), checked)
+
+    def _step(self, action: EnvAction, given: F64, kwargs: dict[str, Any]) -> Step:
+        """Take a step by a checked action and its numbers (N, A)."""
+        episodes = self.episodes
         episodes.last_action = given
         pending = episodes.pending  # NEXT_STEP: these are reset instead of stepped
-        saved = None if pending is None else self.streams.state_dict()
-        stepped = None if pending is None else np.flatnonzero(~pending)
+        saved = None if pending is None else self.streams.save_counters()
+        stepped = None if pending is None else self.arrays.where(~pending)
 
         action = self._act(self._preprocess_action(action))
-        if self.run_dir is not None:
+        if self.run_dir is not None and self._dump is not None:
             self._dump.keep()
         self.action_manager.step_physics(self.sim_steps_per_control)
         self._update_sim_state(**kwargs)
@@ -333,28 +352,28 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         if mask is not None:
             info = self._judge.exclude(mask, info, outcome)
             obs, reward = self.observation_buffer.without(obs, mask), np.where(mask, _ZERO, reward)
-            self._dump.write(self.run_dir, mask, self.control_step, given)
+            if self._dump is not None:
+                self._dump.write(self.run_dir, mask, self.control_step, given)
         self.observation_buffer.store(obs)
-        info["diverged"] = torch.from_numpy(
-            np.zeros(len(given), np.bool_) if mask is None else mask
-        )
+        info["diverged"] = tensor_of(np.zeros(len(given), np.bool_) if mask is None else mask)
 
         episodes.advance()
         self.control_step += 1
         info["elapsed_steps"], over = self.elapsed_steps, episodes.over()
         if "check_truncated" in self.overridden:
-            over |= as_mask(self.check_truncated(obs, info), self.num_envs, "check_truncated")
+            cut = self.check_truncated(obs, info)
+            over |= as_mask(cut, self.num_envs, "check_truncated", self.arrays)
         terminated, truncated = outcome.ends(over, self.cfg.ignore_terminations)
         if pending is not None and saved is not None:
             self.streams.rewind(saved, pending)
             terminated, truncated = terminated & ~pending, truncated & ~pending
             reward = np.where(pending, _ZERO, reward)
-            info = zeroed(info, torch.from_numpy(pending))
-        flags = torch.from_numpy(terminated), torch.from_numpy(truncated)
-        rewards = torch.from_numpy(reward)
+            info = zeroed(info, pending)
+        flags = tensor_of(terminated), tensor_of(truncated)
+        rewards = tensor_of(reward)
         if "_hook_after_sim_step" in self.overridden:
             ended = {"terminateds": flags[0].clone(), "truncateds": flags[1].clone()}
-            dones = torch.from_numpy(terminated | truncated)
+            dones = tensor_of(terminated | truncated)
             self._hook_after_sim_step(obs, action, rewards, dones, info, **ended, **kwargs)
 
         ids = episodes.ids.copy() if self.observers else episodes.ids
@@ -389,7 +408,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             return obs
         if done is None or none_set(done):
             return obs
-        ids = np.flatnonzero(done)
+        ids = self.arrays.where(done)
         self._reset_rows(ids, {})
         return self._observe_reset(ids, {})
 
@@ -438,7 +457,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         """
         snapshot = restoring.snapshot_of(log, env, episode, step)
         found = as_env_ids(env_ids, self.num_envs)
-        ids = np.arange(self.num_envs) if found is None else found
+        ids = self.arrays.every(self.num_envs) if found is None else found
         restoring.put(snapshot, self.sim, self.managers, self.episodes, ids)
         self._task_success = self.is_task_success()
         for observer in self.observers:
@@ -452,17 +471,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         Subclasses that add state extend it.
         """
-        return {
-            "num_envs": self.num_envs,
-            "control_step": self.control_step,
-            "np_random": self.np_random.bit_generator.state,
-            "observation": self.observation_buffer.last.copy(),
-            "managers": {name: manager.state_dict() for name, manager in self.managers.items()},
-            **{name: part.state_dict() for name, part in self._parts().items()},
-        }
-
-    def _parts(self) -> dict[str, Any]:
-        return {"sim": self.sim, "streams": self.streams, "episodes": self.episodes}
+        return restoring.state_of(self)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken, in an environment of the same config.
@@ -470,28 +479,19 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         Raises:
             ValueError: If the number of environments differs.
         """
-        if saved["num_envs"] != self.num_envs:
-            raise ValueError(
-                f"this state is of {saved['num_envs']} environments, "
-                f"the environment has {self.num_envs}"
-            )
-        for name, part in self._parts().items():
-            part.load_state_dict(saved[name])
-        self.np_random.bit_generator.state = saved["np_random"]
-        for name, manager in self.managers.items():
-            manager.load_state_dict(saved["managers"][name])
-        self.control_step = saved["control_step"]
-        self.observation_buffer.last = saved["observation"].copy()
+        restoring.load_state(self, saved)
+        self.arrays_moved = True
 
     def close(self) -> None:
         """Call the observers' `on_close` and free the simulation, even if an observer raises."""
         if self._closed:
             return
         self._closed = True
-        with ExitStack() as stack:  # runs every callback, the last one first
-            # The dump has the last reference to the engine: without it, memory is freed at once.
+        with ExitStack() as stack:  # the last callback first
+            # The last references to the engine: without them, memory is freed at once.
             stack.callback(self.sim.destroy)
-            stack.callback(self.__dict__.pop, "_dump", None)
+            for name in ("_dump", "_graph"):
+                stack.callback(self.__dict__.pop, name, None)
             for observer in reversed(self.observers):
                 stack.callback(observer.on_close, self)
 

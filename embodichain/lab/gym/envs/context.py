@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 
 __all__ = ["ActionSlices", "Commands", "Draws", "EditableTerms", "EventDraws", "TermContext"]
@@ -110,6 +111,11 @@ class TermContext(ObservedEnv, Protocol):
     @property
     def device(self) -> torch.device:
         """Device of the returned tensors."""
+        ...
+
+    @property
+    def arrays(self) -> Arrays:
+        """Makes the arrays that terms keep, where the simulation has its arrays."""
         ...
 
     @property

@@ -14,7 +14,7 @@ from embodichain.lab.gym.envs.episodes import Episodes
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.observation import flat_space
 from embodichain.lab.gym.envs.observers import EngineRelay, EventRecord, StepObserver
-from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
+from embodichain.utils.arrays import as_env_ids, tensor_of, to_tensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.managers.action_manager import ActionManager
+    from embodichain.lab.gym.envs.managers.manager import Manager
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.managers.value_managers import (
         MetricManager,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 
 __all__ = ["EnvReads"]
@@ -61,6 +63,7 @@ class EnvReads:
     control_step: int
     observation_space: gym.Space[Any]
     action_manager: ActionManager
+    managers: dict[str, Manager[Any]]
     metric_manager: MetricManager
     reward_manager: RewardManager
     termination_manager: TerminationManager
@@ -78,6 +81,17 @@ class EnvReads:
     def device(self) -> torch.device:
         """Device of tensors."""
         return self.sim.device
+
+    @property
+    def arrays(self) -> Arrays:
+        """Makes the arrays that terms keep, where the simulation has its arrays."""
+        return self.sim.arrays
+
+    @property
+    def revision(self) -> tuple[int, ...]:
+        """Numbers that change when a step is computed in another way: limit, terms, model."""
+        managers = (manager.revision for manager in self.managers.values())
+        return self.episodes.limit, getattr(self.sim.engine, "revision", 0), *managers
 
     @property
     def physics_dt(self) -> float:
@@ -121,12 +135,12 @@ class EnvReads:
     @property
     def elapsed_steps(self) -> torch.Tensor:
         """(N,) int32 finished control steps of the current episodes; a copy."""
-        return torch.from_numpy(self.episodes.elapsed.copy())
+        return tensor_of(self.episodes.elapsed.copy())
 
     @property
     def episode_ids(self) -> torch.Tensor:
         """(N,) int64 number of the current episode, from 0; -1 before the first reset. A copy."""
-        return torch.from_numpy(self.episodes.ids.copy())
+        return tensor_of(self.episodes.ids.copy())
 
     @property
     def last_action(self) -> torch.Tensor:
@@ -239,7 +253,12 @@ class EnvReads:
     # -- observers -----------------------------------------------------------------------------
 
     def add_observer(self, observer: StepObserver) -> None:
-        """Attach an observer; it is called after those attached before."""
+        """Attach an observer; it is called after those attached before.
+
+        Raises:
+            ConfigError: If arrays are on the device.
+        """
+        self.arrays.require_host("observers")
         if not self.observers:
             self.sim.engine.listeners.append(EngineRelay(self))
         self.observers.append(observer)

@@ -1,11 +1,10 @@
 """`Episodes`: counters of the episodes of N environments, and how they end; autoreset modes.
 
-`add_finals` and `zeroed` edit the entries of `info` for environments that autoreset resets.
+`add_finals` edits the entries of `info` for environments that autoreset resets.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -14,6 +13,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from embodichain.utils.arrays import Arrays, tensor_of
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
@@ -22,7 +22,6 @@ __all__ = [
     "add_finals",
     "parse_mode",
     "seed_globals",
-    "zeroed",
 ]
 
 Mask = NDArray[np.bool_]
@@ -34,9 +33,11 @@ class Episodes:
     Args:
         num_envs: N.
         limit: Control steps after which an episode is truncated, or `NO_LIMIT`.
+        arrays: Makes the arrays.
 
     Attributes:
         limit: Control steps after which an episode is truncated.
+        begun: Whether environments were reset.
         elapsed: (N,) int32 finished control steps of the current episodes.
         ids: (N,) int64 number of the current episode, from 0; -1 before the first reset.
         success: (N,) bool whether the last step was a success.
@@ -47,19 +48,15 @@ class Episodes:
         cut: (N,) bool episodes that end, as truncated, with the next step, or None.
     """
 
-    def __init__(self, num_envs: int, limit: int) -> None:
-        self.limit = limit
-        self.elapsed: NDArray[np.int32] = np.zeros(num_envs, np.int32)
-        self.ids: NDArray[np.int64] = np.full(num_envs, -1, np.int64)
-        self.success: Mask = np.zeros(num_envs, np.bool_)
+    def __init__(self, num_envs: int, limit: int, arrays: Arrays) -> None:
+        self.limit, self._arrays = limit, arrays
+        self.begun = False
+        self.elapsed: NDArray[np.int32] = arrays.full(num_envs, 0, np.int32)
+        self.ids: NDArray[np.int64] = arrays.full(num_envs, -1, np.int64)
+        self.success: Mask = arrays.full(num_envs, False, np.bool_)
         self.pending: Mask | None = None
         self.cut: Mask | None = None
-        self.last_action: NDArray[np.float64] = np.zeros((num_envs, 0))
-
-    @property
-    def begun(self) -> bool:
-        """Whether every environment was reset."""
-        return bool(self.ids[0] >= 0)
+        self.last_action: NDArray[np.float64] = arrays.full((num_envs, 0), 0.0)
 
     def set_last_action(self, ids: NDArray[np.int64], action: Any) -> None:
         """Set the last action of environments (n,)."""
@@ -72,6 +69,7 @@ class Episodes:
 
     def begin(self, ids: NDArray[np.int64]) -> None:
         """Start the next episode of environments (n,)."""
+        self.begun = True
         self.elapsed[ids] = 0
         self.ids[ids] += 1
         self._forget(ids)
@@ -80,6 +78,7 @@ class Episodes:
 
     def restore(self, ids: NDArray[np.int64], elapsed: int, episode: int) -> None:
         """Continue an episode in environments (n,)."""
+        self.begun = True
         self.elapsed[ids] = elapsed
         self.ids[ids] = episode
         self._forget(ids)
@@ -122,6 +121,7 @@ class Episodes:
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         self.elapsed, self.ids = saved["elapsed"].copy(), saved["ids"].copy()
+        self.begun = bool(self._arrays.host(self.ids)[0] >= 0)
         self.success, self.last_action = saved["success"].copy(), saved["last_action"].copy()
         self.pending = None if saved["pending"] is None else saved["pending"].copy()
         self.cut = None if saved["cut"] is None else saved["cut"].copy()
@@ -163,24 +163,7 @@ def add_finals(info: dict[str, Any], obs: Any, done: NDArray[np.bool_]) -> None:
     ``final_obs`` (``final_observation`` is the same object) and ``final_info`` have a row for
     every environment; only rows where ``_final_obs`` is True are final.
     """
-    mask = torch.from_numpy(done)
+    mask = tensor_of(done)
     info["final_info"] = {key: value for key, value in info.items() if key not in FINAL_KEYS}
     info["final_obs"] = info["final_observation"] = obs
     info["_final_obs"] = info["_final_info"] = mask
-
-
-def zeroed(info: Mapping[str, Any], rows: torch.Tensor) -> dict[str, Any]:
-    """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
-
-    Args:
-        info: Not changed, nor are its tensors.
-        rows: (N,) bool.
-    """
-    copy = dict(info)
-    for key, value in info.items():
-        if isinstance(value, Mapping):
-            copy[key] = zeroed(value, rows)
-        elif isinstance(value, torch.Tensor) and value.shape[:1] == rows.shape:
-            copy[key] = value.clone()
-            copy[key][rows] = 0
-    return copy

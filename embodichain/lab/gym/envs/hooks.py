@@ -11,6 +11,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import torch
+from gymnasium.vector import AutoresetMode
 
 from embodichain.lab.gym.envs.judging import task_state
 from embodichain.lab.gym.envs.managers.action_manager import drive_robot
@@ -19,6 +20,7 @@ from embodichain.lab.gym.envs.scene_setup import (
     add_declared_scene,
     add_declared_sensors,
 )
+from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -48,6 +50,7 @@ class EnvHooks:
     """
 
     cfg: EnvCfg
+    metadata: dict[str, Any]
     sim: SimulationManager
     robot: Robot | None
     active_joint_ids: list[int] = []
@@ -98,7 +101,7 @@ class EnvHooks:
 
         The default is ``info["success"]`` (or the metric called ``success``) of the last step.
         """
-        return torch.from_numpy(self.episodes.success.copy())
+        return tensor_of(self.episodes.success.copy())
 
     # -- stepping ------------------------------------------------------------------------------
 
@@ -180,7 +183,7 @@ class EnvHooks:
 
     def get_info(self, **kwargs: Any) -> dict[str, Any]:
         """Return ``elapsed_steps`` (N,) int32 and the entries of the class's hooks."""
-        info = {"elapsed_steps": torch.from_numpy(self.episodes.elapsed.copy())}
+        info = {"elapsed_steps": tensor_of(self.episodes.elapsed.copy())}
         if "compute_task_state" in self.overridden:
             name = f"{type(self).__name__}.compute_task_state"
             info |= task_state(self.compute_task_state(**kwargs), self.cfg.num_envs, name)
@@ -194,7 +197,7 @@ class EnvHooks:
 
         Either ends the episode. Declared terminations and metrics are added to them.
         """
-        none = torch.zeros(self.cfg.num_envs, dtype=torch.bool)
+        none = torch.zeros(self.cfg.num_envs, dtype=torch.bool, device=self.sim.device)
         return none, none.clone(), {}
 
     def evaluate(self, **kwargs: Any) -> Mapping[str, Any]:
@@ -206,7 +209,7 @@ class EnvHooks:
 
     def get_reward(self, obs: EnvObs, action: EnvAction, info: dict[str, Any]) -> torch.Tensor:
         """Return (N,) rewards; those of reward terms are added to them."""
-        return torch.zeros(self.cfg.num_envs)
+        return torch.zeros(self.cfg.num_envs, device=self.sim.device)
 
     def _extend_reward(
         self, rewards: torch.Tensor, obs: EnvObs, action: EnvAction, info: dict[str, Any]
@@ -216,22 +219,35 @@ class EnvHooks:
 
     def check_truncated(self, obs: EnvObs, info: dict[str, Any]) -> torch.Tensor:
         """Return (N,) bool: episodes to truncate besides those at `max_episode_steps`."""
-        return torch.zeros(self.cfg.num_envs, dtype=torch.bool)
+        return torch.zeros(self.cfg.num_envs, dtype=torch.bool, device=self.sim.device)
 
 
 OPTIONAL_HOOKS = (
     *("get_obs", "_extend_obs", "_get_sensor_obs", "_step_action", "get_reward", "_extend_reward"),
     *("check_truncated", "_hook_after_sim_step", "compute_task_state", "evaluate", "get_info"),
-    *("_setup_robot", "_prepare_scene"),
+    *("_setup_robot", "_prepare_scene", "_initialize_episode"),
 )
 """Hooks with special treatment where a class does not override them: most are not called."""
 
 
-def overridden_hooks(cls: type[EnvHooks]) -> frozenset[str]:
-    """Return which of `OPTIONAL_HOOKS` a class overrides."""
-    return frozenset(
+def overridden_hooks(env: EnvHooks) -> frozenset[str]:
+    """Return which of `OPTIONAL_HOOKS` an environment's class overrides.
+
+    Raises:
+        ConfigError: If arrays are on the device, where environments are masks, and it takes
+            indices of environments, or resets in the next step.
+    """
+    cls, arrays = type(env), env.sim.arrays
+    found = frozenset(
         name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(EnvHooks, name)
     )
+    if "_initialize_episode" in found:
+        arrays.require_host(
+            f"indices of environments, which {cls.__name__}._initialize_episode takes,"
+        )
+    if env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
+        arrays.require_host("steps of some environments, as of autoreset mode NEXT_STEP,")
+    return found
 
 
 def set_extensions(env: object, extensions: dict[str, Any]) -> None:

@@ -16,9 +16,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.episodes import zeroed
-from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, check_shapes
-from embodichain.lab.sim.objects._arrays import all_finite, as_env_ids
+from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, TermRows, check_shapes
+from embodichain.utils.arrays import all_finite, as_env_ids, is_host, tensor_of
 from embodichain.utils.atomic import atomic_file
 
 if TYPE_CHECKING:
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observation import Observation
     from embodichain.lab.sim.engine.api import F64, Engine
     from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.arrays import Arrays
 
 __all__ = [
     "Outcome",
@@ -39,6 +39,7 @@ __all__ = [
     "none_set",
     "reset_ids",
     "task_state",
+    "zeroed",
 ]
 
 Mask = NDArray[np.bool_]
@@ -58,10 +59,11 @@ class Outcome:
 
     def exclude(self, diverged: Mask) -> None:
         """Remove the flags of diverged environments."""
-        self.success = self.success & ~diverged
-        self.fail = self.fail & ~diverged
+        kept = ~diverged
+        self.success = self.success & kept
+        self.fail = self.fail & kept
         if self.time_out is not None:
-            self.time_out = self.time_out & ~diverged
+            self.time_out = self.time_out & kept
         self.diverged = diverged
 
     def ends(self, truncated: Mask, ignore_terminations: bool) -> tuple[Mask, Mask]:
@@ -104,7 +106,7 @@ def task_state(state: Any, num_envs: int, name: str) -> dict[str, Any]:
     return {"success": success, "fail": fail, "metrics": copies}
 
 
-def checked_reward(reward: Any, num_envs: int, hook: str) -> NDArray[np.float32]:
+def checked_reward(reward: Any, num_envs: int, hook: str, arrays: Arrays) -> NDArray[np.float32]:
     """Return a copy of a hook's result as (N,) float32.
 
     Raises:
@@ -113,27 +115,34 @@ def checked_reward(reward: Any, num_envs: int, hook: str) -> NDArray[np.float32]
     if not isinstance(reward, torch.Tensor) or reward.shape != (num_envs,):
         found = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
         raise ValueError(f"{hook} must return a tensor of shape ({num_envs},), got {found}")
-    copy: NDArray[np.float32] = reward.numpy(force=True).astype(np.float32)
+    copy: NDArray[np.float32] = arrays.of(reward).astype(np.float32)
     return copy
 
 
 def none_set(mask: Mask) -> bool:
-    """Whether no flag of a mask is set; for few environments, twice as fast as a reduction."""
+    """Whether no flag of a mask is set; for few environments, twice as fast as a reduction.
+
+    False on a device, where it is not known: what depends on the mask is then computed for all.
+    """
+    if not is_host(mask):
+        return False
     return b"\1" not in mask.tobytes()
 
 
-def as_mask(value: Any, num_envs: int, what: str) -> Mask:
+def as_mask(value: Any, num_envs: int, what: str, arrays: Arrays) -> Mask:
     """Return a mask (N,) as a new array; None is all False.
 
     Raises:
         ValueError: If it is not (N,); (N, 1) is refused too, because it would broadcast.
     """
     if value is None:
-        return np.zeros(num_envs, np.bool_)
-    array = value.numpy(force=True) if isinstance(value, torch.Tensor) else np.asarray(value)
+        none: Mask = arrays.full(num_envs, False, np.bool_)
+        return none
+    array = arrays.of(value)
     if array.shape != (num_envs,):
         raise ValueError(f"{what} must have shape ({num_envs},), got {array.shape}")
-    return array.astype(np.bool_)
+    mask: Mask = array.astype(np.bool_)
+    return mask
 
 
 def reset_ids(options: dict[str, Any], num_envs: int) -> NDArray[np.int64]:
@@ -162,11 +171,36 @@ def reset_ids(options: dict[str, Any], num_envs: int) -> NDArray[np.int64]:
 
 
 def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
-    """(N,) rows of (N,) or (N, W) with a number that is not finite; None if there is none."""
-    if all_finite(values):
+    """(N,) rows of (N,) or (N, W) with a number that is not finite; None if there is none.
+
+    On a device it is always a mask.
+    """
+    if is_host(values) and all_finite(values):
         return None
-    bad: Mask = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
-    return bad
+    if is_host(values):
+        bad: Mask = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        return bad
+    largest = np.abs(values) if values.ndim == 1 else np.abs(values).max(axis=1)
+    wild: Mask = ~(largest < np.inf)  # the largest of NaN and others is NaN
+    return wild
+
+
+def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
+    """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
+
+    Args:
+        info: Not changed, nor are its tensors.
+        rows: (N,) bool.
+    """
+    copy, mask = dict(info), tensor_of(rows)
+    for key, value in info.items():
+        if isinstance(value, TermRows):
+            copy[key] = value.zeroed(rows)
+        elif isinstance(value, Mapping):
+            copy[key] = zeroed(value, rows)
+        elif isinstance(value, torch.Tensor) and value.shape[:1] == mask.shape:
+            copy[key] = value.masked_fill(mask.reshape(-1, *[1] * (value.ndim - 1)), 0)
+    return copy
 
 
 class _JudgedByHooks(JudgedEnv, Protocol):
@@ -219,14 +253,14 @@ class StepJudge:
         env = self._env
         found = env.get_info(**kwargs)
         info = found if type(found) is dict else dict(found.items())  # EmbodiChain's is not a dict
-        success = as_mask(info.get("success"), env.num_envs, "success")
-        fail = as_mask(info.get("fail"), env.num_envs, "fail")
+        success = as_mask(info.get("success"), env.num_envs, "success", env.arrays)
+        fail = as_mask(info.get("fail"), env.num_envs, "fail", env.arrays)
         masks = env.termination_manager.compute(obs, action, info)
         if "success" in masks:
             success = success | masks["success"]
         if "fail" in masks:
             fail = fail | masks["fail"]
-        info["success"], info["fail"] = torch.from_numpy(success), torch.from_numpy(fail)
+        info["success"], info["fail"] = tensor_of(success), tensor_of(fail)
         reached = env.metric_manager.compute(obs, action, info)
         if env.action_manager.has_metrics:
             env.action_manager.report(info["metrics"])
@@ -241,11 +275,12 @@ class StepJudge:
         """(N,) rewards of `get_reward`, plus those of the terms, after `_extend_reward`."""
         count, own = self._env.num_envs, None
         if self._get_reward is not None:
-            own = checked_reward(self._get_reward(obs, action, info), count, "get_reward")
+            given = self._get_reward(obs, action, info)
+            own = checked_reward(given, count, "get_reward", self._env.arrays)
         reward = self._env.reward_manager.compute(own, obs, action, info)
         if self._extend_reward is not None:
-            extended = self._extend_reward(torch.from_numpy(reward), obs, action, info)
-            reward = checked_reward(extended, count, "_extend_reward")
+            extended = self._extend_reward(tensor_of(reward), obs, action, info)
+            reward = checked_reward(extended, count, "_extend_reward", self._env.arrays)
         return reward
 
     def diverged(self, obs: Observation, reward: F32) -> Mask | None:
@@ -262,7 +297,7 @@ class StepJudge:
 
     def exclude(self, mask: Mask, info: Info, outcome: Outcome) -> Info:
         """Remove environments (N,) that diverged from ``info``, sums and outcome."""
-        info = zeroed(info, torch.from_numpy(mask))
+        info = zeroed(info, mask)
         rewards, episodes = self._env.reward_manager, self._env.episodes
         rewards.take_back(mask)
         info["episode_sums"] = rewards.episode_sums

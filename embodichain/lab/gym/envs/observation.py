@@ -15,6 +15,7 @@ import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from embodichain.utils.arrays import Arrays, tensor_of
 from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
 
 __all__ = [
@@ -37,7 +38,7 @@ Columns = slice | NDArray[np.int64]
 
 def as_array(value: Any) -> NDArray[Any]:
     """Return a tensor or an array as an array that shares its memory."""
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray) or not isinstance(value, torch.Tensor):
         return value
     array: NDArray[Any] = value.numpy(force=True)
     return array
@@ -54,6 +55,7 @@ class ObservationLayout:
         groups: Name -> paths of its entries, in order.
         num_envs: N.
         images: Paths of the entries that are images.
+        arrays: Makes its arrays; None makes them on the host.
 
     Attributes:
         width: W, the columns of all floating point entries but images.
@@ -70,8 +72,10 @@ class ObservationLayout:
         groups: Mapping[str, Iterable[Path]],
         num_envs: int,
         images: Collection[Path] = (),
+        arrays: Arrays | None = None,
     ) -> None:
         self.num_envs = num_envs
+        self._arrays = Arrays() if arrays is None else arrays
         leaves = dict(leaves_of(first))
         self._order = list(leaves)
         self.paths = [
@@ -104,7 +108,8 @@ class ObservationLayout:
 
     def empty(self) -> F32:
         """Return an array (N, W) to be filled."""
-        return np.empty((self.num_envs, self.width), np.float32)
+        rows: F32 = self._arrays.full((self.num_envs, self.width), 0.0, np.float32)
+        return rows
 
     def pack(self, obs: Mapping[Any, Any]) -> Observation:
         """Return nested entries as one array.
@@ -140,7 +145,7 @@ class ObservationLayout:
         if columns is None:
             obs.set_other(path, value if isinstance(value, torch.Tensor) else new_tensor(value))
             return
-        array = as_array(value)
+        array = self._arrays.of(value)
         if array.shape[1:] != self.shapes[path]:
             name, wanted = "/".join(path), (self.num_envs, *self.shapes[path])
             raise ValueError(f"observation {name!r} was {wanted}, is now {tuple(array.shape)}")
@@ -156,7 +161,7 @@ class ObservationLayout:
         extra = [path for path in obs.others if path not in self._order]
         for path in (*self._order, *extra):
             if path in self.columns:
-                leaf = torch.from_numpy(self.entry(obs.rows, path))
+                leaf = tensor_of(self.entry(obs.rows, path))
             elif path in obs.others:
                 leaf = obs.others[path]
             else:
@@ -173,6 +178,10 @@ def _insert(tree: dict[str, Any], path: Path, leaf: torch.Tensor, batch_size: to
 
 def new_tensor(value: Any) -> torch.Tensor:
     """Return a copy of an array or a tensor as a tensor, float32 if it is floating point."""
+    if not isinstance(value, (np.ndarray, torch.Tensor)):  # on a device
+        value = tensor_of(value)
+    if isinstance(value, torch.Tensor) and value.device.type != "cpu":
+        return value.to(torch.float32 if value.is_floating_point() else value.dtype, copy=True)
     array = as_array(value)
     wide = np.issubdtype(array.dtype, np.floating)
     return torch.from_numpy(np.array(array, np.float32 if wide else None))

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.judging import bad_rows
+from embodichain.lab.gym.envs.judging import bad_rows, none_set
 from embodichain.lab.gym.envs.observation import Observation, ObservationLayout
-from embodichain.lab.sim.objects._arrays import to_tensor
+from embodichain.utils.arrays import is_host, to_tensor
 from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
 
 if TYPE_CHECKING:
@@ -72,7 +72,8 @@ class ObservationBuffer:
         manager = self._manager
         images = {path for path, _ in leaves_of(first) if path[0] == "sensor"}
         images = {path for path in images if path[1] in self._cameras} | manager.images
-        self.layout = ObservationLayout(first, manager.paths, manager.num_envs, images)
+        count, arrays = manager.num_envs, manager.env.arrays
+        self.layout = ObservationLayout(first, manager.paths, count, images, arrays)
         manager.use(self.layout)
         self._built = True
         return self.layout.pack(first)
@@ -156,11 +157,12 @@ class ObservationBuffer:
             obs: The observation.
             unchanged: (N,) environments that were not reset: their rows are those stored.
         """
-        if unchanged.any():
+        if not none_set(unchanged):
             obs = self.without(obs, unchanged)
         bad = bad_rows(obs.rows)
         if bad is not None:
-            found = np.flatnonzero(bad)[:8].tolist()
-            logger.error("not finite after a reset: environments %s", found)
+            if is_host(bad):
+                found = np.flatnonzero(bad)[:8].tolist()
+                logger.error("not finite after a reset: environments %s", found)
             obs = obs.with_rows(np.where(bad[:, None], np.float32(0.0), obs.rows))
         return self.store(obs)

@@ -172,10 +172,14 @@ class Engine(Protocol):
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         """Compute all derived fields, acceleration stage included, without stepping."""
 
-    def reset(self, env_ids: EnvIndex | None = None) -> None:
+    def reset(self, env_ids: EnvIndex | None = None, row: F64 | None = None) -> None:
         """Set rows to MuJoCo's reset state (`mj_resetData`): time, ctrl, act, warm start...
 
         Also clears the warning counters.
+
+        Args:
+            env_ids: (n,) environments, or None for all.
+            row: (nstate,) the state to set afterwards, as `write` does, or None.
         """
 
     def write(

@@ -164,7 +164,7 @@ class HostEngine(Engine):
             return failed
         return None
 
-    def reset(self, env_ids: EnvIndex | None = None) -> None:
+    def reset(self, env_ids: EnvIndex | None = None, row: F64 | None = None) -> None:
         rows: Any = ALL if env_ids is None else env_ids
         if self._plain_reset and self._fields.resets_alike:
             # The same row as `Batch.reset` gives, a hundred times faster: it loads no MjData.
@@ -175,6 +175,8 @@ class HostEngine(Engine):
         self._mark(env_ids)
         self._divergence.forget(rows)
         self._notify(Write("reset", "row", env_ids, ALL, None))
+        if row is not None:
+            self.write("row", row, env_ids)
 
     def take_diverged(self) -> NDArray[np.bool_] | None:
         return self._divergence.take()
@@ -313,8 +315,7 @@ class CpuEngine(HostEngine):
         persistent: bool | None = None,
     ) -> None:
         super().__init__(model, num_envs, num_threads, persistent)
-        self._kinematics = _Kinematics()
-        self._divergence = _Divergence(self._batch)
+        self._kinematics, self._divergence = _Kinematics(), _Divergence(self._batch)
 
     def derived(self, name: str) -> F64:
         if name not in self._derived:

@@ -27,18 +27,25 @@ from embodichain.lab.sim.engine.warp_worlds import WarpWorlds
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["WarpEngine"]
+__all__ = [
+    "COLLISION_BITS",
+    "CONSTRAINT_FORCES",
+    "LARGEST",
+    "ROW_BITS",
+    "WarpEngine",
+    "require_memory",
+]
 
 _MOVED = ("qpos", "qvel", "act", "history", "plastic", "qacc_warmstart")
 """State components that physics writes, besides the time."""
-_LARGEST = 1e10
+LARGEST = 1e10
 """`mjMAXVAL`: larger positions and velocities count as divergence, as in MuJoCo."""
-_CONSTRAINT_FORCES = frozenset({"cacc", "cfrc_int", "cfrc_ext"})
+CONSTRAINT_FORCES = frozenset({"cacc", "cfrc_int", "cfrc_ext"})
 _OVERFLOW = mjw.OverflowType
-_ROWS = int(_OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ)
+ROW_BITS = int(_OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ)
 _CONTACTS = int(_OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.CCD)
 _SENSORS = int(_OVERFLOW.CONTACT_MATCH | _OVERFLOW.TACTILE)
-_COLLISIONS = int(_OVERFLOW.HFIELD | _OVERFLOW.EPA_HORIZON)
+COLLISION_BITS = int(_OVERFLOW.HFIELD | _OVERFLOW.EPA_HORIZON)
 """Two geoms of one world whose collision was not found: its result is wrong."""
 
 
@@ -128,7 +135,7 @@ class WarpEngine(HostEngine):
         found = self._accelerations.get(name)
         if found is None:
             output = self._empty(name)
-            if name in _CONSTRAINT_FORCES:
+            if name in CONSTRAINT_FORCES:
                 self.worlds.want_constraint_forces()
             self._upload()
             self.worlds.forward()
@@ -203,15 +210,11 @@ class WarpEngine(HostEngine):
         overflow = self.worlds.counts().overflow
         wild: NDArray[np.bool_] = np.zeros(self.num_envs, np.bool_)
         for name in ("qpos", "qvel"):
-            wild |= ~(np.abs(self._views[name]) < _LARGEST).all(axis=1)
+            wild |= ~(np.abs(self._views[name]) < LARGEST).all(axis=1)
         if overflow.any():
             # A state that is not finite any more may need any amount of rows.
-            _require(~wild & ((overflow & _ROWS) != 0), "njmax", self.worlds.njmax)
-            _require((overflow & _CONTACTS) != 0, "nconmax", self.worlds.nconmax)
-            if (overflow & _SENSORS).any():
-                message = "contact sensors match more contacts than MuJoCo Warp keeps, 64"
-                raise ConfigError([Problem("sim.engine", f"{message}: use sim.engine=mujoco")])
-            wild |= (overflow & _COLLISIONS) != 0
+            require_memory(np.where(wild, overflow & ~ROW_BITS, overflow), self.worlds)
+            wild |= (overflow & COLLISION_BITS) != 0
         if env_ids is not None:
             wild[np.setdiff1d(np.arange(self.num_envs), env_ids)] = False
         if wild.any():
@@ -246,14 +249,35 @@ class WarpEngine(HostEngine):
             self._set_const_now()
         if self._model_changed:
             self._model_changed = False
-            if self.worlds.put_fields(self._fields.expanded()):
-                position, matrix = (self._batch.bind(f"geom_{name}") for name in ("xpos", "xmat"))
-                self._call(self._batch.forward, None, stage=int(mujoco.mjtStage.mjSTAGE_POS))
-                self.worlds.put_poses_of_geoms(position, matrix)
+            self._put_fields()
         self.worlds.upload(self._rows)
+
+    def _put_fields(self) -> None:
+        """Copy the model fields that differ, and poses of geoms that depend on them."""
+        if self.worlds.put_fields(self._fields.expanded()):
+            position, matrix = (self._batch.bind(f"geom_{name}") for name in ("xpos", "xmat"))
+            self._call(self._batch.forward, None, stage=int(mujoco.mjtStage.mjSTAGE_POS))
+            self.worlds.put_poses_of_geoms(position, matrix)
 
 
 _USES = {"njmax": "rows of constraints", "nconmax": "contacts and pairs of geoms near each other"}
+
+
+def require_memory(overflow: NDArray[np.int32], worlds: WarpWorlds) -> None:
+    """Check that no memory was too small.
+
+    Args:
+        overflow: (N,) bits of `mujoco_warp.OverflowType`.
+        worlds: The device's copy.
+
+    Raises:
+        ConfigError: If the memory for contacts, constraints or sensors was not enough.
+    """
+    _require((overflow & ROW_BITS) != 0, "njmax", worlds.njmax)
+    _require((overflow & _CONTACTS) != 0, "nconmax", worlds.nconmax)
+    if (overflow & _SENSORS).any():
+        message = "contact sensors match more contacts than MuJoCo Warp keeps, 64"
+        raise ConfigError([Problem("sim.engine", f"{message}: use sim.engine=mujoco")])
 
 
 def _require(full: NDArray[np.bool_], key: str, limit: int) -> None:

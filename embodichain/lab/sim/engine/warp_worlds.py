@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
+import torch
 import warp as wp
 from numpy.typing import NDArray
 
@@ -22,19 +23,26 @@ from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, compiled_field, ro
 from embodichain.lab.sim.engine.warp_support import start_warp
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Counts", "WarpWorlds", "measured_sizes"]
+__all__ = [
+    "LEAST_TOLERANCE",
+    "NO_LIMIT",
+    "PLACES",
+    "Counts",
+    "WarpWorlds",
+    "measured_sizes",
+]
 
 _log = logging.getLogger(__name__)
 _AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 _LOOKS = ("mat_", "light_", "cam_", "geom_castshadow", "geom_group", "site_rgba", "site_matid")
 """Beginnings of fields that only pictures read; they are drawn from the host's model."""
-_PLACES = frozenset({"geom_pos", "geom_quat", "body_pos", "body_quat"})
-_NO_LIMIT = 1e30
+PLACES = frozenset({"geom_pos", "geom_quat", "body_pos", "body_quat"})
+NO_LIMIT = 1e30
 """Force range of actuators without a limit, where others have one, N or Nm."""
 _MANY, _FEW = 4096, 16
 """Memory of a measurement, and the least memory of a simulation."""
 _FIRST_GROUP = wp.types.vector(length=6, dtype=float)(1, 0, 0, 0, 0, 0)
-_LEAST_TOLERANCE = 1e-6
+LEAST_TOLERANCE = 1e-6
 """Of the solver in float32, as `mujoco_warp.put_model` sets it."""
 
 
@@ -91,6 +99,8 @@ class WarpWorlds:
         self.nconmax = int(self._data.naconmax) // count
         self.njmax = int(self._data.njmax)
         self._groups: dict[bytes, Any] = {}
+        self._own: set[str] = set()  # model fields with values for each world
+        self._all_limited = False
         self._limited = np.tile(model.actuator_forcelimited != 0, (count, 1))
         self._ranges = np.tile(model.actuator_forcerange, (count, 1, 1))
 
@@ -114,6 +124,11 @@ class WarpWorlds:
     def read(self, name: str, out: F64) -> None:
         """Copy a field of `mjData` into an array (N, ...) as `mujoco.batch` shapes it."""
         out[...] = getattr(self._data, name).numpy().reshape(out.shape)
+
+    def view(self, name: str, width: int | None = None) -> torch.Tensor:
+        """A field of `mjData` of all worlds as a tensor, (N, ...) or (N, width); shares memory."""
+        tensor: torch.Tensor = wp.to_torch(getattr(self._data, name))
+        return tensor if width is None else tensor.view(self._count, width)
 
     def width(self, name: str) -> int | None:
         """Numbers of a field of `mjData` in one world; None if Warp has no such field."""
@@ -152,6 +167,15 @@ class WarpWorlds:
             mjw.sensor_pos(model, data)
             mjw.fwd_velocity(model, data)
             mjw.sensor_vel(model, data)
+
+    def actuation(self) -> None:
+        """Compute forces of actuators, and what they depend on; no contacts."""
+        model, data = self._model, self._data
+        with wp.ScopedDevice(self._device):
+            mjw.fwd_kinematics(model, data)
+            mjw.transmission(model, data)
+            mjw.fwd_velocity(model, data)
+            mjw.fwd_actuation(model, data)
 
     def positions(self) -> None:
         """Compute the position stage: contacts and constraints."""
@@ -195,37 +219,47 @@ class WarpWorlds:
             Distances (N, R) in lengths of the direction and geom ids (N, R), -1 for none; normals
             (N, R, 3), 0 for none.
         """
-        model, shape = self._model, origins.shape[:2]
+        device = str(self._device)
+        starts, ways = (torch.from_numpy(part).to(device) for part in (origins, directions))
+        distance, geom, normal = (part.cpu().numpy() for part in self.cast(starts, ways, geoms))
+        return distance, geom, normal
+
+    def cast(
+        self, origins: torch.Tensor, directions: torch.Tensor, geoms: NDArray[np.bool_]
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Intersect rays as `rays` does, with contiguous float32 tensors on the device."""
+        model, (count, each) = self._model, origins.shape[:2]
         key = geoms.tobytes()
+        distance = torch.empty((count, each), device=origins.device)
+        geom = torch.empty((count, each), dtype=torch.int32, device=origins.device)
+        normal = torch.empty((count, each, 3), device=origins.device)
+        none = torch.full((each,), -1, dtype=torch.int32, device=origins.device)
+        lengths = torch.linalg.vector_norm(directions, dim=-1)
+        units = directions / lengths[..., None]
         with wp.ScopedDevice(self._device):
             if key not in self._groups:  # geoms are chosen by group
                 self._groups[key] = wp.array(np.where(geoms, 0, 5), dtype=int)
             kept, model.geom_group = model.geom_group, self._groups[key]
-            distance, geom = wp.zeros(shape, dtype=float), wp.zeros(shape, dtype=int)
-            normal = wp.zeros(shape, dtype=wp.vec3)
-            lengths = np.linalg.norm(directions, axis=-1)
-            units = directions / lengths[..., None]
             try:
                 mjw.rays(
                     model,
                     self._data,
-                    wp.array(origins, dtype=wp.vec3),
-                    wp.array(units.astype(np.float32), dtype=wp.vec3),
+                    wp.from_torch(origins, wp.vec3),
+                    wp.from_torch(units, wp.vec3),
                     _FIRST_GROUP,
                     True,
-                    wp.full(shape[1], -1, dtype=int),
-                    distance,
-                    geom,
-                    normal,
+                    wp.from_torch(none),
+                    wp.from_torch(distance),
+                    wp.from_torch(geom),
+                    wp.from_torch(normal, wp.vec3),
                 )
             finally:
                 model.geom_group = kept
-        found, ids = distance.numpy(), geom.numpy()
-        hit = ids >= 0
+        hit = geom >= 0
         return (
-            np.where(hit, found / lengths, -1.0),
-            ids,
-            np.where(hit[..., None], normal.numpy(), 0.0),
+            torch.where(hit, distance / lengths, -1.0),
+            geom,
+            torch.where(hit[..., None], normal, 0.0),
         )
 
     # -- the model ---------------------------------------------------------------------------------
@@ -246,7 +280,7 @@ class WarpWorlds:
         for name in ("wind", "density", "viscosity"):
             if f"opt.{name}" in fields:
                 model.has_fluid |= bool(fields[f"opt.{name}"].any())
-        return not _PLACES.isdisjoint(fields)
+        return not PLACES.isdisjoint(fields)
 
     def put_poses_of_geoms(self, positions: F64, matrices: F64) -> None:
         """Set the poses of all geoms, (N, ngeom, 3) and (N, ngeom, 9).
@@ -267,7 +301,7 @@ class WarpWorlds:
             return self._put_forces(name, values)
         if isinstance(array, wp.array) and _is_batched(owner, field):
             if name == "opt.tolerance":
-                values = np.maximum(values, _LEAST_TOLERANCE)
+                values = np.maximum(values, LEAST_TOLERANCE)
             shape = (self._count, *array.shape[1:])
             if array.shape == shape:
                 array.assign(_as_type(values, array))
@@ -276,9 +310,19 @@ class WarpWorlds:
                 whole.assign(_as_type(values, whole))
                 setattr(owner, field, whole)
             return None
-        same = values == compiled_field(self._compiled, name)
-        if name.startswith(_LOOKS) or name in DERIVED_FIELDS or same.all():
+        # Of the derived fields that Warp does not have, some are longer in the model.
+        if name in DERIVED_FIELDS or (values == compiled_field(self._compiled, name)).all():
             return None
+        return self.require_unused(name)
+
+    def require_unused(self, name: str) -> None:
+        """Check that a field that cannot differ between worlds in Warp is not one of physics.
+
+        Raises:
+            ConfigError: If it is.
+        """
+        if name.startswith(_LOOKS):
+            return
         raise ConfigError(
             [
                 Problem(
@@ -289,13 +333,54 @@ class WarpWorlds:
             ]
         )
 
+    def own_field(self, name: str) -> torch.Tensor | None:
+        """A model field of all worlds, (N, ...): a tensor that shares memory.
+
+        The first call gives each world values of its own, in another array.
+
+        Returns:
+            None if it cannot differ between worlds in Warp, or is empty.
+        """
+        owner: Any = self._model.opt if name.startswith("opt.") else self._model
+        field = name.removeprefix("opt.")
+        array = getattr(owner, field, None)
+        if not isinstance(array, wp.array) or not _is_batched(owner, field) or not array.size:
+            return None
+        if field not in self._own:
+            shared = wp.to_torch(array)
+            whole = shared.expand(self._count, *shared.shape[1:]).clone()
+            # Memory of torch, so that its stream orders what uses it.
+            setattr(owner, field, wp.from_torch(whole, array.dtype))
+            self._own.add(field)
+        tensor: torch.Tensor = wp.to_torch(getattr(owner, field))
+        return tensor
+
+    def limit_forces(self, ranges: torch.Tensor) -> None:
+        """Limit the forces of all actuators, (N, nu, 2)."""
+        limits = self.own_field("actuator_forcerange")
+        if limits is None:
+            raise ValueError("the model has no actuators")
+        limits.copy_(ranges)
+        if not self._all_limited:
+            self._all_limited = True
+            wp.to_torch(self._model.actuator_forcelimited).fill_(True)
+
+    def enable_fluid(self) -> None:
+        """Compute forces of the medium from now on."""
+        self._model.has_fluid = True
+
+    def set_const(self) -> None:
+        """Compute the constants of all worlds that depend on other fields of the model."""
+        with wp.ScopedDevice(self._device):
+            mjw.set_const(self._model, self._data)
+
     def _put_forces(self, name: str, values: NDArray[Any]) -> None:
         """Flags of limited actuators are shared by all worlds: the others get a wide range."""
         if name == "actuator_forcelimited":
             self._limited = np.asarray(values, np.bool_)
         else:
             self._ranges = np.asarray(values, np.float64)
-        wide = np.array([-_NO_LIMIT, _NO_LIMIT])
+        wide = np.array([-NO_LIMIT, NO_LIMIT])
         ranges = np.where(self._limited[..., None], self._ranges, wide).astype(np.float32)
         flags, kept = self._model.actuator_forcelimited, self._model.actuator_forcerange
         self._model.actuator_forcelimited = wp.array(self._limited.any(axis=0), dtype=flags.dtype)

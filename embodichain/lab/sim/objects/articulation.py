@@ -11,15 +11,11 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.body_motion import origin_velocities
 from embodichain.lab.sim.compiler.names import match
-from embodichain.lab.sim.objects._arrays import (
-    as_env_ids,
-    columns_of,
-    to_tensor,
-)
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import GAINS, Drives
 from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.unavailable import not_available
+from embodichain.utils.arrays import as_env_ids, columns_of, to_tensor
 from embodichain.utils.math import pose_to_matrix
 from embodichain.utils.suggest import did_you_mean
 

@@ -19,13 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drive_cfg import NO_LIMIT
-from embodichain.lab.sim.objects._arrays import columns_of, field_values
+from embodichain.utils.arrays import columns_of, field_values, is_host
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import F64, Columns, EnvIndex
     from embodichain.lab.sim.objects.entity import Handle
+    from embodichain.utils.arrays import Arrays
 
 __all__ = ["GAINS", "Drives", "JointLimits"]
 
@@ -47,10 +48,11 @@ class JointLimits:
     Args:
         limits: (D, 2) initial lower and upper limits of all environments.
         count: N.
+        arrays: Makes the arrays.
     """
 
-    def __init__(self, limits: F64, count: int) -> None:
-        self._sides = tuple(np.tile(side, (count, 1)) for side in limits.T)
+    def __init__(self, limits: F64, count: int, arrays: Arrays) -> None:
+        self._sides = tuple(arrays.put(np.tile(side, (count, 1))) for side in limits.T)
 
     @property
     def values(self) -> F64:
@@ -109,12 +111,12 @@ class Drives:
     def __init__(self, handle: Handle[EntityIndex], parsed: ParsedArticulation) -> None:
         self.parsed = parsed
         self._handle = handle
-        count = handle.num_instances
+        count, self._arrays = handle.num_instances, handle.host.arrays
         for name in (*GAINS, "joint_damping"):
-            setattr(self, name, np.tile(getattr(parsed, name), (count, 1)))
+            setattr(self, name, self._arrays.put(np.tile(getattr(parsed, name), (count, 1))))
         self.strength: F64 = np.ones_like(self.stiffness)
         self.target_qvel: F64 = np.zeros_like(self.stiffness)
-        self.limits = JointLimits(parsed.qpos_limits, count)
+        self.limits = JointLimits(parsed.qpos_limits, count, self._arrays)
         self.has_velocity_target = False
         self.joints: Joints = np.arange(0)
         self.control_columns: Columns = slice(0)
@@ -136,7 +138,7 @@ class Drives:
         self.control_columns = columns_of(columns)
         self._joint_of_control = np.full(self._handle.engine.state("ctrl").shape[1], -1)
         self._joint_of_control[columns] = self.joints
-        self._note_gains()
+        self._note(self.parsed.stiffness[None], self.parsed.max_velocity[None])
 
     # -- targets ---------------------------------------------------------------------------------
 
@@ -267,10 +269,15 @@ class Drives:
         self._forget_velocities(ids)
         changed = self._switched
         if len(changed):
-            where = _at(ids, changed)
-            home = np.broadcast_to(self.parsed.init_qpos[changed], self.stiffness[where].shape)
+            where, columns = _at(ids, changed), self.columns(changed)
+            stiffness = self.stiffness[where]
+            home = np.broadcast_to(self.parsed.init_qpos[changed], stiffness.shape)
             control = self._control(home, where)
-            self._handle.engine.write("ctrl", control, ids, self.columns(changed))
+            if self._arrays.on_device:  # all drives may be switched: others keep their controls
+                now = self._handle.engine.state("ctrl")[where[0], columns]
+                switched = (stiffness > 0) != (self.parsed.stiffness[changed] > 0)
+                control = np.where(switched, control, now)
+            self._handle.engine.write("ctrl", control, ids, columns)
 
     def _forget_velocities(self, ids: EnvIndex | None) -> None:
         if self.has_velocity_target:
@@ -278,11 +285,18 @@ class Drives:
             self._note_velocities()
 
     def _note_velocities(self) -> None:
-        self.has_velocity_target = bool(self.target_qvel.any())
+        # On a device it is not known without waiting: once one is set, it counts as set.
+        self.has_velocity_target = self._arrays.on_device or bool(self.target_qvel.any())
 
     def _note_gains(self) -> None:
-        self._rated = bool((self.max_velocity < NO_LIMIT).any())
-        stiff = self.stiffness[:, self.joints] > 0
+        if self._arrays.on_device:  # not known without waiting: results are the same
+            self._rated, self._springless, self._switched = True, True, self.joints
+            return
+        self._note(self.stiffness, self.max_velocity)
+
+    def _note(self, stiffness: F64, fastest: F64) -> None:
+        self._rated = bool((fastest < NO_LIMIT).any())
+        stiff = stiffness[:, self.joints] > 0
         self._springless = not stiff.all()
         changed = stiff != (self.parsed.stiffness[self.joints] > 0)
         self._switched = self.joints[changed.any(axis=0)]
@@ -322,7 +336,8 @@ class Drives:
                 self._note_gains()
                 self._write_gains(index.actuator_ids[joints], where, ids)
             if name in ("max_effort", "strength"):
-                self._write_efforts(index.actuator_ids[joints], where, ids)
+                changes = name == "max_effort"
+                self._write_efforts(index.actuator_ids[joints], where, ids, changes)
 
     def _write_gains(self, actuators: Joints, where: Any, ids: EnvIndex | None) -> None:
         engine, model, joints = self._handle.engine, self._handle.engine.model, where[1]
@@ -337,12 +352,16 @@ class Drives:
             columns_now = columns_of(columns + offset)
             engine.write_model("actuator_biasprm", -(value / gear**2), ids, columns_now)
 
-    def _write_efforts(self, actuators: Joints, where: Any, ids: EnvIndex | None) -> None:
+    def _write_efforts(
+        self, actuators: Joints, where: Any, ids: EnvIndex | None, changes: bool
+    ) -> None:
+        """Write force ranges; `changes` is whether other joints may be limited than before."""
         engine = self._handle.engine
         limit = self.max_effort[where]
         limited = limit < NO_LIMIT
         compiled = engine.model.actuator_forcelimited[actuators] != 0
-        if (limited != compiled).any():
+        # Not known on a device without waiting; a strength changes no flag.
+        if bool((limited != compiled).any()) if is_host(limited) else changes:
             self._limits_vary = True
         if self._limits_vary:
             flags = limited.astype(np.float64)

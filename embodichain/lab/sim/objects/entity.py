@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from embodichain.lab.sim.body_motion import BodyMotion
-from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
+from embodichain.utils.arrays import as_env_ids, as_rows, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from embodichain.lab.sim.objects._arrays import to_tensor
 from embodichain.lab.sim.objects.entity import Handle
+from embodichain.utils.arrays import to_tensor
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import LightCfg
@@ -38,9 +38,10 @@ class Light(Handle[int]):
         super().__init__(uid, host)
         self.cfg = cfg
         count = self.num_instances
-        self._color: F64 = np.tile(np.asarray(cfg.color, np.float64), (count, 1))
-        self._intensity: F64 = np.full((count, 1), float(cfg.intensity))
-        self._falloff: F64 = np.full((count, 1), float(cfg.radius))
+        color, full = np.asarray(cfg.color, np.float64), host.arrays.full
+        self._color: F64 = host.arrays.put(np.tile(color, (count, 1)))
+        self._intensity: F64 = full((count, 1), float(cfg.intensity))
+        self._falloff: F64 = full((count, 1), float(cfg.radius))
 
     # -- writes from checked arrays --------------------------------------------------------------
 

@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.rigid_objects import inertia_about_axes
-from embodichain.lab.sim.objects._arrays import as_env_ids, field_values, to_tensor
 from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
 from embodichain.lab.sim.objects.solid import Solid
 from embodichain.lab.sim.unavailable import not_available
+from embodichain.utils.arrays import as_env_ids, field_values, may_be_set, rows_at, to_tensor
 from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
 
 if TYPE_CHECKING:
@@ -45,13 +45,14 @@ class RigidObject(BatchEntity):
         self._data = RigidBodyData(self)
         count, attrs = self.num_instances, cfg.attrs
         self._declared_damping = np.array([attrs.linear_damping, attrs.angular_damping], np.float64)
-        self._damping: F64 = np.tile(self._declared_damping, (count, 1))  # 1/s
-        self._scale: F64 = np.ones((count, 3))  # relative to the compiled size
-        self._zeros: F64 = np.zeros((count, 3))
-        self._mass0: F64 = np.zeros(count)  # of the present shape as compiled
-        self._inertia: F64 = np.zeros((count, 3))  # at that mass and the current scale
+        full = host.arrays.full
+        self._damping: F64 = host.arrays.put(np.tile(self._declared_damping, (count, 1)))  # 1/s
+        self._scale: F64 = full((count, 3), 1.0)  # relative to the compiled size
+        self._zeros: F64 = full((count, 3), 0.0)
+        self._mass0: F64 = full(count, 0.0)  # of the present shape as compiled
+        self._inertia: F64 = full((count, 3), 0.0)  # at that mass and the current scale
         self._solid: Solid | None = None
-        self._variant: NDArray[np.int64] = np.zeros(count, np.int64)  # index of the present shape
+        self._variant: NDArray[np.int64] = full(count, 0, np.int64)  # index of the present shape
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Set the engine and the body's indices. Called once, by the simulation."""
@@ -59,7 +60,7 @@ class RigidObject(BatchEntity):
         self._mass0[:] = engine.model.body_mass[index.root_body_id]
         self._inertia[:] = engine.model.body_inertia[index.root_body_id]
         if index.variants is not None:
-            self.write_shape(self._variant, None)
+            self.write_shape(np.zeros(self.num_instances, np.int64), None)
 
     @property
     def is_static(self) -> bool:
@@ -169,7 +170,7 @@ class RigidObject(BatchEntity):
             return
         self.engine.write("qvel", 0.0, ids, dofs)
         self.engine.write("qacc_warmstart", 0.0, ids, dofs)
-        if self.engine.state("xfrc_applied")[:, self._columns(6)].any():
+        if may_be_set(self.engine.state("xfrc_applied")[:, self._columns(6)]):
             self.engine.write("xfrc_applied", 0.0, ids, self._columns(6))
 
     # -- mass, inertia, damping --------------------------------------------------------------------
@@ -244,9 +245,9 @@ class RigidObject(BatchEntity):
         if self._dofs is None:
             return
         rate, (mass, moments) = self._damping[self._rows(ids)], self.read_inertia(ids)
-        values = np.empty((len(mass), 6))
-        values[:, :3] = (rate[:, 0] * mass)[:, None]
-        values[:, 3:] = rate[:, 1:] * self._about_axes(moments, self._rows(ids))
+        linear = np.broadcast_to((rate[:, 0] * mass)[:, None], (len(mass), 3))
+        angular = rate[:, 1:] * self._about_axes(moments, self._rows(ids))
+        values = np.concatenate([linear, angular], axis=1)
         self.engine.write_model("dof_damping", values, ids, self._dofs)
 
     def _about_axes(self, moments: F64, rows: Any) -> F64:
@@ -255,9 +256,9 @@ class RigidObject(BatchEntity):
         if variants is None:
             iquat = self.engine.model.body_iquat[self.index.root_body_id]
             return inertia_about_axes(iquat, moments)
-        found, present = np.empty_like(moments), self._variant[rows]
+        found, present = moments, self._variant[rows][:, None]
         for number, iquat in enumerate(variants.iquat):
-            found[present == number] = inertia_about_axes(iquat, moments[present == number])
+            found = np.where(present == number, inertia_about_axes(iquat, moments), found)
         return found
 
     def get_damping(self, env_ids: Any = None) -> torch.Tensor:
@@ -329,17 +330,19 @@ class RigidObject(BatchEntity):
         if variants is None:
             raise ValueError(f"{self.uid} has one shape: declare others in any_of")
         where, body = self._rows(ids), self.index.root_body_id
-        self._variant[where] = chosen
-        self._mass0[where], self._inertia[where] = variants.mass[chosen], variants.inertia[chosen]
+        mass, inertia = (rows_at(v, chosen) for v in (variants.mass, variants.inertia))
+        put = self.host.arrays.of
+        self._variant[where], self._mass0[where] = put(chosen), put(mass)
+        self._inertia[where] = put(inertia)
         one = slice(int(geoms[0]), int(geoms[-1]) + 1)
-        write("geom_contype", variants.contype[chosen], ids, one)
-        write("geom_conaffinity", variants.conaffinity[chosen], ids, one)
-        write("geom_matid", variants.materials[chosen], ids, one)
-        write("geom_rgba", variants.alpha[chosen], ids, 4 * geoms + 3)
+        write("geom_contype", rows_at(variants.contype, chosen), ids, one)
+        write("geom_conaffinity", rows_at(variants.conaffinity, chosen), ids, one)
+        write("geom_matid", rows_at(variants.materials, chosen), ids, one)
+        write("geom_rgba", rows_at(variants.alpha, chosen), ids, 4 * geoms + 3)
         write("body_user", chosen[:, None], ids, slice(body, body + 1))
-        write("body_ipos", variants.ipos[chosen], ids, self._columns(3))
-        write("body_iquat", variants.iquat[chosen], ids, self._columns(4))
-        self._write_inertia(ids, variants.mass[chosen], variants.inertia[chosen])
+        write("body_ipos", rows_at(variants.ipos, chosen), ids, self._columns(3))
+        write("body_iquat", rows_at(variants.iquat, chosen), ids, self._columns(4))
+        self._write_inertia(ids, mass, inertia)
 
     @property
     def solid(self) -> Solid:
@@ -485,7 +488,7 @@ class RigidObject(BatchEntity):
         self._inertia[...] = state["inertia"]
         if self.index.variants is not None:
             self._variant[...] = state["shape"]
-            self._mass0[...] = self.index.variants.mass[self._variant]
+            self._mass0[...] = rows_at(self.index.variants.mass, self._variant)
 
     set_body_type = not_available("set_body_type", "the body type is compiled into the model")
     set_attrs = not_available("set_attrs", "use set_mass, set_friction, set_damping, set_inertia")

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.unavailable import not_available
+from embodichain.utils.arrays import as_env_ids, as_rows, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 from embodichain.utils.tensor_mapping import TensorMapping
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.cameras import pair_offset
 from embodichain.lab.sim.drawing.views import Output, View, view_of
-from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.lab.sim.sensors.cfg import CameraCfg, StereoCameraCfg
 from embodichain.lab.sim.sensors.depth_images import (
     disparities,
@@ -24,6 +23,7 @@ from embodichain.lab.sim.sensors.depth_images import (
     slopes,
 )
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
+from embodichain.utils.arrays import as_env_ids, as_rows, to_tensor
 from embodichain.utils.errors import RenderError
 from embodichain.utils.math import (
     look_at,
@@ -120,6 +120,7 @@ class Camera(BaseSensor):
         """No effect: images are drawn when they are read. EmbodiChain's name."""
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        self.host.arrays.require_host("images of cameras", f"sensors.{self.uid}")
         self.was_drawn = True
         seen = self._draw(env_ids)
         return tuple(self._image(name, seen) for name in self.reads)
@@ -260,7 +261,7 @@ class Camera(BaseSensor):
 
     def read_intrinsics(self, side: int = 0) -> F64:
         """(N, 4) fx, fy, cx, cy in pixels."""
-        lens = self._view(self.index.ids[side]).lens
+        lens = self.host.arrays.constant(self._view(self.index.ids[side]).lens)
         return np.broadcast_to(lens, (self.num_instances, 4)).copy()
 
     def write_intrinsics(self, lens: F64, env_ids: EnvIndex | None, side: int = 0) -> None:

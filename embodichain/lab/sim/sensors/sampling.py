@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.utils.arrays import may_be_set
+
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import Engine, EnvIndex
+    from embodichain.utils.arrays import Arrays
 
 __all__ = ["Readings", "Sampler"]
 
@@ -30,29 +33,31 @@ class Sampler:
 
     Args:
         engine: The engine.
+        arrays: Makes the arrays.
         measure: Takes (n,) environments, or None for all, and returns arrays (n, ...); they may be
             live views, which are valid until the engine's `version` changes.
         rate: Hz of simulated time; None is no rate.
         of_positions: Whether readings follow from positions and the model alone, and `measure`
             returns new arrays. Environments in which these have not changed are then not measured
-            again: after a reset, only those that were reset.
+            again: after a reset, only those that were reset. On a device all are measured.
     """
 
     def __init__(
         self,
         engine: Engine,
+        arrays: Arrays,
         measure: Callable[[EnvIndex | None], Readings],
         rate: float | None,
         of_positions: bool = False,
     ) -> None:
-        self._engine = engine
+        self._engine, self._arrays = engine, arrays
         self._measure = measure
         self._rate = rate
-        self._of_positions = of_positions
+        self._of_positions = of_positions and not arrays.on_device
         self._version = -1
         self._readings: Readings = ()
-        self._times = np.full(engine.num_envs, np.inf)
-        self._versions = np.full(engine.num_envs, -1)
+        self._times = arrays.full(engine.num_envs, np.inf)
+        self._versions = arrays.full(engine.num_envs, -1, np.int64)
 
     def read(self) -> Readings:
         """Return arrays (N, ...): do not write or store."""
@@ -69,12 +74,12 @@ class Sampler:
         """Measure the environments that are due."""
         time = self._engine.state("time")[:, 0]
         kept = self._kept(time)
-        if not kept.any():
+        if not (self._readings and may_be_set(kept)):
             measured = self._measure(None)
             copied = tuple(part.copy() for part in measured)
             self._readings = measured if self._of_positions else copied
-        elif not kept.all():
-            due = np.flatnonzero(~kept)
+        elif may_be_set(~kept):
+            due = self._arrays.where(~kept)
             readings = tuple(part.copy() for part in self._readings)
             for part, new in zip(readings, self._measure(due), strict=True):
                 part[due] = new
@@ -84,7 +89,7 @@ class Sampler:
 
     def _kept(self, time: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(N,) environments whose readings are kept."""
-        kept = np.zeros(len(time), np.bool_)
+        kept: NDArray[np.bool_] = np.zeros_like(time, np.bool_)
         if self._of_positions:
             kept |= self._engine.versions <= self._versions
         if self._rate is not None:  # the time of no measurement is infinite

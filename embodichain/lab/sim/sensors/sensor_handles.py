@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
 from embodichain.lab.sim.objects.entity import Handle
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.lab.sim.sensors.sampling import Readings, Sampler
+from embodichain.utils.arrays import as_env_ids, to_tensor
 from embodichain.utils.math import quat_conjugate, quat_rotate
 
 if TYPE_CHECKING:
@@ -93,7 +93,9 @@ class BaseSensor(Handle["SensorIndex"]):
 
     @cached_property
     def _sampler(self) -> Sampler:
-        return Sampler(self.engine, self._measure, self.cfg.rate, self.of_positions)
+        return Sampler(
+            self.engine, self.host.arrays, self._measure, self.cfg.rate, self.of_positions
+        )
 
     def _readings(self) -> Readings:
         """(N, ...) what `_measure` returns, at the sensor's rate: do not write or store."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.sim.solvers.chain import matmul
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.math import quat_conjugate, quat_to_matrix
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class ArmDynamics:
 
     def mass_matrix(self) -> F64:
         """(k, k, n) joint-space inertia with the joints' armature, kg m^2 (kg of slides)."""
-        values = np.ascontiguousarray(self._engine.derived("M")[:, self._entries].T)
+        values = contiguous(self._engine.derived("M")[:, self._entries].T)
         size = len(self._dofs)
         return values.reshape(size, size, -1)
 
@@ -66,7 +67,7 @@ class ArmDynamics:
         """
         bias = self._engine.derived("qfrc_bias")[:, self._dofs]
         found = bias - self._engine.derived("qfrc_gravcomp")[:, self._dofs]
-        return np.ascontiguousarray(found.T)
+        return contiguous(found.T)
 
     def jacobian(self) -> F64:
         """(6, k, n) velocity of the tool's origin, then its angular velocity, in world axes.
@@ -76,7 +77,7 @@ class ArmDynamics:
         engine = self._engine
         cdof = np.moveaxis(engine.derived("cdof")[:, self._dofs], 0, -1)  # (k, 6, n)
         arm = engine.derived("xpos")[:, self._body] - engine.derived("subtree_com")[:, self._root]
-        turn, (x, y, z) = np.ascontiguousarray(np.moveaxis(cdof[:, :3], 1, 0)), arm.T
+        turn, (x, y, z) = contiguous(np.moveaxis(cdof[:, :3], 1, 0)), arm.T
         moved = np.stack(
             [turn[1] * z - turn[2] * y, turn[2] * x - turn[0] * z, turn[0] * y - turn[1] * x]
         )
@@ -86,7 +87,7 @@ class ArmDynamics:
         """Positions (k, n), rad or m, and velocities (k, n) of the joints."""
         qpos, qvel = self._asset.read_qpos(), self._asset.read_qvel()
         joints = self._joints
-        return np.ascontiguousarray(qpos[:, joints].T), np.ascontiguousarray(qvel[:, joints].T)
+        return contiguous(qpos[:, joints].T), contiguous(qvel[:, joints].T)
 
     def pose(self) -> F64:
         """(n, 7) x, y, z, qw, qx, qy, qz of the tool."""
@@ -94,13 +95,14 @@ class ArmDynamics:
 
     def velocity(self) -> F64:
         """(6, n) velocity of the tool's origin, then its angular velocity, in world axes."""
-        return np.ascontiguousarray(self._asset.velocity_of(self._body).T)
+        return contiguous(self._asset.velocity_of(self._body).T)
 
 
 def in_axes(axes: F64, twists: F64) -> F64:
     """Twists or errors (6 or 3, ..., n) of world axes, in axes with orientations (n, 4), wxyz."""
-    back = np.ascontiguousarray(np.moveaxis(quat_to_matrix(quat_conjugate(axes)), 0, -1))
-    return np.concatenate([matmul(back, part) for part in np.split(twists, len(twists) // 3)])
+    back = contiguous(np.moveaxis(quat_to_matrix(quat_conjugate(axes)), 0, -1))
+    parts = twists.reshape(-1, 3, *twists.shape[1:])
+    return np.concatenate([matmul(back, part) for part in parts])
 
 
 def _entries(model: mujoco.MjModel, dofs: Sequence[int]) -> NDArray[np.int64]:

@@ -20,6 +20,7 @@ from embodichain.lab.sim.solvers.least_squares import (
     transposed,
 )
 from embodichain.lab.sim.solvers.ur_arm import UrArm
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
     matrix_to_quat,
@@ -163,7 +164,7 @@ class ArmSolver:
         """`forward` in the frame of the root."""
         frames = self.frames(qpos, env_ids)
         quat = matrix_to_quat(np.moveaxis(frames.rotation, -1, 0))
-        return np.ascontiguousarray(frames.position.T), quat
+        return contiguous(frames.position.T), quat
 
     def jacobian(self, qpos: F64, env_ids: EnvIndex | None = None) -> F64:
         """(n, 6, k) of the joints `moving`: linear velocity of the tool, then angular velocity."""
@@ -173,7 +174,7 @@ class ArmSolver:
             np.concatenate([matmul(turn, found[:3, column]), matmul(turn, found[3:, column])])
             for column in self._columns
         ]
-        return np.ascontiguousarray(np.moveaxis(np.stack(columns, axis=1), -1, 0))
+        return contiguous(np.moveaxis(np.stack(columns, axis=1), -1, 0))
 
     def to_root(self, pos: F64, quat: F64 | None, env_ids: EnvIndex | None = None) -> Target:
         """Poses (n, 3), (n, 4) of the environment's frame in that of the root."""
@@ -256,7 +257,7 @@ class ArmSolver:
             env_ids: (n,) environments.
         """
         jacobian = self.chain.jacobian(frames)[: len(error), self._columns]
-        now = np.ascontiguousarray(qpos[:, self.moving].T)
+        now = contiguous(qpos[:, self.moving].T)
         low, high = self.limits(env_ids)
         # Joints beyond a limit come back to it.
         lowest, highest = np.minimum(low - now, 0.0), np.maximum(high - now, 0.0)
@@ -269,12 +270,12 @@ class ArmSolver:
         left = error - times(jacobian, step)
         distance = np.sqrt(squared(left[:3]))
         angle = np.sqrt(squared(left[3:])) if len(left) > 3 else np.zeros_like(distance)
-        return Approach(np.ascontiguousarray(step.T), distance, angle, stationary)
+        return Approach(contiguous(step.T), distance, angle, stationary)
 
     def limits(self, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
         """Lowest and highest positions (k, n) of the moving joints."""
         low, high = self._asset.drives.limits.of(self.moving, env_ids)
-        return np.ascontiguousarray(low.T), np.ascontiguousarray(high.T)
+        return contiguous(low.T), contiguous(high.T)
 
     def _all(
         self, qpos: F64, target: Target, env_ids: EnvIndex | None
@@ -308,7 +309,7 @@ class ArmSolver:
 
     def _in_chain(self, qpos: F64) -> F64:
         """(K, n) positions of the chain's joints."""
-        return np.ascontiguousarray(qpos[:, self.chain.joints].T)
+        return contiguous(qpos[:, self.chain.joints].T)
 
     def root_pose(self, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
         """Position (n, 3) and orientation (n, 4) of the root."""

@@ -123,14 +123,14 @@ class Chain:
         cosines, sines = np.cos(turned)[:, None], np.sin(turned)[:, None]
         count, size = moved.shape
         # Z(q[j]) F[j + 1] of every joint, then their products.
-        moves = np.empty((count, 3, 4, size))
+        moves = np.empty_like(moved, shape=(count, 3, 4, size))
         x, y = transforms[1:, 0], transforms[1:, 1]
         moves[:, 0] = x * cosines - y * sines
         moves[:, 1] = x * sines + y * cosines
         moves[:, 2] = transforms[1:, 2]
         for slide in self._slides:
             moves[slide, 2, 3] += moved[slide]
-        poses = np.empty((count + 1, 3, 4, size))
+        poses = np.empty_like(moved, shape=(count + 1, 3, 4, size))
         poses[0] = transforms[0]
         for pose, move, product in zip(poses, moves, poses[1:], strict=False):
             product[:] = matmul(pose[:, :3], move)
@@ -141,7 +141,7 @@ class Chain:
         """(6, K, n) velocity of the tool's origin, then angular velocity, per joint velocity."""
         axes, anchors = np.swapaxes(frames.axes, 0, 1), np.swapaxes(frames.anchors, 0, 1)
         arm = frames.position[:, None] - anchors
-        found = np.empty((6, *axes.shape[1:]))
+        found = np.empty_like(frames.position, shape=(6, *axes.shape[1:]))
         found[:3] = axes.take(_NEXT, 0) * arm.take(_LAST, 0)
         found[:3] -= axes.take(_LAST, 0) * arm.take(_NEXT, 0)
         found[3:] = axes

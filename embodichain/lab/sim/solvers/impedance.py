@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.sim.solvers.arm_dynamics import in_axes, matrix_product
-from embodichain.lab.sim.solvers.least_squares import squared, times, transposed
+from embodichain.lab.sim.solvers.least_squares import eliminated, squared, times, transposed
+from embodichain.utils.arrays import contiguous, is_host, precise
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_to_rotvec
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ class Impedance:
         if quat is not None:
             turn = quat_multiply(quat, quat_conjugate(pose[:, 3:]))
             error = np.concatenate([error, quat_to_rotvec(turn)], axis=1)
-        return np.ascontiguousarray(error.T)
+        return contiguous(error.T)
 
     def efforts(self, error: F64, axes: F64 | None) -> F64:
         """(k, N) efforts for the engine's current state, N m or N.
@@ -88,7 +89,7 @@ class Impedance:
             axes: (N, 4) orientation of the axes of stiffness, wxyz; None is the world's axes.
         """
         size, dynamics, most = len(error), self._dynamics, self._most
-        parts = zip(np.split(error, size // 3), most, strict=False)
+        parts = zip(error.reshape(-1, 3, error.shape[-1]), most, strict=False)
         error = np.concatenate([_shortened(part, length) for part, length in parts])
         jacobian, velocity = dynamics.jacobian()[:size], dynamics.velocity()[:size]
         if axes is not None:
@@ -116,8 +117,8 @@ class Impedance:
         squares, modes = np.linalg.eigh(np.where(finite, scaled, 0.0))
         moves = squares > 1e-12 * squares[:, -1:]  # the others are axes without stiffness
         rate = np.where(moves, 1.0 / np.sqrt(np.where(moves, squares, 1.0)), 0.0)
-        modes = np.ascontiguousarray(np.moveaxis(modes, 0, -1))
-        found = transposed(modes, self._weight * velocity) * np.ascontiguousarray(rate.T)
+        modes = contiguous(np.moveaxis(modes, 0, -1))
+        found = transposed(modes, self._weight * velocity) * contiguous(rate.T)
         forces: F64 = 2.0 * self._weight * times(modes, found)
         return forces
 
@@ -135,7 +136,10 @@ def _shortened(vectors: F64, length: float) -> F64:
 
 
 def _solved(matrix: F64, right: F64) -> F64:
-    """Solutions of N systems (k, k, N), (k, ..., N); LAPACK solves each alone."""
+    """Solutions of N systems (k, k, N), (k, ..., N); on the host LAPACK solves each alone."""
     vectors = right if right.ndim == 3 else right[:, None]
+    if not is_host(matrix):
+        system = np.concatenate([precise(matrix), precise(vectors)], axis=1)
+        return eliminated(system).reshape(right.shape)
     found = np.linalg.solve(np.moveaxis(matrix, -1, 0), np.moveaxis(vectors, -1, 0))
-    return np.ascontiguousarray(np.moveaxis(found, 0, -1)).reshape(right.shape)
+    return contiguous(np.moveaxis(found, 0, -1)).reshape(right.shape)

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import reduce
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from embodichain.lab.sim.solvers.chain import Chain, matmul
+from embodichain.utils.arrays import contiguous, is_host
 from embodichain.utils.math import matrix_to_quat, quat_to_matrix, quat_to_rotvec
 from embodichain.utils.random import RandomStreams
 
@@ -26,6 +27,7 @@ __all__ = [
     "LeastSquares",
     "Target",
     "clamped",
+    "eliminated",
     "joint_step",
     "pose_error",
     "squared",
@@ -60,7 +62,7 @@ class Target:
     def of(cls, pos: F64, quat: F64 | None) -> Target:
         """The targets of positions (n, 3) and orientations (n, 4) wxyz."""
         turned = None if quat is None else np.moveaxis(quat_to_matrix(quat), 0, -1)
-        return cls(np.ascontiguousarray(pos.T), turned)
+        return cls(contiguous(pos.T), turned)
 
     def rows(self, which: NDArray[np.int64]) -> Target:
         """The targets of some of the environments."""
@@ -107,7 +109,7 @@ def joint_step(
         (k, n) changes of joint positions within the bounds.
     """
     damping = 0.5 * squared(error) + _DAMPING
-    wanted = np.zeros(lowest.shape)
+    wanted = np.zeros_like(lowest)
     if posture is None:
         step = _solved(error, jacobian, damping)
     else:
@@ -115,9 +117,11 @@ def joint_step(
         step = wanted + _solved(error - times(jacobian, wanted), jacobian, damping)
     fixed = beyond = (step < lowest) | (step > highest)
     for _ in range(_ROUNDS - 1):
-        rows = np.flatnonzero(beyond.any(axis=0))
-        if not len(rows):
-            break
+        rows: Any = slice(None)  # on a device all, where the same step is found again
+        if is_host(step):
+            rows = np.flatnonzero(beyond.any(axis=0))
+            if not len(rows):
+                break
         bounded, columns = clamped(step, lowest, highest)[:, rows], jacobian[..., rows]
         motion = np.where(fixed[:, rows], bounded, wanted[:, rows])
         left = error[:, rows] - times(columns, motion)
@@ -149,22 +153,34 @@ def _added(parts: Iterable[F64]) -> F64:
 
 
 def _solved(error: F64, jacobian: F64, damping: F64) -> F64:
-    """(k, n) J^T (J J^T + c I)^-1 e, by Gauss-Jordan elimination.
-
-    The matrix is positive definite: elimination needs no pivots. All rows are solved together, and
-    each by the same operations.
-    """
+    """(k, n) J^T (J J^T + c I)^-1 e."""
     size = len(error)
-    system = np.empty((size, size + 1, error.shape[1]))
+    system = np.empty_like(error, shape=(size, size + 1, error.shape[1]))
     joints = np.swapaxes(jacobian, 0, 1)
     system[:, :size] = _added(joint[:, None] * joint for joint in joints)
-    system[range(size), range(size)] += damping
+    for i in range(size):
+        system[i, i] += damping
     system[:, size] = error
+    return transposed(jacobian, eliminated(system)[:, 0])
+
+
+def eliminated(system: F64) -> F64:
+    """Solve systems with positive definite matrices by Gauss-Jordan elimination without pivots.
+
+    All are solved together, and each by the same operations.
+
+    Args:
+        system: (k, k + m, n) matrices beside m right sides; changed in place.
+
+    Returns:
+        (k, m, n) solutions.
+    """
+    size = len(system)
     for i in range(size):
         pivot = system[i, i + 1 :] / system[i, i]
         system[:, i + 1 :] -= system[:, i, None] * pivot
         system[i, i + 1 :] = pivot
-    return transposed(jacobian, system[:, size])
+    return system[:, size:]
 
 
 class LeastSquares:

@@ -3,8 +3,6 @@
 All tests use one model, so that few kernels are compiled where Warp's cache is empty.
 """
 
-import os
-
 import mujoco
 import numpy as np
 import pytest
@@ -14,45 +12,9 @@ from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.engine.warp import WarpEngine
 from embodichain.lab.sim.engine.warp_worlds import measured_sizes
 from embodichain.utils.errors import ConfigError
+from tests.helpers.warp_scene import DEVICE, SCENE, N, close, scatter
 
 pytestmark = pytest.mark.unmeasured
-
-SCENE = """
-<mujoco>
-  <option timestep="0.004" integrator="implicitfast"><flag autoreset="disable"/></option>
-  <worldbody>
-    <geom name="floor" type="plane" size="5 5 .1"/>
-    <geom name="post" type="sphere" size=".2" pos="1.5 0 .25"/>
-    <body name="arm" pos="0 0 1">
-      <joint name="shoulder" axis="0 1 0" damping=".2" range="-2 2" limited="true"/>
-      <geom name="upper" type="capsule" fromto="0 0 0 .4 0 0" size=".05" mass="1"/>
-      <body name="fore" pos=".4 0 0">
-        <joint name="elbow" axis="0 1 0" damping=".2" armature=".01"/>
-        <geom name="lower" type="capsule" fromto="0 0 0 .4 0 0" size=".04" mass=".6"/>
-        <site name="tip" pos=".4 0 0"/>
-      </body>
-    </body>
-    <body name="ball" pos="0 .8 .098">
-      <freejoint/>
-      <geom name="ball" type="sphere" size=".1" mass=".5"/>
-    </body>
-    <body name="goal" mocap="true" pos="1 1 1">
-      <geom type="sphere" size=".02" contype="0" conaffinity="0"/>
-    </body>
-  </worldbody>
-  <actuator>
-    <position name="a" joint="shoulder" kp="40" kv="2" forcerange="-15 15"/>
-    <position name="b" joint="elbow" kp="20" kv="1"/>
-  </actuator>
-  <sensor>
-    <accelerometer site="tip"/>
-    <framepos objtype="site" objname="tip"/>
-    <contact name="touch" geom1="ball" geom2="floor" data="found force" num="1"/>
-  </sensor>
-</mujoco>
-"""
-N = 4
-DEVICE = os.environ.get("EMBODICHAIN_TEST_WARP_DEVICE", "cpu")
 
 
 def warp_engine(model, **sizes):
@@ -67,24 +29,6 @@ def model():
 @pytest.fixture
 def both(model):
     return CpuEngine(model, N, 1), warp_engine(model)
-
-
-def scatter(*engines, seed=0):
-    """Puts the same states, representable in float32, into all engines."""
-    rng = np.random.default_rng(seed)
-    row = engines[0].rows[0].copy()
-    qpos = np.tile(row[engines[0].component("qpos")], (N, 1))
-    qpos[:, :2] = rng.uniform(-1, 1, (N, 2))
-    qpos[:, 2:4] += rng.uniform(-0.1, 0.1, (N, 2))
-    qvel = rng.uniform(-0.5, 0.5, (N, 8))
-    ctrl = rng.uniform(-1, 1, (N, 2))
-    for engine in engines:
-        for name, values in (("qpos", qpos), ("qvel", qvel), ("ctrl", ctrl)):
-            engine.write(name, values.astype(np.float32))
-
-
-def close(warp, cpu, relative):
-    np.testing.assert_allclose(warp, cpu, rtol=0, atol=relative * max(1.0, np.abs(cpu).max()))
 
 
 def compare_step(cpu, warp):

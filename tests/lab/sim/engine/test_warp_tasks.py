@@ -1,6 +1,7 @@
 """Whole tasks on MuJoCo Warp's CPU device, against MuJoCo: two, or all by `make test-warp`."""
 
 import copy
+import json
 import os
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from embodichain.cli import main
 from embodichain.config.composed import list_options
 from embodichain.config.factory import with_warp_sizes
 from embodichain.config.resolved import resolve
+from embodichain.lab.sim.engine.device_array import HostTransferError
 from embodichain.recording import simulation, verify
 from embodichain.utils.errors import ConfigError
 
@@ -25,6 +27,8 @@ FEW = ["cart_pole", "quadruped_velocity"]
 ALL = os.environ.get("EMBODICHAIN_TEST_WARP") == "all"
 TASKS = list_options("task") if ALL else FEW
 N, STEPS, EPISODE = 2, 40, 25
+NO_DEVICE_FORM = dict.fromkeys(["lift_vision", "reach_vision"], "images of cameras have no form")
+"""Tasks that need the host, and what says so."""
 TIE = 1e-6
 """Metres: closer bodies touch or do not, by rounding."""
 
@@ -51,27 +55,35 @@ class Touching:
 
 def play(task, engine, steps, *overrides):
     lines = ["seed=3", f"sim.engine={engine}", "sim.num_threads=1", *overrides]
+    if not any(line.startswith("sim.warp.arrays=") for line in lines):
+        lines.append("sim.warp.arrays=host")
     env = embodichain.make(task, num_envs=N, overrides=lines)
     try:
         env.reset()
-        sim, space = env.sim.engine, env.single_action_space
+        sim, space, host = env.sim.engine, env.single_action_space, env.arrays.host
         touching = Touching(sim)
-        sim.listeners.append(touching)
+        if not env.arrays.on_device:
+            sim.listeners.append(touching)
         rng = np.random.default_rng(5)
         low, high = np.maximum(space.low, -1), np.minimum(space.high, 1)
-        played = {"start": sim.rows.copy(), "name": sim.name}
-        found = {key: [] for key in ("qpos", "qvel", "reward", "done", "diverged", "tied")}
+        played = {"start": sim.host_rows() if env.arrays.on_device else sim.rows.copy()}
+        played["name"] = sim.name
+        keys = ("qpos", "qvel", "obs", "reward", "done", "diverged", "success", "tied")
+        found = {key: [] for key in keys}
         for _ in range(steps):
             action = rng.uniform(low, high, (N, *space.shape)).astype(np.float32)
-            _, reward, terminated, truncated, info = env.step(torch.from_numpy(action))
-            done = (terminated | truncated).numpy().copy()
+            given = torch.from_numpy(action).to(env.device)
+            obs, reward, terminated, truncated, info = env.step(given)
+            done = (terminated | truncated).cpu().numpy().copy()
             found["tied"].append(touching.tied.copy())
             touching.tied[done] = False
             found["done"].append(done)
-            found["diverged"].append(info["diverged"].numpy().copy())
-            found["reward"].append(reward.numpy().copy())
+            found["obs"].append(host(obs.rows).copy())
+            found["reward"].append(reward.cpu().numpy().copy())
+            for key in ("diverged", "success"):
+                found[key].append(info[key].cpu().numpy().copy())
             for key in ("qpos", "qvel"):
-                found[key].append(sim.state(key).copy())
+                found[key].append(host(sim.state(key)).copy())
         fields = sim.model_fields()
     finally:
         env.close()
@@ -96,6 +108,26 @@ def test_a_task_is_the_same_on_both_engines(task):
         assert np.isfinite(error).all()
 
 
+@pytest.mark.parametrize("task", TASKS)
+def test_a_task_is_the_same_with_arrays_on_the_device(task):
+    """The same engine and draws; terms compute in float32 instead of float64."""
+    lines = (f"task.max_episode_steps={EPISODE}", "sim.warp.nconmax=256", "sim.warp.njmax=512")
+    if task in NO_DEVICE_FORM:
+        with pytest.raises((HostTransferError, ConfigError), match=NO_DEVICE_FORM[task]):
+            play(task, "warp", 1, *lines, "sim.warp.arrays=device")
+        return
+    host = play(task, "warp", STEPS, *lines)
+    device = play(task, "warp", STEPS, *lines, "sim.warp.arrays=device")
+    for key in ("done", "diverged", "success"):
+        np.testing.assert_array_equal(device[key], host[key])
+    assert host["done"].any() and not host["diverged"].any()
+    np.testing.assert_allclose(device["start"], host["start"], rtol=0, atol=1e-6)
+    for key, bound in (("qpos", 1e-5), ("qvel", 1e-4), ("obs", 1e-4), ("reward", 1e-5)):
+        scale = max(1.0, np.abs(host[key]).max())
+        np.testing.assert_allclose(device[key], host[key], rtol=0, atol=bound * scale, err_msg=key)
+    assert host["qvel"].any() and host["obs"].any()
+
+
 def test_what_events_draw_is_the_same_to_the_bit():
     of = "func: randomize, mode: reset, params: {of: {uid: cart_pole}"
     draws = (
@@ -117,9 +149,10 @@ def test_what_events_draw_is_the_same_to_the_bit():
 
 def test_memory_is_measured_once_and_written_into_the_config():
     resolved = resolve(["task=cart_pole", "sim.engine=warp", "sim.warp.njmax=48", "seed=1"])
-    assert dict(resolved.tree["sim"]["warp"]) == {"nconmax": None, "njmax": 48}
+    asked = {"nconmax": None, "njmax": 48, "arrays": "auto"}
+    assert dict(resolved.tree["sim"]["warp"]) == asked
     sized = with_warp_sizes(resolved)
-    assert dict(sized.tree["sim"]["warp"]) == {"nconmax": 16, "njmax": 48}
+    assert dict(sized.tree["sim"]["warp"]) == {**asked, "nconmax": 16}
     assert with_warp_sizes(sized) is sized
     plain = resolve(["task=cart_pole"])
     assert with_warp_sizes(plain) is plain and plain.tree["sim"]["engine"] == "mujoco"
@@ -136,7 +169,9 @@ def test_a_run_and_its_log(capsys, monkeypatch):
     told(capsys, "run", *lines, "task.max_episode_steps=5", "scene_png=false")
     folder = Path("outputs/latest")
     config = yaml.safe_load((folder / "config.yaml").read_text())
-    assert config["sim"]["warp"] == {"nconmax": 16, "njmax": 16}
+    assert config["sim"]["warp"] == {"nconmax": 16, "njmax": 16, "arrays": "host"}
+    note = "sim.warp.arrays: host, because record.format=mcap: the log is of arrays of the host"
+    assert note in (folder / "run.log").read_text()
     with recording.open(folder) as log:
         assert log.header.engine.startswith("mujoco_warp 4.")
         model, data = log.model, log.read(["qpos"])["qpos"]
@@ -154,3 +189,31 @@ def test_a_run_and_its_log(capsys, monkeypatch):
     monkeypatch.setitem(simulation.TOLERANCE, "qvel", 1e-12)
     strict = verify(folder)
     assert not strict.ok and "results of physics are not MuJoCo's" in str(strict)
+
+
+def test_a_training_with_arrays_on_the_device_and_its_evaluation(capsys):
+    """An evaluation is logged: its arrays are on the host. Resuming continues on the device."""
+    sizes = ("sim.warp.nconmax=16", "sim.warp.njmax=16", "num_envs=2", "algo.n_steps=32")
+    lines = (*sizes, "task.max_episode_steps=9", "eval.episodes=2", "seed=4", "algo.batch_size=32")
+    told(capsys, "train", "task=cart_pole", "sim.engine=warp", *lines, "total_timesteps=64")
+    told(capsys, "train", "resume=outputs/latest", "total_timesteps=128")
+    folders = sorted(path.parent for path in Path("outputs").glob("*/*/summary.json"))
+    assert len(folders) == 2
+    for folder in folders:
+        config = yaml.safe_load((folder / "config.yaml").read_text())
+        assert config["sim"]["warp"]["arrays"] == "device"
+        with recording.open(folder) as log:
+            assert log.header.engine.startswith("mujoco_warp 4.")
+    report = json.loads(told(capsys, "eval", "outputs/latest", "episodes=2", "--json"))
+    assert report["episodes"] == 2
+    config = yaml.safe_load(Path("outputs/latest/config.yaml").read_text())
+    assert config["sim"]["warp"]["arrays"] == "host"
+
+
+def test_a_run_with_arrays_on_the_device(capsys):
+    lines = ("task=cart_pole", "sim.engine=warp", "num_envs=2", "episodes=2", "seed=4")
+    sizes = ("sim.warp.nconmax=16", "sim.warp.njmax=16", "task.max_episode_steps=5")
+    report = json.loads(told(capsys, "run", *lines, *sizes, "record=none", "--json"))
+    assert (report["status"], report["episodes"]) == ("finished", 4)
+    config = yaml.safe_load(Path("outputs/latest/config.yaml").read_text())
+    assert config["sim"]["warp"]["arrays"] == "device"

@@ -18,7 +18,7 @@ from embodichain.lab.gym.envs.cfg import ActionTermCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import ActionPipeline
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
-from embodichain.lab.sim.objects._arrays import all_finite
+from embodichain.utils.arrays import all_finite, is_host, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.tensor_mapping import leaves_of
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.types import EnvAction
+    from embodichain.utils.arrays import Arrays
 
 __all__ = [
     "ActionCheck",
@@ -71,15 +72,15 @@ class ActionCheck:
     Args:
         space: Action space of one environment; shapes are checked if it is a Box.
         num_envs: N.
-        device: The device that actions must be on.
+        arrays: Where actions must be.
     """
 
-    def __init__(self, space: gym.Space[Any], num_envs: int, device: torch.device) -> None:
+    def __init__(self, space: gym.Space[Any], num_envs: int, arrays: Arrays) -> None:
         self._shape = (
             (num_envs, *(space.shape or ())) if isinstance(space, gym.spaces.Box) else None
         )
         self._num_envs = num_envs
-        self._device = device
+        self._arrays = arrays
 
     def __call__(self, action: Any) -> tuple[EnvAction, F64]:
         """Check an action.
@@ -93,19 +94,22 @@ class ActionCheck:
 
         Raises:
             TypeError: If it is not a floating tensor, array or mapping.
-            ValueError: If its shape or device is wrong or a number is not finite.
+            ValueError: If its shape or device is wrong or a number is not finite; on a device
+                numbers are not checked, and an environment with such an action diverges.
         """
+        if isinstance(action, np.ndarray) and self._arrays.on_device:
+            action = tensor_of(self._arrays.put(action))
         if isinstance(action, np.ndarray):
             numbers = action
             tensor = (
                 torch.from_numpy(action.astype(np.float32)) if action.dtype.kind == "f" else None
             )
         elif isinstance(action, torch.Tensor):
-            if action.device != self._device:
+            if action.device != self._arrays.device:
                 found = f"action is on {action.device}"
-                raise ValueError(f"{found}; this environment is on {self._device}")
+                raise ValueError(f"{found}; this environment is on {self._arrays.device}")
             tensor = action.detach() if action.requires_grad else action
-            numbers = tensor.numpy()
+            numbers = self._arrays.of(tensor)
         elif isinstance(action, Mapping):
             return action, self._finite(self._joined(action))
         else:
@@ -117,7 +121,7 @@ class ActionCheck:
         shape = numbers.shape
         if shape != self._shape and (self._shape is not None or shape[:1] != (self._num_envs,)):
             raise ValueError(f"action must have shape {self._wanted()}, got {shape}")
-        given = numbers.astype(np.float64)
+        given: F64 = numbers.astype(np.float64)
         return tensor, self._finite(given if given.ndim == 2 else given.reshape(len(given), -1))
 
     def _wanted(self) -> str:
@@ -137,7 +141,7 @@ class ActionCheck:
 
     @staticmethod
     def _finite(values: F64) -> F64:
-        if not all_finite(values):
+        if is_host(values) and not all_finite(values):
             rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
             raise ValueError(f"action is not finite in environments {rows[:8].tolist()}")
         return values
@@ -243,7 +247,8 @@ class ActionManager(Manager[ActionTermCfg]):
             return call
         pipeline = self._pipelines.get(name)
         if pipeline is None:
-            pipeline = ActionPipeline(name, cfg, term.instance.action_dim, self.env.streams)
+            width = term.instance.action_dim
+            pipeline = ActionPipeline(name, cfg, width, self.env.streams, self._arrays)
             self._pipelines[name] = pipeline
         pipeline.hold = term.instance.hold
         return lambda action: call(pipeline(action))
@@ -315,7 +320,7 @@ class ActionManager(Manager[ActionTermCfg]):
         """
         for name, measure in self._measured:
             for key, values in measure().items():
-                metrics[f"{name}/{key}"] = torch.from_numpy(values.astype(np.float32))
+                metrics[f"{name}/{key}"] = tensor_of(values.astype(np.float32))
 
     def home(self) -> NDArray[np.float64]:
         """(A,) the action that goes to the initial state."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import CommandCfg, EventCfg, TermCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.term import CommandTerm
+from embodichain.utils.arrays import may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.registry import Kind
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.utils.arrays import Arrays
 else:
     torch = lazy_loader.load("torch")
 
@@ -133,7 +135,8 @@ class DrawingManager(Manager[C]):
         if given is None or given.shape != tuple(shape):
             return None
         n = self.num_envs if env_ids is None else len(env_ids)
-        return np.tile(given, (n, *[1] * len(shape)))
+        rows: F64 = self.env.arrays.put(np.tile(given, (n, *[1] * len(shape))))
+        return rows
 
     def replay(
         self, name: str, mode: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]
@@ -159,13 +162,15 @@ class Timer:
     Args:
         count: N, or 1 for a timer that all environments share.
         step_dt: Seconds of a control step.
+        arrays: Makes its array.
 
     Attributes:
         left: (count,) int64 control steps; 0 where the timer was not started.
     """
 
-    def __init__(self, count: int, step_dt: float) -> None:
-        self.left: NDArray[np.int64] = np.zeros(count, np.int64)
+    def __init__(self, count: int, step_dt: float, arrays: Arrays) -> None:
+        self.left: NDArray[np.int64] = arrays.full(count, 0, np.int64)
+        self._arrays = arrays
         self._step_dt = step_dt
 
     def start(self, env_ids: EnvIndex | None, seconds: F64) -> None:
@@ -185,7 +190,8 @@ class Timer:
         """
         if env_ids is None:
             self.left -= steps
-            return np.flatnonzero(self.left <= 0)
+            due: EnvIndex = self._arrays.where(self.left <= 0)
+            return due
         self.left[env_ids] -= steps
         return env_ids[self.left[env_ids] <= 0]
 
@@ -269,11 +275,14 @@ class _Interval:
 
     def __init__(self, env: TermContext, term: BuiltTerm[EventCfg]) -> None:
         self.term = term
-        self._streams = env.streams
+        self._streams, self._arrays = env.streams, env.arrays
         cfg = term.cfg
         self.is_global = cfg.is_global
         self.every_step = cfg.interval_range_s is None and cfg.interval_step == 1
-        self.timer = Timer(1 if cfg.is_global else env.num_envs, env.step_dt)
+        # On a device a timer that all share is N equal ones: masks choose among N environments.
+        count = 1 if cfg.is_global and not env.arrays.on_device else env.num_envs
+        self.timer = Timer(count, env.step_dt, env.arrays)
+        self._first = env.arrays.put(np.arange(count) == 0)
 
     def _start(self, env_ids: EnvIndex | None) -> None:
         """Restart the timer. A global one draws from environment 0's stream."""
@@ -282,9 +291,10 @@ class _Interval:
             self.timer.left[slice(None) if env_ids is None else env_ids] = cfg.interval_step
             return
         low, high = cfg.interval_range_s
-        ids = np.zeros(1, np.int64) if self.is_global else env_ids
+        ids = env_ids[self._first] if self.is_global and env_ids is not None else env_ids
         name = f"events.{self.term.name}.interval"
-        self.timer.start(env_ids, self._streams.uniform(name, (), low, high, ids))
+        seconds = self._streams.uniform(name, (), low, high, ids)
+        self.timer.start(env_ids, seconds[:1] if self.is_global else seconds)
 
     def restart(self, env_ids: EnvIndex | None) -> None:
         """Restart the timer of environments that begin an episode; a global one is not changed."""
@@ -295,12 +305,14 @@ class _Interval:
         """Count one step; return the environments that are due, None for all."""
         if self.every_step:
             return None if self.is_global else env_ids
-        if self.is_global and self.timer.left[0] == 0:
-            self._start(None)
-        found = self.timer.advance(None if self.is_global else env_ids)
-        due = None if len(found) == len(self.timer.left) else found
+        if self.is_global:
+            env_ids, stopped = None, self.timer.left == 0
+            if may_be_set(stopped):
+                self._start(self._arrays.where(stopped))
+        found = self.timer.advance(env_ids)
+        due = None if self._arrays.are_all(found, len(self.timer.left)) else found
         if len(found):
-            self._start(due)
+            self._start(found if self.is_global else due)
         return due
 
 
@@ -322,20 +334,21 @@ class CommandManager(DrawingManager[CommandCfg]):
     def __init__(self, env: TermContext, cfgs: Mapping[str, CommandCfg]) -> None:
         super().__init__(env, "commands", "command", cfgs)
         self._timers = {
-            name: Timer(self.num_envs, env.step_dt)
+            name: Timer(self.num_envs, env.step_dt, env.arrays)
             for name, term in self.terms.items()
             if term.cfg.resampling_time_s is not None
         }
         self._sums: dict[str, F64] = {}
-        self._steps: F64 = np.zeros(self.num_envs)
+        self._steps: F64 = env.arrays.full(self.num_envs, 0.0)
 
     def _bind(self) -> None:
         for name, term in self.terms.items():
             values = getattr(term.instance, "values", None)
-            if not isinstance(values, np.ndarray) or values.ndim != 2:
+            if values is None or getattr(values, "ndim", 0) != 2:
                 message = f"{term.spec.label} must set values, an array (N, K)"
                 raise ConfigError([Problem(f"commands.{name}.func", message)])
-            if values.shape[0] != self.num_envs or values.dtype != np.float64:
+            plain = self.env.arrays.on_device or values.dtype == np.float64
+            if values.shape[0] != self.num_envs or not plain:
                 message = f"needs float64 values ({self.num_envs}, K), got {values.shape}"
                 raise ConfigError([Problem(f"commands.{name}", message)])
         instances = [(name, term.instance) for name, term in self.terms.items()]
@@ -373,7 +386,7 @@ class CommandManager(DrawingManager[CommandCfg]):
 
     def get_command(self, name: str) -> torch.Tensor:
         """(N, K) float32 commands in force; a copy."""
-        return torch.from_numpy(self.values(name).astype(np.float32))
+        return tensor_of(self.values(name).astype(np.float32))
 
     def names(self, name: str) -> tuple[str, ...]:
         """Names of the columns of a command."""
@@ -403,7 +416,7 @@ class CommandManager(DrawingManager[CommandCfg]):
         for name, timer in self._timers.items():
             due = timer.advance(env_ids)
             if len(due):
-                everyone = len(due) == self.num_envs
+                everyone = self.env.arrays.are_all(due, self.num_envs)
                 self._run(self.terms[name], "command", None if everyone else due)
         for update in self._updates:
             update(env_ids)
@@ -414,7 +427,7 @@ class CommandManager(DrawingManager[CommandCfg]):
     def _measure(self, where: Any) -> None:
         for name, metrics in self._measured:
             for key, value in metrics().items():
-                total = self._sums.setdefault(f"{name}/{key}", np.zeros(self.num_envs))
+                total = self._sums.setdefault(f"{name}/{key}", np.zeros_like(self._steps))
                 total[where] += value[where]
 
     def report(self, metrics: dict[str, torch.Tensor]) -> None:
@@ -425,7 +438,7 @@ class CommandManager(DrawingManager[CommandCfg]):
         """
         count = np.maximum(self._steps, 1.0)
         for name, total in self._sums.items():
-            metrics[name] = torch.from_numpy((total / count).astype(np.float32))
+            metrics[name] = tensor_of((total / count).astype(np.float32))
 
     @property
     def has_metrics(self) -> bool:

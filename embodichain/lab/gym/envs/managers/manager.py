@@ -20,6 +20,7 @@ from embodichain.lab.gym.envs.managers.check import CheckedTerm, check_in_task, 
 from embodichain.lab.gym.envs.managers.param_types import references
 from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
+from embodichain.utils.arrays import is_host
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.arrays import Arrays
 
 __all__ = [
     "BuiltTerm",
@@ -148,8 +150,8 @@ def _call(
             value: Any = read(env, *(passed[i] for i in at)) if at else read(env)
         except ConfigError as error:
             raise _moved(error, where) from error
-        if type(value) is not np.ndarray:
-            value = value.numpy(force=True)
+        if type(value) is not np.ndarray and is_host(value):
+            value = env.arrays.of(value)
             value = value if value.dtype == np.bool_ else value.astype(np.float64)
         for shape in shapes:
             value = shape(value)
@@ -250,6 +252,9 @@ class Manager(Generic[C]):
     Raises:
         ConfigError: If a term or an entity that it refers to does not exist, or a parameter is
             wrong; lists the mistakes of all terms.
+
+    Attributes:
+        revision: Number of changes of parameters and weights so far.
     """
 
     def __init__(self, env: TermContext, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
@@ -257,6 +262,7 @@ class Manager(Generic[C]):
         self.num_envs = env.num_envs
         self.section = section
         self._kind: Kind = kind
+        self.revision = 0
         self._declared = dict(cfgs)
         self._changed: dict[str, dict[str, Any]] = {}
         problems: list[Problem] = []
@@ -303,8 +309,13 @@ class Manager(Generic[C]):
         if old.instance is not None and hasattr(old.instance, "state_dict"):
             term.instance.load_state_dict(old.instance.state_dict())
         self.terms[name] = term
+        self.revision += 1
         self._changed[name] = copy.deepcopy(self._changed.get(name, {}) | changed)
         self._collect()
+
+    @property
+    def _arrays(self) -> Arrays:
+        return self.env.arrays
 
     def __len__(self) -> int:
         return len(self.terms)
@@ -367,12 +378,21 @@ class CurriculumManager(Manager[CurriculumCfg]):
         super().__init__(env, "curriculum", "curriculum", cfgs)
         self.values: dict[str, float] = {}
 
+    def before_step(self) -> None:
+        """Call the terms for all environments, with arrays on a device only; see `compute`."""
+        if self._arrays.on_device:
+            self._compute(None)
+
     def compute(self, env_ids: EnvIndex | None) -> None:
-        """Call the terms.
+        """Call the terms. With arrays on a device this does nothing: `before_step` calls them.
 
         Args:
             env_ids: (n,) sorted unique int64 environments about to be reset, or None for all.
         """
+        if not self._arrays.on_device:  # there it is not known which environments are reset
+            self._compute(env_ids)
+
+    def _compute(self, env_ids: EnvIndex | None) -> None:
         for name, term in self.terms.items():
             value = term.call(self.env, env_ids)
             if isinstance(value, Mapping):

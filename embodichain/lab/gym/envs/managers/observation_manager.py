@@ -16,6 +16,7 @@ from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import Delay, Noise, Past, Rows
 from embodichain.lab.gym.envs.observation import Observation, new_tensor
+from embodichain.utils.arrays import contiguous, may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -68,10 +69,10 @@ class ObservationEntry:
         self._noise: Noise | None = None
         self._delay: Delay | None = None
         if cfg.delay not in (0, [0, 0]):
-            self._delay = Delay(cfg.delay, f"{self.key}.delay", env.streams)
+            self._delay = Delay(cfg.delay, f"{self.key}.delay", env.streams, env.arrays)
         self._past: Past | None = None
         if cfg.history_length:
-            self._past = Past(env.num_envs, cfg.history_length)
+            self._past = Past(env.num_envs, cfg.history_length, env.arrays)
         self._flat = cfg.flatten_history_dim
         self.remembers = bool(self._delay or self._past or self._noise_cfg is not None)
         self._changes = self.remembers or self._clip is not None or self._scale is not None
@@ -94,7 +95,7 @@ class ObservationEntry:
         found = self.term.call(self._env, obs)
         if not self._checked:
             self._check(found)
-        value: NDArray[Any] = found if type(found) is np.ndarray else found.numpy(force=True)
+        value = found if type(found) is np.ndarray else self._env.arrays.of(found)
         if not self._changes:
             return value
         if value.dtype == np.float64:
@@ -144,7 +145,9 @@ class ObservationEntry:
             self._scale = np.broadcast_to(np.float32(self._scale), tuple(value.shape)).copy()
         if self._noise_cfg is not None:
             shape = tuple(value.shape[1:])
-            self._noise = Noise(self._noise_cfg, shape, self.key, self._env.streams)
+            self._noise = Noise(
+                self._noise_cfg, shape, self.key, self._env.streams, self._env.arrays
+            )
         self._checked = True
 
     # -- saving --------------------------------------------------------------------------------
@@ -218,7 +221,7 @@ class ObservationManager(Manager[ObservationCfg]):
             self._groups.setdefault(entry.term.cfg.group, {})[entry.path] = None
         self._modified = {e.path: i for i, e in enumerate(self._entries) if e.modifies}
         self._remembers = any(entry.remembers for entry in self._entries)
-        self._fresh: NDArray[np.bool_] = np.ones(env.num_envs, np.bool_)
+        self._fresh: NDArray[np.bool_] = env.arrays.full(env.num_envs, True, np.bool_)
         self.stepped: EnvIndex | None = _NONE
         # Entry, its columns if its value is (N, K), that shape, and whether it is the last of its
         # path.
@@ -314,7 +317,7 @@ class ObservationManager(Manager[ObservationCfg]):
         if not self._remembers:
             return _BETWEEN_STEPS
         stepped, self.stepped = self.stepped, _NONE
-        fresh = self._fresh if self._fresh.any() else None
+        fresh = self._fresh if may_be_set(self._fresh) else None
         if fresh is not None and (stepped is None or len(stepped)):
             self._fresh = fresh.copy()
             self._fresh[slice(None) if stepped is None else stepped] = False
@@ -368,7 +371,7 @@ class ObservationManager(Manager[ObservationCfg]):
         Raises:
             ValueError: If no term is in the group (lists the groups), or one is an image.
         """
-        return torch.from_numpy(self.flat_rows(obs, group))
+        return tensor_of(self.flat_rows(obs, group))
 
     def flat_rows(self, obs: Mapping[Any, Any], group: str = "policy") -> NDArray[np.float32]:
         """`flatten` as an array."""
@@ -379,10 +382,10 @@ class ObservationManager(Manager[ObservationCfg]):
         if layout is not None and isinstance(obs, Observation) and obs.layout is layout:
             columns = layout.groups.get(group)
             if columns is not None and obs.packed:
-                return np.ascontiguousarray(obs.rows[:, columns])
+                return contiguous(obs.rows[:, columns])
         count, paths = self.num_envs, self._paths(group)
         entries = [obs[p].reshape(count, -1).to(torch.float32) for p in paths]
-        rows: NDArray[np.float32] = torch.cat(entries, dim=1).numpy(force=True)
+        rows: NDArray[np.float32] = self._arrays.of(torch.cat(entries, dim=1))
         return rows
 
     def state_dict(self) -> dict[str, Any]:

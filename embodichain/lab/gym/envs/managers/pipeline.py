@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import ActionTermCfg, NoiseCfg
+from embodichain.utils.arrays import may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 else:
     torch = lazy_loader.load("torch")
@@ -49,6 +51,7 @@ class Noise:
         shape: Shape of one environment's value.
         path: Key path of the value: the name of its stream, also used in messages.
         streams: The environment's random numbers.
+        arrays: Makes the arrays.
 
     Attributes:
         last: (N, ...) float32, the last draw.
@@ -58,7 +61,12 @@ class Noise:
     """
 
     def __init__(
-        self, cfg: NoiseCfg, shape: tuple[int, ...], path: str, streams: RandomStreams
+        self,
+        cfg: NoiseCfg,
+        shape: tuple[int, ...],
+        path: str,
+        streams: RandomStreams,
+        arrays: Arrays,
     ) -> None:
         self._operation = cfg.operation
         self._gaussian = cfg.type == "gaussian"
@@ -80,7 +88,7 @@ class Noise:
         # Before the first draw the value is unchanged, or the lower bound if noise replaces it.
         start: Any = {"add": 0.0, "scale": 1.0, "abs": self._low}[cfg.operation]
         rows = np.broadcast_to(start if self._draws else self._low, (streams.num_envs, self._width))
-        self.last = self._shaped(rows)
+        self.last = arrays.put(self._shaped(rows))
 
     def _shaped(self, rows: NDArray[np.float64]) -> F32:
         return rows.astype(np.float32).reshape(-1, *self._shape[1:])
@@ -99,8 +107,10 @@ class Noise:
             else:
                 self.last[rows] = drawn
         if self._operation == "add":
-            return value + self.last
-        return value * self.last if self._operation == "scale" else self.last.copy()
+            found: NDArray[Any] = value + self.last
+        else:
+            found = value * self.last if self._operation == "scale" else self.last.copy()
+        return found
 
     def _draw(self, rows: EnvIndex | None) -> F64:
         """(n, width) float64."""
@@ -144,13 +154,14 @@ class Past:
     Args:
         num_envs: N.
         depth: Number of values.
+        arrays: Makes the arrays.
 
     Attributes:
         values: (N, depth, ...), None before the first value.
     """
 
-    def __init__(self, num_envs: int, depth: int) -> None:
-        self._num_envs = num_envs
+    def __init__(self, num_envs: int, depth: int, arrays: Arrays) -> None:
+        self._num_envs, self._arrays = num_envs, arrays
         self._depth = depth
         self.values: NDArray[Any] | None = None
 
@@ -171,17 +182,17 @@ class Past:
         newest = value[:, None]
         old = self.values
         if old is None:
-            old = np.zeros((self._num_envs, self._depth, *value.shape[1:]), value.dtype)
+            shape = (self._num_envs, self._depth, *value.shape[1:])
+            old = self._arrays.full(shape, 0, value.dtype)
         moved = np.concatenate([old[:, 1:], newest], axis=1)
-        stepped = np.ones(self._num_envs, np.bool_)
+        stepped = self._arrays.full(self._num_envs, rows.stepped is None, np.bool_)
         if rows.stepped is not None:
-            stepped[:] = False
             stepped[rows.stepped] = True
             moved = np.where(_column(stepped, moved), moved, old)
         if rows.fresh is not None:
             filled = newest if before is None else before[:, None]
             moved = np.where(_column(rows.fresh, moved), filled, moved)
-            moved[rows.fresh, -1] = value[rows.fresh]
+            moved[:, -1] = np.where(_column(rows.fresh, value), value, moved[:, -1])
         # An observation between two steps changes nothing that is stored.
         self.values = (
             moved if rows.stepped is None else np.where(_column(stepped, moved), moved, old)
@@ -200,19 +211,22 @@ class Delay:
         steps: Control steps, or [low, high]: each episode of each environment draws its own.
         stream: Name of its random stream.
         streams: The environment's random numbers.
+        arrays: Makes the arrays.
 
     Attributes:
         past: The values that are still delayed.
         lag: (N,) int64 current delay in steps.
     """
 
-    def __init__(self, steps: int | list[int], stream: str, streams: RandomStreams) -> None:
+    def __init__(
+        self, steps: int | list[int], stream: str, streams: RandomStreams, arrays: Arrays
+    ) -> None:
         self._low, self._high = (steps, steps) if isinstance(steps, int) else steps
         self._stream = stream
         self._streams = streams
-        self.past = Past(streams.num_envs, self._high + 1)
-        self.lag: NDArray[np.int64] = np.full(streams.num_envs, self._low, np.int64)
-        self._rows = np.arange(streams.num_envs)
+        self.past = Past(streams.num_envs, self._high + 1, arrays)
+        self.lag: NDArray[np.int64] = arrays.full(streams.num_envs, self._low, np.int64)
+        self._rows = arrays.put(np.arange(streams.num_envs))
 
     def restart(self, env_ids: EnvIndex | None) -> None:
         """Draw the delay of a new episode; (n,) environments, or None for all."""
@@ -244,6 +258,7 @@ class ActionPipeline:
         width: Number A of its columns.
         streams: Random numbers: each environment draws the delay once per episode, the noise in
             every step.
+        arrays: Makes the arrays.
 
     Attributes:
         hold: Returns the action, (A,) or (N, A), that keeps the present targets.
@@ -254,27 +269,32 @@ class ActionPipeline:
 
     hold: Callable[[], F64]
 
-    def __init__(self, name: str, cfg: ActionTermCfg, width: int, streams: RandomStreams) -> None:
+    def __init__(
+        self, name: str, cfg: ActionTermCfg, width: int, streams: RandomStreams, arrays: Arrays
+    ) -> None:
+        self._arrays = arrays
         path = f"actions.{name}"
         self._delay: Delay | None = None
         if cfg.delay not in (0, [0, 0]):
-            self._delay = Delay(cfg.delay, f"{path}.delay", streams)
-        self._fresh: NDArray[np.bool_] = np.ones(streams.num_envs, np.bool_)
-        self._noise = None if cfg.noise is None else Noise(cfg.noise, (width,), path, streams)
+            self._delay = Delay(cfg.delay, f"{path}.delay", streams, arrays)
+        self._fresh: NDArray[np.bool_] = arrays.full(streams.num_envs, True, np.bool_)
+        self._noise: Noise | None = None
+        if cfg.noise is not None:
+            self._noise = Noise(cfg.noise, (width,), path, streams, arrays)
 
     def __call__(self, action: torch.Tensor) -> torch.Tensor:
         """(N, A) float32 action that the term receives in this step."""
-        values: NDArray[Any] = action.numpy()
+        values: NDArray[Any] = self._arrays.of(action)
         if self._delay is not None:
             rows, hold = Rows(None, None), None
-            if self._fresh.any():
+            if may_be_set(self._fresh):
                 rows = Rows(None, self._fresh)
                 hold = np.broadcast_to(self.hold(), values.shape)
                 self._fresh = np.zeros_like(self._fresh)
             values = self._delay(values, rows, hold).astype(np.float32)
         if self._noise is not None:
             values = self._noise.apply(values, None)
-        return torch.from_numpy(values)
+        return tensor_of(values)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Clear the delayed actions of these environments, and draw their delays."""

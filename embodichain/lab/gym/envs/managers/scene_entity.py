@@ -18,6 +18,7 @@ from pydantic import GetCoreSchemaHandler
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.lab.sim.body_motion import BodyMotion, Frame, origin_velocities
+from embodichain.utils.arrays import is_host
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
 from embodichain.utils.type_errors import from_dict
@@ -140,7 +141,9 @@ class ResolvedEntity:
 
     @cached_property
     def _initial_rows(self) -> F64:
-        return np.tile(self.initial_qpos, (self.asset.num_instances, 1))
+        rows = np.tile(self.initial_qpos, (self.asset.num_instances, 1))
+        found: F64 = self.asset.host.arrays.put(rows)
+        return found
 
     def displacement(self) -> F64:
         """(N, K) joint positions minus the initial ones, rad or m."""
@@ -177,13 +180,32 @@ class ResolvedEntity:
             ConfigError: If no joint has a limit.
         """
         low, high = self.asset.drives.limits.of(self._columns, None)
-        self._require_limits(np.isfinite(low) | np.isfinite(high), "position")
+        if not self._was_checked(low, "position"):
+            self._require_limits(np.isfinite(low) | np.isfinite(high), "position")
         if soft_ratio == 1.0:
             return low, high
         limited = np.isfinite(low) & np.isfinite(high)
         width = np.subtract(high, low, where=limited, out=np.zeros_like(low))
         inset = 0.5 * (1.0 - soft_ratio) * width
         return low + inset, high - inset
+
+    def qpos_ranges(self) -> tuple[F64, F64]:
+        """Low and high position limits in force, (N, K) each.
+
+        Raises:
+            ConfigError: If a joint has no limits.
+        """
+        low, high = self.asset.drives.limits.of(self._columns, None)
+        if self._was_checked(low, "ranges"):
+            return low, high
+        limited = self.asset.host.arrays.host(np.isfinite(low) & np.isfinite(high))
+        if not limited.all():
+            every = np.asarray(limited.all(axis=0))
+            pairs = zip(self.joint_names, every, strict=True)
+            missing = ", ".join(name for name, fine in pairs if not fine)
+            message = f"joints of {self.uid!r} without position limits: {missing}"
+            raise ConfigError([Problem(self.path, message)])
+        return low, high
 
     def qvel_limits(self) -> F64:
         """(N, K) rad/s or m/s: the smaller of the drive's maximum and the file's limit.
@@ -206,11 +228,25 @@ class ResolvedEntity:
         file = np.asarray(getattr(self.asset.parsed, of_file), np.float64)
         limits = np.minimum(drive[:, self._columns], file[self._columns])
         limits = np.where(limits >= UNLIMITED, np.inf, limits)
-        self._require_limits(np.isfinite(limits), what)
+        if not self._was_checked(limits, what):
+            self._require_limits(np.isfinite(limits), what)
         return limits
 
+    @cached_property
+    def _checked(self) -> set[str]:
+        return set()
+
+    def _was_checked(self, limits: F64, what: str) -> bool:
+        """Whether limits on a device were checked before: once, because it waits for the device."""
+        if is_host(limits):
+            return False
+        if what in self._checked:
+            return True
+        self._checked.add(what)
+        return False
+
     def _require_limits(self, limited: NDArray[np.bool_], what: str) -> None:
-        if not limited.any():
+        if not self.asset.host.arrays.host(limited).any():
             names = ", ".join(self.joint_names)
             message = f"none of the joints picked of {self.uid!r} has limits of {what}: {names}"
             raise ConfigError([Problem(self.path, message)])
@@ -282,7 +318,7 @@ class ResolvedEntity:
 
     @cached_property
     def _link_bodies(self) -> Any:
-        from embodichain.lab.sim.objects._arrays import columns_of  # imports the engine
+        from embodichain.utils.arrays import columns_of
 
         return columns_of([self.asset.body_of(name) for name in self.link_names])
 

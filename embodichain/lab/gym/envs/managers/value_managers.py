@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import MetricCfg, RewardCfg, TerminationCfg
 from embodichain.lab.gym.envs.context import TermContext
 from embodichain.lab.gym.envs.managers.manager import Manager, checked_rows
+from embodichain.utils.arrays import tensor_of
 
 if TYPE_CHECKING:
     import torch
@@ -61,8 +62,16 @@ class TermRows(Mapping[str, "torch.Tensor"]):
                 row = self.names.index(name)
             except ValueError:
                 raise KeyError(name) from None
-            found = self._tensors[name] = torch.from_numpy(np.array(self.rows[row]))
+            found = self._tensors[name] = tensor_of(self.rows[row].copy())
         return found
+
+    def zeroed(self, rows: NDArray[np.bool_]) -> TermRows:
+        """Return the values with those of some environments, (N,) bool, set to 0."""
+        if isinstance(self.rows, (list, tuple)):
+            return TermRows(
+                self.names, [np.where(rows, row.dtype.type(0), row) for row in self.rows]
+            )
+        return TermRows(self.names, np.where(rows, np.float32(0.0), self.rows))
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
@@ -128,7 +137,7 @@ class TerminationManager(Manager[TerminationCfg]):
             value = call(self.env, obs, action, info)
             if not self._checked:
                 checked_rows(value, self.num_envs, "termination", name)
-            flags = value if type(value) is np.ndarray else value.numpy(force=True)
+            flags = value if type(value) is np.ndarray else self._arrays.of(value)
             flags = flags.astype(np.bool_)  # a copy: the term may reuse its array
             values.append(flags)
             masks[kind] = masks[kind] | flags if kind in masks else flags
@@ -164,10 +173,10 @@ class MetricManager(Manager[MetricCfg]):
         super().__init__(env, "metrics", "metric", cfgs)
         # Arrays (N,), replaced and never written to: returned ones must not change.
         self._so_far: dict[str, NDArray[Any]] = {
-            name: np.full(self.num_envs, start, dtype)
+            name: env.arrays.full(self.num_envs, start, dtype)
             for name, _, dtype, _, start, _ in self._calls
         }
-        self._count: NDArray[np.float32] = np.zeros(self.num_envs, np.float32)
+        self._count: NDArray[np.float32] = env.arrays.full(self.num_envs, 0.0, np.float32)
 
     def _bind(self) -> None:
         self._checked = False
@@ -210,10 +219,10 @@ class MetricManager(Manager[MetricCfg]):
             value = call(self.env, obs, action, info)
             if not self._checked:
                 checked_rows(value, self.num_envs, "metric", name)
-            array = value if type(value) is np.ndarray else value.numpy(force=True)
+            array = value if type(value) is np.ndarray else self._arrays.of(value)
             so_far = self._so_far[name] = join(self._so_far[name], array.astype(dtype))
             shown = so_far / self._count if mean else so_far.copy()
-            metrics[name] = torch.from_numpy(shown)
+            metrics[name] = tensor_of(shown)
             if name == "success":
                 success = shown.astype(np.bool_)
         self._checked = True
@@ -260,7 +269,7 @@ class RewardManager(Manager[RewardCfg]):
         self.weights: Mapping[str, float] = MappingProxyType(weights)
         super().__init__(env, "rewards", "reward", cfgs)
         # Arrays (T, N), replaced and never written to: returned ones must not change.
-        self._sums: F32 = np.zeros((len(self.terms), self.num_envs), np.float32)
+        self._sums: F32 = env.arrays.full((len(self.terms), self.num_envs), 0.0, np.float32)
         self._sums_before = self._sums
         self._names = tuple(self.terms)
 
@@ -281,6 +290,7 @@ class RewardManager(Manager[RewardCfg]):
         """Change the weight of a term from the next step on."""
         if self.weights[name] != weight:
             self.weights = MappingProxyType({**self.weights, name: float(weight)})
+            self.revision += 1
             self._bind()
 
     def compute(self, rewards: F32 | None, obs: Any, action: Any, info: dict[str, Any]) -> F32:
@@ -302,16 +312,18 @@ class RewardManager(Manager[RewardCfg]):
         """
         if not self._calls:
             info["rewards"], info["episode_sums"] = {}, {}
-            return np.zeros(self.num_envs, np.float32) if rewards is None else rewards
-        values = np.empty(self._sums.shape, np.float32)
+            none: F32 = self._arrays.full(self.num_envs, 0.0, np.float32)
+            return none if rewards is None else rewards
+        values = np.empty_like(self._sums)
         for row, (name, call) in enumerate(self._calls):
             value = call(self.env, obs, action, info)
             if not self._checked:
                 checked_rows(value, self.num_envs, "reward", name)
-            values[row] = value if type(value) is np.ndarray else value.numpy(force=True)
+            values[row] = value if type(value) is np.ndarray else self._arrays.of(value)
         self._checked = True
-        parts = np.empty((len(values) + 1, self.num_envs), np.float32)
-        parts[0] = 0.0 if rewards is None else rewards
+        parts: F32 = self._arrays.full((len(values) + 1, self.num_envs), 0.0, np.float32)
+        if rewards is not None:
+            parts[0] = rewards
         weighted = np.multiply(values, self._factors, out=parts[1:])
         self._sums_before, self._sums = self._sums, self._sums + weighted
         # Row by row: the rounding does not depend on the number of environments.
@@ -342,9 +354,11 @@ class RewardManager(Manager[RewardCfg]):
         """Continue where `state_dict` was taken."""
         super().load_state_dict(state)
         self.weights = MappingProxyType(dict(state["weights"]))
+        self.revision += 1
         self._bind()
-        sums = [np.asarray(state["episode_sums"][name], np.float32) for name in self._names]
-        self._sums = np.array(sums, np.float32).reshape(len(sums), self.num_envs)
+        self._sums = np.empty_like(self._sums)
+        for row, name in enumerate(self._names):
+            self._sums[row] = state["episode_sums"][name]
 
 
 class JudgedEnv(TermContext, Protocol):

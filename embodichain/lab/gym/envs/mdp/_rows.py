@@ -12,10 +12,13 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader
 import numpy as np
 
+from embodichain.utils.arrays import contiguous, tensor_of
+
 if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 else:
     torch = lazy_loader.load("torch")
@@ -33,14 +36,14 @@ __all__ = [
 
 def squares(vectors: NDArray[Any]) -> F64:
     """Sum of the squares of the rows, (N, ..., K) -> (N, ...)."""
-    rows = np.ascontiguousarray(vectors, np.float64)
+    rows = contiguous(vectors, np.float64)
     found: F64 = np.vecdot(rows, rows)
     return found
 
 
 def total(values: NDArray[Any]) -> F64:
     """Sum of the rows, (N, K) -> (N,); 0 where K is 0."""
-    rows = np.ascontiguousarray(values, np.float64)
+    rows = contiguous(values, np.float64)
     found: F64 = np.vecdot(rows, _ones(rows.shape[1]))
     return found
 
@@ -71,11 +74,11 @@ def angle_between(a: F64, b: F64) -> F64:
 
     difference = quat_multiply(quat_conjugate(a), b)
     sine, cosine = norm(difference[:, 1:]), np.abs(difference[:, 0])
-    found: F64 = 2.0 * np.arctan2(sine, np.ascontiguousarray(cosine))
+    found: F64 = 2.0 * np.arctan2(sine, contiguous(cosine))
     return found
 
 
-def action_rows(action: Any) -> F64:
+def action_rows(env: TermContext, action: Any) -> F64:
     """(N, A) float64 copy of the action that rewards receive.
 
     Raises:
@@ -83,10 +86,10 @@ def action_rows(action: Any) -> F64:
     """
     if not isinstance(action, torch.Tensor):
         raise TypeError(f"this term needs an action tensor, got {type(action).__name__}")
-    rows: F64 = action.detach().numpy().astype(np.float64)
+    rows: F64 = env.arrays.of(action.detach()).astype(np.float64)
     return rows
 
 
 def tensor(array: NDArray[np.float64] | NDArray[np.bool_]) -> torch.Tensor:
     """A new tensor, float32 or bool."""
-    return torch.from_numpy(array if array.dtype == np.bool_ else array.astype(np.float32))
+    return tensor_of(array if array.dtype == np.bool_ else array.astype(np.float32))

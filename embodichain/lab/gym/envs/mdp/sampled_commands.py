@@ -78,7 +78,7 @@ class UniformVelocityCommand(CommandTerm):
         rel_standing_envs: UnitInterval = 0.0,
         rel_heading_envs: UnitInterval = 1.0,
     ) -> None:
-        count = env.num_envs
+        count, full = env.num_envs, env.arrays.full
         self._env = env
         self._entity = entity_cfg
         heading = ranges.heading
@@ -89,11 +89,11 @@ class UniformVelocityCommand(CommandTerm):
         self._stiffness = heading_control_stiffness
         self._stands = rel_standing_envs
         self._heads = rel_heading_envs
-        self.values: F64 = np.zeros((count, 3))
+        self.values: F64 = full((count, 3), 0.0)
         self.marker = CommandMarker("velocity", entity_cfg.body_id)
-        self.heading_target: F64 = np.zeros(count)
-        self.is_heading: NDArray[np.bool_] = np.zeros(count, np.bool_)
-        self.is_standing: NDArray[np.bool_] = np.zeros(count, np.bool_)
+        self.heading_target: F64 = full(count, 0.0)
+        self.is_heading: NDArray[np.bool_] = full(count, False, np.bool_)
+        self.is_standing: NDArray[np.bool_] = full(count, False, np.bool_)
 
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw velocities, headings, and which environments stand or turn to a heading."""
@@ -161,7 +161,7 @@ class UniformPoseCommand(CommandTerm):
         ends = ([*position_range[i], *angles[i]] for i in (0, 1))
         self._pose = Uniform("pose", *ends)
         self._unique = make_quat_unique
-        self.values: F64 = np.zeros((env.num_envs, 7))
+        self.values: F64 = env.arrays.full((env.num_envs, 7), 0.0)
         self.values[:, 3] = 1.0
         self.marker = CommandMarker("pose", self._root.body_id)
 
@@ -235,7 +235,7 @@ class UniformJointPositionCommand(CommandTerm):
             rows = _rows(position_range, self.names, np.zeros(len(ids)) if relative else home)
             rows = np.clip(rows + home[:, None] if relative else rows, limits[:, :1], limits[:, 1:])
         self._qpos = Uniform("qpos", rows[:, 0], rows[:, 1])
-        self.values: F64 = np.tile(home, (env.num_envs, 1))
+        self.values: F64 = env.arrays.put(np.tile(home, (env.num_envs, 1)))
 
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw positions."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import numpy as np
 from pydantic import Field
@@ -23,6 +23,7 @@ from embodichain.lab.gym.envs.managers.param_types import (
 from embodichain.lab.gym.envs.managers.registry import register_shape
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import mean, norm, squares, total
+from embodichain.utils.arrays import contiguous, may_be_set
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -158,20 +159,20 @@ class Tolerance:
         # A bound at infinity is never exceeded: the difference is -inf, and the maximum 0.
         excess = np.maximum(np.maximum(self._low - x, x - self._high), 0.0)
         if self._margin > 0.0:
-            return self._sigmoid(np.ascontiguousarray(excess / self._margin), self._value)
+            return self._sigmoid(contiguous(excess / self._margin), self._value)
         inside: F64 = np.where(excess > 0.0, 0.0, 1.0)
         return np.where(np.isnan(excess), excess, inside)
 
 
 def gaussian_kernel(squared: F64, std: float) -> F64:
     """exp(-e^2 / std^2) of squared errors, the kernel of Isaac Lab's tracking rewards."""
-    found: F64 = np.exp(np.ascontiguousarray(squared) * (-1.0 / (std * std)))
+    found: F64 = np.exp(contiguous(squared) * (-1.0 / (std * std)))
     return found
 
 
 def tanh_kernel(error: F64, std: float) -> F64:
     """1 - tanh(e / std) of errors >= 0, the kernel of Isaac Lab's reaching rewards."""
-    found: F64 = 1.0 - np.tanh(np.ascontiguousarray(error) / std)
+    found: F64 = 1.0 - np.tanh(contiguous(error) / std)
     return found
 
 
@@ -187,12 +188,14 @@ def _columns(values: F64) -> F64:
 
 def _any_column(mask: Mask) -> Mask:
     """Whether a row has a True, (N,) or (N, K) -> (N,)."""
-    return mask if mask.ndim == 1 else np.asarray(mask.any(axis=1))
+    found: Any = mask if mask.ndim == 1 else mask.any(axis=1)
+    return cast("Mask", found)
 
 
 def _every_column(mask: Mask) -> Mask:
     """Whether all columns of a row are True, (N,) or (N, K) -> (N,)."""
-    return mask if mask.ndim == 1 else np.asarray(mask.all(axis=1))
+    found: Any = mask if mask.ndim == 1 else mask.all(axis=1)
+    return cast("Mask", found)
 
 
 def _length(values: F64) -> F64:
@@ -431,7 +434,8 @@ class Rate(Term):
     ) -> None:
         self._unit = env.step_dt**order if per == "second" else 1.0
         self._order = order
-        self._left: NDArray[np.int64] = np.full(env.num_envs, order)  # steps without a rate yet
+        # Steps without a rate yet.
+        self._left: NDArray[np.int64] = env.arrays.full(env.num_envs, order, np.int64)
         self._all_known = False
         self._past: list[F64] = []
 
@@ -445,7 +449,7 @@ class Rate(Term):
         if not self._all_known:
             change[self._left > 0] = 0.0
             self._left = np.maximum(self._left - 1, 0)
-            self._all_known = not self._left.any()
+            self._all_known = not may_be_set(self._left)
         return change
 
     def reset(self, env_ids: EnvIndex | None) -> None:
@@ -460,5 +464,5 @@ class Rate(Term):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         self._left = state["left"].copy()
-        self._all_known = not self._left.any()
+        self._all_known = not may_be_set(self._left)
         self._past = [rows.copy() for rows in state["past"]]

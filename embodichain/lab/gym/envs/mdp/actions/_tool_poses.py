@@ -12,6 +12,7 @@ import numpy as np
 
 from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
+from embodichain.utils.arrays import contiguous, may_be_set
 from embodichain.utils.math import (
     euler_xyz_to_quat,
     quat_conjugate,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.param_types import Box3
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
@@ -36,7 +38,7 @@ _QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
 
 def _quat_to_rpy(quat: F64) -> F64:
     """Roll, pitch, yaw about fixed axes (R = Rz Ry Rx), (..., 3), of wxyz quaternions."""
-    w, x, y, z = np.ascontiguousarray(np.moveaxis(quat, -1, 0))
+    w, x, y, z = contiguous(np.moveaxis(quat, -1, 0))
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
@@ -50,7 +52,7 @@ class AbsolutePose:
     Args:
         asset: The robot.
         solver: The kinematics of its tool.
-        num_envs: N.
+        env: The environment.
         frame: Of the pose: ``base``, the robot's root, or ``world``, the environment.
         rotation: ``quat``, ``rpy``, ``keep`` or ``free``, as of `eef_pose`.
         position_range: Low and high of the position, or None: a box around all that the links
@@ -66,7 +68,7 @@ class AbsolutePose:
         self,
         asset: Any,
         solver: ArmSolver,
-        num_envs: int,
+        env: TermContext,
         frame: Literal["base", "world"],
         rotation: Literal["quat", "rpy", "keep", "free"],
         position_range: Box3 | None,
@@ -87,7 +89,8 @@ class AbsolutePose:
             turn = np.asarray(index.quat0, np.float64)[None]
             pos, quat = root + quat_rotate(turn, pos), quat_multiply(turn, quat)
         self.home: F64 = self.action_at(pos, quat)[0]
-        self._kept: F64 = np.tile(quat, (num_envs, 1))
+        self._of = env.arrays.of
+        self._kept: F64 = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
 
     def action_at(self, pos: F64, quat: F64) -> F64:
         """(n, A) the action for a pose (n, 3), (n, 4) in `frame`."""
@@ -106,8 +109,8 @@ class AbsolutePose:
         Returns:
             Position (N, 3) and orientation (N, 4) or None, if that is free.
         """
-        given = np.minimum(np.maximum(action.numpy(), self.low), self.high).astype(np.float64)
-        pos, turned = np.ascontiguousarray(given[:, :3]), np.ascontiguousarray(given[:, 3:])
+        given = np.minimum(np.maximum(self._of(action), self.low), self.high).astype(np.float64)
+        pos, turned = contiguous(given[:, :3]), contiguous(given[:, 3:])
         quat: F64 | None = None
         if self._rotation == "keep":
             quat = self._kept
@@ -150,8 +153,8 @@ def _normalized(quat: F64, orientation: Callable[[], F64]) -> F64:
     norm = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
     void = norm < 1e-6
     unit: F64 = quat / np.where(void, 1.0, norm)[:, None]
-    if void.any():
-        unit[void] = orientation()[void]
+    if may_be_set(void):
+        unit = np.where(void[:, None], orientation(), unit)
     return unit
 
 
@@ -185,7 +188,7 @@ class MotionColumns:
     """Columns of actions that are motions of a tool: scale x clamp(action, clip).
 
     Args:
-        num_envs: N.
+        env: The environment.
         rotation: ``command``, ``keep`` or ``free``, as of `eef_delta_pose`.
         scale: m and rad per unit of action; None is 0.02 m and 0.1 rad.
         clip: Bounds of the action; None is [-1, 1].
@@ -197,7 +200,7 @@ class MotionColumns:
 
     def __init__(
         self,
-        num_envs: int,
+        env: TermContext,
         rotation: Literal["command", "keep", "free"],
         scale: PerJoint | None,
         clip: JointClip | None,
@@ -206,7 +209,7 @@ class MotionColumns:
         self.names = ("x", "y", "z", *(("rx", "ry", "rz") if turns else ()))
         if scale is None:
             scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
-        affine = Affine(self.names, num_envs, scale, 0.0, clip or [-1.0, 1.0], what="column")
+        affine = Affine(self.names, env, scale, 0.0, clip or [-1.0, 1.0], what="column")
         self.low, self.high = affine.low, affine.high
         self.value = affine.value
         self._action_for = affine.action_for
@@ -227,7 +230,7 @@ class RelativePose(MotionColumns):
 
     Args:
         solver: The kinematics of the tool.
-        num_envs: N.
+        env: The environment.
         frame: Of the motion: ``base``, ``world`` or ``tool``, as of `eef_delta_pose`.
         rotation: As of `MotionColumns`.
         scale: Likewise.
@@ -237,13 +240,13 @@ class RelativePose(MotionColumns):
     def __init__(
         self,
         solver: ArmSolver,
-        num_envs: int,
+        env: TermContext,
         frame: Literal["base", "world", "tool"],
         rotation: Literal["command", "keep", "free"],
         scale: PerJoint | None,
         clip: JointClip | None,
     ) -> None:
-        super().__init__(num_envs, rotation, scale, clip)
+        super().__init__(env, rotation, scale, clip)
         self._solver, self._frame, self._rotation = solver, frame, rotation
 
     def motion_for(self, quat: F64, shift: F64, turn: F64) -> F64:
@@ -263,7 +266,7 @@ class RelativePose(MotionColumns):
             Position (N, 3) and orientation (N, 4) or None, if that is free.
         """
         value = self.value(action).astype(np.float64)
-        shift = np.ascontiguousarray(value[:, :3])
+        shift = contiguous(value[:, :3])
         turn = None
         if self._rotation == "command":
             turn = rotvec_to_quat(value[:, 3:])

@@ -73,8 +73,7 @@ class ActuatorCtrl(ActionTerm):
         self._which: NDArray[np.int64] = picked_controls(actuator_names, parsed.control_names)
         self.names = tuple(parsed.control_names[i] for i in self._which)
         limits = None if clip is not None else self._ranges(parsed)
-        count = env.num_envs
-        affine = Affine(self.names, count, scale, offset, clip, limits=limits, what="actuator")
+        affine = Affine(self.names, env, scale, offset, clip, limits=limits, what="actuator")
         self.low, self.high = affine.low, affine.high
         self._value, self._action_for = affine.value, affine.action_for
         self._initial: F64 = parsed.init_ctrl[self._which]

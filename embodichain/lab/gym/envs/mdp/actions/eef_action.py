@@ -30,6 +30,7 @@ from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.lab.sim.solvers.chain import matmul
 from embodichain.lab.sim.solvers.least_squares import Target, pose_error
+from embodichain.utils.arrays import contiguous, precise
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
     quat_conjugate,
@@ -93,7 +94,7 @@ class EefTerm(JointTerm):
 
     def _commanded(self) -> F64:
         """(N, D) joint positions with the moving joints at their targets."""
-        whole: F64 = self._asset.read_qpos().copy()
+        whole: F64 = precise(self._asset.read_qpos().copy())
         whole[:, self._ids] = self._targets()
         return whole
 
@@ -188,9 +189,7 @@ class EefPose(EefTerm):
         posture_gain: UnitInterval = 0.0,
     ) -> None:
         super().__init__(env, entity_cfg, max_velocity, posture_gain)
-        poses = AbsolutePose(
-            self._asset, self._solver, self._count, frame, rotation, position_range
-        )
+        poses = AbsolutePose(self._asset, self._solver, env, frame, rotation, position_range)
         self._poses, self._world = poses, frame == "world"
         self.orientation, self.tool_speeds = tool_orientation(rotation), (np.inf, np.inf)
         self.names, self.low, self.high = poses.names, poses.low, poses.high
@@ -264,7 +263,7 @@ class EefDeltaPose(EefTerm):
         super().__init__(env, entity_cfg, max_velocity, posture_gain)
         self._frame, self._rotation = frame, rotation
         self._measured = reference == "qpos"
-        columns = MotionColumns(self._count, rotation, scale, clip)
+        columns = MotionColumns(env, rotation, scale, clip)
         self.names, self.low, self.high = columns.names, columns.low, columns.high
         self._columns, self.orientation = columns, tool_orientation(rotation)
         self.tool_speeds = columns.largest(1.0 / env.step_dt)
@@ -281,7 +280,7 @@ class EefDeltaPose(EefTerm):
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets by (N, A) actions."""
-        value = np.ascontiguousarray(self._columns.value(action).T, np.float64)
+        value = contiguous(self._columns.value(action).T, np.float64)
         commanded = self._commanded()
         frames = self._solver.frames(commanded)
         start = self._solver.frames(self._asset.read_qpos()) if self._measured else frames

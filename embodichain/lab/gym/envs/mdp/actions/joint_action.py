@@ -51,7 +51,7 @@ class Affine:
 
     Args:
         names: Names of the A columns.
-        num_envs: N.
+        env: The environment.
         scale: `PerJoint`, not 0; 1 for names that are not in a map.
         offset: `PerJoint`; 0 for names that are not in a map.
         clip: `JointClip`, or None: the bounds of the action then follow from `limits`.
@@ -66,7 +66,7 @@ class Affine:
     def __init__(
         self,
         names: Sequence[str],
-        num_envs: int,
+        env: TermContext,
         scale: Any,
         offset: Any,
         clip: Any,
@@ -74,6 +74,8 @@ class Affine:
         limits: tuple[Any, Any] | None = None,
         what: str = "joint",
     ) -> None:
+        count, put = env.num_envs, env.arrays.put
+        self._of = env.arrays.of
         self._scale: F64 = per_joint(scale, names, "scale", 1.0, what)
         if (self._scale == 0).any():
             raise ConfigError([Problem("scale", "must not be 0")])
@@ -88,12 +90,12 @@ class Affine:
         self.high: NDArray[np.float32] = self._most.astype(np.float32)
         self._plain = bool((self._scale == 1).all() and not self._centre.any())
         # With a row for every environment: broadcasting one row takes four times as long.
-        self._bounds = [np.tile(bound, (num_envs, 1)) for bound in (self.low, self.high)]
-        self._line = [np.tile(part, (num_envs, 1)) for part in (self._centre, self._scale)]
+        self._bounds = [put(np.tile(bound, (count, 1))) for bound in (self.low, self.high)]
+        self._line = [put(np.tile(part, (count, 1))) for part in (self._centre, self._scale)]
 
     def value(self, action: torch.Tensor) -> F64:
         """(N, A) the value of an action."""
-        given: F64 = action.numpy()
+        given: F64 = self._of(action)
         if self._clips:
             low, high = self._bounds
             given = np.minimum(np.maximum(given, low), high)  # float32: no conversion
@@ -133,7 +135,7 @@ class JointTerm(ActionTerm):
         driven: bool = True,
         positions: bool = True,
     ) -> None:
-        self._period = env.step_dt
+        self._period, self._arrays = env.step_dt, env.arrays
         asset = entity.asset
         if not hasattr(asset, "parsed"):
             raise ConfigError([Problem("entity_cfg.uid", f"{entity.uid!r} has no joints")])
@@ -209,7 +211,8 @@ class VelocityTargets:
     def __init__(self, asset: Any, joints: NDArray[np.int64], period: float) -> None:
         self._asset, self._joints, self._period = asset, joints, period
         drives = asset.drives
-        stiff, damping = (v[0, joints] > 0 for v in (drives.stiffness, drives.damping))
+        gains = (asset.host.arrays.host(v) for v in (drives.stiffness, drives.damping))
+        stiff, damping = (v[0, joints] > 0 for v in gains)
         lame = [asset.parsed.joint_names[j] for j in joints[~(stiff | damping)]]
         if lame:
             message = f"joints {lame} have neither stiffness nor damping: nothing drives them"
@@ -251,7 +254,7 @@ class Efforts:
     def __init__(self, asset: Any, joints: NDArray[np.int64]) -> None:
         self._asset, self._joints = asset, joints
         self._dofs = np.asarray(asset.entity.dof_adr, np.int64)[joints]
-        stiff = joints[asset.drives.stiffness[0, joints] > 0]
+        stiff = joints[asset.host.arrays.host(asset.drives.stiffness)[0, joints] > 0]
         if len(stiff):
             logger.warning(
                 "joint_effort: joints %s have a drive with stiffness that keeps its own target "
@@ -338,7 +341,7 @@ class JointAction(JointTerm):
         elif clip is None:
             clip = [-1.0, 1.0]
         home = self._default if centre == "home" else 0.0
-        affine = Affine(self.names, env.num_envs, scale, offset, clip, home, limits)
+        affine = Affine(self.names, env, scale, offset, clip, home, limits)
         self.low, self.high = affine.low, affine.high
         self._value, self._action_for = affine.value, affine.action_for
         self._value_of = affine.value_of

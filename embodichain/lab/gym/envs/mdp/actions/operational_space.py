@@ -25,6 +25,7 @@ from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Efforts, JointTerm
 from embodichain.lab.sim.solvers.arm_dynamics import ArmDynamics
 from embodichain.lab.sim.solvers.impedance import Impedance
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -118,6 +119,8 @@ class OperationalSpace(JointTerm):
         super().__init__(env, moving_joints(entity_cfg, solver), driven=False)
         self._refuse_drives()
         count, joints = env.num_envs, self.names
+        if not decoupling:
+            env.arrays.require_host("the modes of its dampers", "decoupling")
         given = {"scale": scale, "clip": clip, "position_range": position_range}
         poses: AbsolutePose | RelativePose
         if command == "pose":
@@ -125,12 +128,12 @@ class OperationalSpace(JointTerm):
             if frame == "tool":
                 raise ConfigError([Problem("frame", "of a pose it is base or world")])
             turned = "quat" if rotation == "command" else rotation
-            poses = AbsolutePose(self._asset, solver, count, frame, turned, position_range)
+            poses = AbsolutePose(self._asset, solver, env, frame, turned, position_range)
         else:
             _refuse(given, ("position_range",), "delta")
             if rotation == "quat" or rotation == "rpy":
                 raise ConfigError([Problem("rotation", f"{rotation} is for command: pose")])
-            poses = RelativePose(solver, count, frame, rotation, scale, clip)
+            poses = RelativePose(solver, env, frame, rotation, scale, clip)
         self._poses, self.names, self.low, self.high = poses, poses.names, poses.low, poses.high
         self._solver, self._frame = solver, frame
         self._measured, self._keeps = reference == "qpos", rotation == "keep"
@@ -144,14 +147,15 @@ class OperationalSpace(JointTerm):
         most = max_position_error, max_rotation_error
         self._impedance = Impedance(self._dynamics, *gains, most, decoupling, target, pull)
         self._efforts = Efforts(self._asset, self._ids)
-        self._pos: F64 = np.zeros((count, 3))
-        self._quat: F64 = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
-        self._begins = np.ones(count, np.bool_)  # no pose was asked for in this episode
+        full = env.arrays.full
+        self._pos: F64 = full((count, 3), 0.0)
+        self._quat: F64 = env.arrays.put(np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)))
+        self._begins = full(count, True, np.bool_)  # no pose was asked for in this episode
         self._free = rotation == "free"
         self.orientation = tool_orientation(rotation)
         self.tool_speeds = self._largest_speeds(most, *gains, decoupling)
-        self._error: F64 = np.zeros((len(axes), count))
-        self._saturated = np.zeros(count, np.bool_)
+        self._error: F64 = full((len(axes), count), 0.0)
+        self._saturated = full(count, False, np.bool_)
 
     def _largest_speeds(
         self, most: tuple[float, float], stiffness: F64, ratio: F64, decoupling: bool
@@ -184,7 +188,8 @@ class OperationalSpace(JointTerm):
         """Refuse joints with a drive that pulls or damps."""
         drives = self._asset.drives
         driven = np.asarray(self._asset.entity.actuator_ids)[self._ids] >= 0
-        stiff, damped = (g[0, self._ids] > 0 for g in (drives.stiffness, drives.damping))
+        gains = (self._arrays.host(g) for g in (drives.stiffness, drives.damping))
+        stiff, damped = (g[0, self._ids] > 0 for g in gains)
         on = driven & (stiff | damped)
         if on.any():
             names = [name for name, yes in zip(self.names, on, strict=True) if yes]
@@ -246,7 +251,7 @@ class OperationalSpace(JointTerm):
             axes = self._solver.root_pose()[1]
         elif self._frame == "tool":
             axes = self._dynamics.pose()[:, 3:]
-        wanted = np.ascontiguousarray(self._impedance.efforts(self._error, axes).T)
+        wanted = contiguous(self._impedance.efforts(self._error, axes).T)
         self._saturated |= (self._efforts.write(wanted) != wanted).any(axis=1)
 
     def metrics(self) -> Mapping[str, F64]:

@@ -142,7 +142,9 @@ class ParallelGripper(JointTerm):
 
     def apply(self, action: torch.Tensor) -> None:
         """Write the targets of (N, 1) actions."""
-        given = np.minimum(np.maximum(action.numpy().astype(np.float64), self.low), self.high)
+        given = np.minimum(
+            np.maximum(self._arrays.of(action).astype(np.float64), self.low), self.high
+        )
         if self._binary:
             target = np.where(given < 0.0, self._low, self._high)
         else:
@@ -194,7 +196,8 @@ class ParallelGripper(JointTerm):
         """Share of the way from low to high of positions (..., A): the mean of those that move."""
         moving = np.flatnonzero(self._span)
         shares = ((position - self._low)[..., moving] / self._span[moving]).T
-        found: F64 = np.asarray(reduce(np.add, shares)) / len(moving)
+        total: F64 = reduce(np.add, shares)
+        found: F64 = total / len(moving)
         return found
 
     def home(self) -> F64:
@@ -247,7 +250,7 @@ class _Controls:
 
     def reach(self, qpos: F64, force: float) -> tuple[F64, F64]:
         """Controls (N, A) without force at positions (N, D), and the distance (A,) to `force`."""
-        length = np.zeros((len(qpos), len(self.names)))
+        length = 0.0 * qpos[:, :1] * np.ones(len(self.names))
         for joint, lever in self._levers:  # in a fixed order
             length += qpos[:, joint, None] * lever
         free: F64 = -(self._bias[:, 0] + self._bias[:, 1] * length) / self._gain

@@ -17,6 +17,7 @@ from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_conjugate, quat_multiply, quat_rotate
 
@@ -143,8 +144,9 @@ class ResetRootStateUniform(Term):
         self._asset = asset = entity_cfg.asset
         index = asset.entity
         self._floats = index.free_qvel_adr >= 0
-        self._pos0: F64 = np.tile(np.asarray(index.pos0, np.float64), (env.num_envs, 1))
-        self._quat0: F64 = np.tile(np.asarray(index.quat0, np.float64), (env.num_envs, 1))
+        count, put = env.num_envs, env.arrays.put
+        self._pos0: F64 = put(np.tile(np.asarray(index.pos0, np.float64), (count, 1)))
+        self._quat0: F64 = put(np.tile(np.asarray(index.quat0, np.float64), (count, 1)))
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the root states of these environments."""
@@ -160,7 +162,7 @@ class ResetRootStateUniform(Term):
             velocity = self._velocity(env.event_manager, env_ids)
             write_root_velocity(asset, velocity, env_ids)
         elif self._floats:
-            write_root_velocity(asset, np.zeros((count, 6)), env_ids)
+            write_root_velocity(asset, np.zeros_like(pos[:, :1]) * np.zeros(6), env_ids)
 
 
 @register_term("event", name="randomize_pose")
@@ -204,12 +206,16 @@ class RandomizePose(Term):
         else:
             self._stop = None if asset.is_non_dynamic else asset.stop
         self._steps = physics_update_step
+        if physics_update_step > 0:
+            env.arrays.require_host("physics steps of some environments", "physics_update_step")
         if relative_to is not None and not relative_position:
             message = "relative_to needs relative_position: true"
             raise ConfigError([Problem("relative_position", message)])
         base = np.asarray(asset.entity.pos0, np.float64)
-        self._pos0: F64 = np.tile(base, (env.num_envs, 1))
-        self._quat0: F64 = np.tile(np.asarray(asset.entity.quat0, np.float64), (env.num_envs, 1))
+        count, put = env.num_envs, env.arrays.put
+        self._pos0: F64 = put(np.tile(base, (count, 1)))
+        quat0 = np.asarray(asset.entity.quat0, np.float64)
+        self._quat0: F64 = put(np.tile(quat0, (count, 1)))
         self._near = relative_to
         self._position: Uniform | None = None
         if position_range is not None:
@@ -298,14 +304,14 @@ class RandomizeObjectPositionInShell(Term):
         ]
         self._shell = Uniform("shell", *bounds)
         quat = np.asarray(self._asset.entity.quat0, np.float64)
-        self._quat: F64 = np.tile(quat, (env.num_envs, 1))
+        self._quat: F64 = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
         self._stop = None if self._asset.is_non_dynamic else self._asset.stop
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the positions of these environments."""
         drawn = self._shell(env.event_manager, env_ids)
         # Contiguous columns: numpy may round a strided transcendental function differently.
-        radius, azimuth, rise = (np.ascontiguousarray(drawn[:, i]) for i in range(3))
+        radius, azimuth, rise = (contiguous(drawn[:, i]) for i in range(3))
         radius = np.cbrt(radius)
         flat = radius * np.sqrt(np.maximum(0.0, 1.0 - rise * rise))
         offset = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), radius * rise], axis=1)
@@ -343,6 +349,7 @@ class RandomizeRobotEefPose(Term):
         position_range: Box3 | None = None,
         rotation_range: Box3 | None = None,
     ) -> None:
+        env.arrays.require_host("searches for joint positions")
         self._asset = asset = entity_cfg.asset
         self._arm = arm_solver(entity_cfg)
         self._position = Uniform.within("position", position_range)

@@ -35,9 +35,9 @@ class EpisodeTimer:
     """
 
     def __init__(self, env: TermContext) -> None:
-        self._env = env
-        self._timer = Timer(env.num_envs, env.step_dt)
-        self._seen: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
+        self._env, self._arrays = env, env.arrays
+        self._timer = Timer(env.num_envs, env.step_dt, env.arrays)
+        self._seen: NDArray[np.int64] = env.arrays.full(env.num_envs, 0, np.int64)
         """Counted control steps of the episode."""
 
     def reset(self, env_ids: EnvIndex | None) -> None:
@@ -47,13 +47,15 @@ class EpisodeTimer:
 
     def stopped(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Return those environments whose timer has not been started in this episode."""
-        stopped: EnvIndex = np.flatnonzero(self._timer.left == 0)
-        return stopped if env_ids is None else np.intersect1d(stopped, env_ids)
+        ids: EnvIndex = self._arrays.every(len(self._seen)) if env_ids is None else env_ids
+        stopped: EnvIndex = ids[self._timer.left[ids] == 0]
+        return stopped
 
     def advance(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Count the control steps since the last call; return environments that are due."""
-        ids = np.arange(len(self._seen)) if env_ids is None else env_ids
-        step = self._env.elapsed_steps.numpy()[ids].astype(np.int64) + 1  # the step ends later
+        ids = self._arrays.every(len(self._seen)) if env_ids is None else env_ids
+        elapsed = self._arrays.of(self._env.elapsed_steps)
+        step = elapsed[ids].astype(np.int64) + 1  # the step ends later
         passed = step - self._seen[ids]
         self._seen[ids] = step
         return self._timer.advance(ids, passed)
@@ -193,7 +195,7 @@ class ApplyBodyImpulse(ApplyExternalForceTorque):
         self._duration = EpisodeTimer.seconds("duration", "duration_s", duration_s)
         self._cooldown = EpisodeTimer.seconds("cooldown", "cooldown_s", cooldown_s)
         self._timer = EpisodeTimer(env)
-        self._pushes: NDArray[np.bool_] = np.zeros(env.num_envs, np.bool_)
+        self._pushes: NDArray[np.bool_] = env.arrays.full(env.num_envs, False, np.bool_)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin without a force: the reset of the scene has removed it."""

@@ -24,6 +24,7 @@ from embodichain.lab.gym.envs.mdp._model_fields import (
     Write,
 )
 from embodichain.lab.sim.compiler.names import match
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import constant
 
@@ -318,6 +319,6 @@ class Draw:
         if not self._log:
             return [drawn[:, where] for where in slices]
         # Rounding of log and exp must not leave the range.
-        factors = np.clip(np.exp(np.ascontiguousarray(drawn)), *self._bounds)
+        factors = np.clip(np.exp(contiguous(drawn)), *self._bounds)
         pairs = zip(self._quantities, slices, strict=True)
         return [quantity.apply(factors[:, where]) for quantity, where in pairs]

@@ -69,6 +69,7 @@ class RecordCameraData(Term):
         camera: str | None = None,
         fps: Positive | None = None,
     ) -> None:
+        env.arrays.require_host("videos")
         need_encoder()
         if not name or Path(name).name != name:
             raise ConfigError([Problem("name", f"is not part of a file's name: {name!r}")])

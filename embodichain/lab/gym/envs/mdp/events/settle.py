@@ -87,6 +87,7 @@ class WaitForDynamicObjectsToSettle(Term):
         timeout_behavior: Literal["warn", "raise"] = "warn",
         allow_partial_envs: bool = True,
     ) -> None:
+        env.arrays.require_host("physics steps of some environments")
         if entity_cfgs is None:
             handles = [o for o in env.sim.rigid_objects.values() if not o.is_non_dynamic]
             self._assets: list[Any] = [*handles, *env.sim.articulations.values()]

@@ -14,6 +14,7 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.lab.sim.shapes import VisualMaterialCfg
+from embodichain.utils.arrays import rows_at
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -123,7 +124,7 @@ class RandomizeTexture(Term):
         """Draw and write the texture of the object in these environments."""
         drawn = self._index(env.event_manager, env_ids).astype(np.int64)
         # A number just below the upper bound may round up to it.
-        ids = self._ids[np.minimum(drawn, len(self._ids) - 1)]
+        ids = rows_at(self._ids, np.minimum(drawn, len(self._ids) - 1))
         self._engine.write_model("mat_texid", ids, env_ids, slice(self._column, self._column + 1))
 
 

@@ -16,6 +16,7 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._rows import norm, squares, total
 from embodichain.lab.gym.envs.mdp.shapes import gaussian_kernel
 from embodichain.lab.sim.body_motion import Frame
+from embodichain.utils.arrays import contiguous, rows_at, zeros
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_to_matrix
 
@@ -103,7 +104,7 @@ def heading(quat: F64, kind: Heading) -> F64:
 
 def pose_matrix(position: F64, quat: F64) -> F64:
     """(..., 4, 4) of positions (..., 3) and unit wxyz quaternions (..., 4)."""
-    out = np.zeros((*position.shape[:-1], 4, 4))
+    out = zeros((*position.shape[:-1], 4, 4), position)
     out[..., :3, :3] = quat_to_matrix(quat)
     out[..., :3, 3] = position
     out[..., 3, 3] = 1.0
@@ -164,7 +165,7 @@ def shape_index(env: TermContext, entity_cfg: ResolvedEntity, one_hot: bool = Fa
         message = f"{entity_cfg.uid!r} has no any_of: there is one shape"
         raise ConfigError([Problem("entity_cfg.uid", message)])
     number: NDArray[np.int64] = entity_cfg.asset.read_shape()
-    return np.eye(len(names))[number] if one_hot else number.astype(np.float64)
+    return rows_at(np.eye(len(names)), number) if one_hot else number.astype(np.float64)
 
 
 @quantity("observation")
@@ -233,7 +234,7 @@ def tilt(env: TermContext, of: Body) -> F64:
     """
     up = of.axes()[:, 2]
     # Exact at both ends, unlike an arc cosine. With the copy, rounding does not depend on N.
-    found: F64 = np.arctan2(norm(up[:, :2]), np.ascontiguousarray(up[:, 2]))
+    found: F64 = np.arctan2(norm(up[:, :2]), contiguous(up[:, 2]))
     return found
 
 

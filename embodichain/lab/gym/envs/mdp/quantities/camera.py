@@ -16,6 +16,7 @@ from embodichain.lab.gym.envs.managers.param_types import CameraOf, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -30,7 +31,11 @@ Side = Literal["left", "right"]
 
 
 def _named(sensor: Camera, kind: str, side: Side, key: str) -> str:
-    """The name of a camera's image; ConfigError for `key` if its config does not ask for it."""
+    """The name of a camera's image; ConfigError for `key` if its config does not ask for it.
+
+    Also if arrays are on a device, where no pictures are drawn.
+    """
+    sensor.host.arrays.require_host("images of cameras", "sensor")
     name = kind if side == "left" else f"{kind}_right"
     if name not in sensor.reads:
         message = (
@@ -80,7 +85,7 @@ class CameraImage(Term):
         """(N, C, H, W)."""
         image = self._sensor.read(self._name)
         if self._color:
-            return np.ascontiguousarray(np.moveaxis(image[..., :3], 3, 1))
+            return contiguous(np.moveaxis(image[..., :3], 3, 1))
         if self._max_depth is not None:
             share = np.minimum(image / np.float32(self._max_depth), np.float32(1.0))
             image = np.rint(share * np.float32(255.0)).astype(np.uint8)

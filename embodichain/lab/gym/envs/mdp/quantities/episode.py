@@ -17,6 +17,7 @@ from embodichain.lab.gym.envs.managers.param_types import Finite, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import action_rows
+from embodichain.utils.arrays import may_be_set
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -54,7 +55,7 @@ def action_(env: TermContext, action: Any) -> F64:
     Example:
         ``{func: action, shape: l2, weight: -0.01}``
     """
-    return action_rows(action)
+    return action_rows(env, action)
 
 
 @quantity("reward", "metric")
@@ -67,7 +68,8 @@ def constant(env: TermContext, value: float = 1.0) -> F64:
     Example:
         ``{func: constant, weight: -0.01}``
     """
-    return np.full(env.num_envs, float(value))
+    found: F64 = env.arrays.full(env.num_envs, float(value))
+    return found
 
 
 @quantity("reward", "metric")
@@ -83,7 +85,11 @@ def success_reward(env: TermContext, info: Info) -> F64:
     success = info.get("metrics", {}).get("success")
     if success is None:
         success = info.get("success")
-    return np.zeros(env.num_envs) if success is None else (success.numpy() != 0).astype(np.float64)
+    if success is None:
+        none: F64 = env.arrays.full(env.num_envs, 0.0)
+        return none
+    found: F64 = (env.arrays.of(success) != 0).astype(np.float64)
+    return found
 
 
 @quantity("reward", "metric")
@@ -111,8 +117,9 @@ def is_alive(env: TermContext, info: Info) -> F64:
 
 def _terminated(env: TermContext, info: Info) -> Mask:
     if env.cfg.ignore_terminations:
-        return np.zeros(env.num_envs, np.bool_)
-    ended: Mask = (info["success"] | info["fail"]).numpy()
+        none: Mask = env.arrays.full(env.num_envs, False, np.bool_)
+        return none
+    ended: Mask = env.arrays.of(info["success"] | info["fail"])
     return ended
 
 
@@ -127,7 +134,7 @@ def time_out(env: TermContext, time_limit_s: Positive) -> Mask:
         ``{func: time_out, kind: time_out, params: {time_limit_s: 5.0}}``
     """
     steps = max(1, round(time_limit_s / env.step_dt))
-    over: Mask = env.elapsed_steps.numpy() + 1 >= steps
+    over: Mask = env.arrays.of(env.elapsed_steps) + 1 >= steps
     return over
 
 
@@ -138,13 +145,13 @@ class _Clock(Term):
 
     def __init__(self, env: TermContext) -> None:
         self._env = env
-        self._start: F64 = np.zeros(env.num_envs)
-        self._fresh: Mask = np.ones(env.num_envs, np.bool_)
+        self._start: F64 = env.arrays.full(env.num_envs, 0.0)
+        self._fresh: Mask = env.arrays.full(env.num_envs, True, np.bool_)
 
     def seconds(self) -> F64:
         """(N,) s."""
         now = self._env.sim.engine.state("time")[:, 0]
-        if self._fresh.any():
+        if may_be_set(self._fresh):
             self._start = np.where(self._fresh, now, self._start)
             self._fresh = np.zeros_like(self._fresh)
         return now - self._start

@@ -56,7 +56,7 @@ class _Joined(Term):
 
     def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
         """(N,)."""
-        found = [np.asarray(call(env, obs, action, info)) for call in self._calls]
+        found = [env.arrays.of(call(env, obs, action, info)) for call in self._calls]
         value: NDArray[Any] = found[0].astype(self._dtype)
         for other in found[1:]:
             value = self._join_two(value, other.astype(self._dtype))
@@ -153,7 +153,7 @@ class HeldFor(_Joined):
             raise ConfigError([Problem("steps", "give either steps or time_s")])
         super().__init__(env, {"term": term}, np.logical_and, np.bool_)
         self._steps = steps or max(1, round((time_s or 0.0) / env.step_dt))
-        self._held = np.zeros(env.num_envs, np.int64)
+        self._held: NDArray[np.int64] = env.arrays.full(env.num_envs, 0, np.int64)
 
     def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
         """(N,) bool."""

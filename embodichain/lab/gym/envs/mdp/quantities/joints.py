@@ -19,14 +19,11 @@ from embodichain.lab.gym.envs.managers.param_types import (
 )
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.arrays import contiguous
 from embodichain.utils.math import wrapped
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
@@ -201,7 +198,7 @@ def joint_sin_cos(env: TermContext, of: Joints) -> F64:
         ``{func: joint_sin_cos, params: {of: {uid: ur10}}}``
     """
     # Contiguous: numpy may round a strided transcendental function differently.
-    qpos = np.ascontiguousarray(of.qpos())
+    qpos = contiguous(of.qpos())
     return np.concatenate([np.sin(qpos), np.cos(qpos)], axis=1)
 
 
@@ -218,15 +215,6 @@ def joint_pos_limit_normalized(env: TermContext, of: Joints) -> F64:
     Raises:
         ConfigError: If a joint has no limits.
     """
-    low, high = of.asset.drives.limits.of(np.asarray(of.joint_ids, np.int64), None)
-    if np.isinf(low).any() or np.isinf(high).any():
-        raise _without_limits(of, np.isfinite(low) & np.isfinite(high))
+    low, high = of.qpos_ranges()
     found: F64 = 2.0 * (of.qpos() - low) / (high - low) - 1.0
     return found
-
-
-def _without_limits(of: ResolvedEntity, limited: NDArray[np.bool_]) -> ConfigError:
-    every = np.asarray(limited.reshape(-1, len(of.joint_names)).all(axis=0))
-    missing = [name for name, fine in zip(of.joint_names, every, strict=True) if not fine]
-    message = f"joints of {of.uid!r} without position limits: {', '.join(missing)}"
-    return ConfigError([Problem(of.path, message)])

@@ -119,7 +119,7 @@ class FeetAirTime(Term):
     ) -> None:
         self._sensor, self._command, self._force = sensor, command_name, force_threshold
         self._least, self._min_command, self._dt = threshold, min_command, env.step_dt
-        self._air: F64 = np.zeros((env.num_envs, len(sensor.names)))
+        self._air: F64 = env.arrays.full((env.num_envs, len(sensor.names)), 0.0)
 
     def __call__(self) -> F64:
         """(N,) s; the clocks of the feet advance by one control step."""
@@ -246,6 +246,7 @@ class SensorReading(Term):
         problems = _check_reading(sensor.uid, sensor.cfg, reading)
         if problems:
             raise ConfigError(problems)
+        self._env = env
         self._read = getattr(sensor, f"read_{sensor.reads[0] if reading is None else reading}")
 
     @classmethod
@@ -258,7 +259,7 @@ class SensorReading(Term):
 
     def __call__(self) -> F64:
         """(N, K) the reading; its dimensions after the first are flattened."""
-        values = np.asarray(self._read(), np.float64)
+        values: F64 = self._env.arrays.of(self._read()).astype(np.float64, copy=False)
         return values.reshape(len(values), -1)
 
 

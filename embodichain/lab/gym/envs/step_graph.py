@@ -1,0 +1,242 @@
+"""`StepGraph`: the control step of an environment on a GPU as one CUDA graph.
+
+A step launches hundreds of small kernels from Python, which takes longer than they run. Recorded
+once as a graph, they are launched together. All decisions of the step are made by masks on the
+device, so that the launches are the same in every step.
+
+What an environment keeps between steps must stay at its address. Where a step replaces an array
+that it has read before, the graph copies the new numbers into the old array.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import torch
+
+from embodichain.lab.gym.envs.kept_arrays import HostValue, Path, Place, kept_arrays
+from embodichain.lab.sim.engine.device_array import DeviceArray
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.observation import Observation
+    from embodichain.lab.sim.engine.device import DeviceEngine
+    from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.lab.sim.types import EnvObs
+
+__all__ = ["RecordedEnv", "StepGraph"]
+
+logger = logging.getLogger(__name__)
+_WARM_UP = 2
+"""Steps before those that are observed and recorded: they load kernels and make constants."""
+_COUNTERS = {"control_step", "version", "_version", "_all_changed", "physics_seconds"}
+"""Numbers of the host that every step changes, and that decide nothing in a recorded step."""
+
+
+Step = tuple["EnvObs", torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
+
+
+class RecordedEnv(Protocol):
+    """What `StepGraph` uses of an environment."""
+
+    control_step: int
+    arrays_moved: bool
+
+    @property
+    def sim(self) -> SimulationManager:
+        """The simulation."""
+
+    @property
+    def revision(self) -> tuple[int, ...]:
+        """Changes when steps are computed in another way."""
+
+
+class StepGraph:
+    """Steps an environment, from its fourth step on by a CUDA graph.
+
+    Args:
+        env: An environment with arrays on a CUDA device.
+
+    Attributes:
+        reason: Why steps are not recorded, or an empty string.
+    """
+
+    def __init__(self, env: RecordedEnv) -> None:
+        self._env = env
+        self._engine = cast("DeviceEngine", env.sim.engine)
+        self._steps = 0
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._kept: dict[Path, Any] = {}
+        self._revision: Any = None
+        self.reason = ""
+
+    def step(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
+        """Take a control step.
+
+        Args:
+            run: Takes a step by launching its kernels.
+            action: (N, A) on the device.
+
+        Returns:
+            What `run` returns. Observation, reward and flags are copies; ``info`` is valid until
+            the next step.
+        """
+        self._engine.check_memory()
+        self._steps += 1
+        if self.reason or self._steps <= _WARM_UP:
+            return run(action)
+        if self._revision != self._env.revision:
+            if self._revision is None or self._graph is not None:
+                self._graph = None
+                self._revision = ()
+                return self._observe(run, action)
+            self._record(run, action)
+        else:
+            self._env.control_step += 1
+        if self._graph is None:
+            return run(action)
+        if self._env.arrays_moved:
+            self._restore_addresses()
+        self._action.copy_(action)
+        self._graph.replay()
+        obs, reward, terminated, truncated, info = self._result
+        seen = cast("Observation", obs)
+        copies = reward.clone(), terminated.clone(), truncated.clone()
+        return seen.with_rows(seen.rows.copy()), *copies, dict(info)
+
+    def _observe(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
+        """Take a step, and find the arrays that it reads and replaces."""
+        before, numbers = self._places()
+        watched: dict[Path, tuple[Any, Any]] = {}
+        for path, place in before.items():
+            value = place.get()
+            put = _Watched(value.tensor) if isinstance(value, DeviceArray) else value
+            watched[path] = value, put
+            place.set(put)
+        result = run(action)
+        after, numbers_after = self._places()
+        changing = []
+        for path, (value, put) in watched.items():
+            was_read = put.was_read if isinstance(put, _Watched) else True
+            now = after[path].get() if path in after else None
+            if now is put:
+                after[path].set(value)
+            elif was_read and now is None:
+                self._give_up(f"a step removes {_shown(path)}, which it reads")
+            elif was_read:
+                changing.append(path)
+        self._unwatch()
+        self._check_numbers(numbers, numbers_after)
+        self._changing = changing
+        return result
+
+    def _places(self) -> tuple[dict[Path, Place], dict[Path, HostValue]]:
+        return kept_arrays(self._env, (StepGraph,))
+
+    def _unwatch(self) -> None:
+        """Replace what still watches, such as arrays in new containers."""
+        for place in self._places()[0].values():
+            value = place.get()
+            if isinstance(value, _Watched):
+                place.set(DeviceArray(value.tensor))
+
+    def _check_numbers(self, before: dict[Path, HostValue], after: dict[Path, HostValue]) -> None:
+        for path, value in after.items():
+            if before.get(path, value) != value and path[-1] not in _COUNTERS:
+                self._give_up(f"a step changes {_shown(path)}, which is on the host")
+
+    def _give_up(self, reason: str) -> None:
+        self.reason = self.reason or reason
+        logger.warning("steps are not recorded as a CUDA graph: %s", reason)
+
+    def _record(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> None:
+        """Record a step; its launches run when the graph is replayed."""
+        env = self._env
+        places = self._places()[0]
+        self._action = action.clone()
+        for path in self._changing:  # each its own memory: two places may hold the same array
+            value = places[path].get()
+            self._kept[path] = value.copy() if isinstance(value, DeviceArray) else value.clone()
+            places[path].set(self._kept[path])
+        graph = torch.cuda.CUDAGraph()
+        saved = {path: place.get() for path, place in places.items()}
+        control_step = env.control_step
+        gc.collect()
+        gc.disable()  # what it frees would be recorded
+        try:
+            with (
+                torch.cuda.graph(graph, capture_error_mode="thread_local"),
+                self._engine.recording() as self._memory,
+            ):
+                self._result = run(self._action)
+                self._keep()
+        except (TypeError, ValueError, RuntimeError) as error:
+            # Nothing of the recorded step was computed: undo what Python did.
+            torch.cuda.synchronize()
+            env.control_step = control_step
+            now = self._places()[0]
+            for path, value in saved.items():
+                if path in now:
+                    now[path].set(value)
+            self._give_up(f"{type(error).__name__}: {error}")
+            return
+        finally:
+            gc.enable()
+        self._graph, self._revision = graph, env.revision
+
+    def _keep(self) -> None:
+        """Copy the arrays that replaced kept ones into these, and put the kept ones back."""
+        places = self._places()[0]
+        addresses = {_tensor(value).data_ptr() for value in self._kept.values()}
+        moved = []
+        for path, kept in self._kept.items():
+            place = places.get(path)
+            if place is None:
+                raise ValueError(f"a step removes {_shown(path)}, which it reads")
+            value = place.get()
+            if value is kept:
+                continue
+            old, new = _tensor(kept), _tensor(value)
+            if (new.shape, new.dtype) != (old.shape, old.dtype):
+                change = f"{tuple(old.shape)} {old.dtype} to {tuple(new.shape)} {new.dtype}"
+                raise ValueError(f"a step changes {_shown(path)} from {change}")
+            moved.append((place, kept, new.clone() if new.data_ptr() in addresses else new))
+        for place, kept, new in moved:
+            _tensor(kept).copy_(new)
+            place.set(kept)
+
+    def _restore_addresses(self) -> None:
+        """Copy what code outside of steps has put in place of kept arrays into these."""
+        self._env.arrays_moved = False
+        places = self._places()[0]
+        for path, kept in self._kept.items():
+            value = places[path].get()
+            if value is not kept:
+                _tensor(kept).copy_(_tensor(value))
+                places[path].set(kept)
+
+
+class _Watched(DeviceArray):
+    """An array that notes whether it was read."""
+
+    __slots__ = ("_numbers", "was_read")
+
+    def __init__(self, tensor: torch.Tensor) -> None:
+        self._numbers, self.was_read = tensor, False
+
+    @property
+    def tensor(self) -> torch.Tensor:  # type: ignore[override]
+        """The numbers."""
+        self.was_read = True
+        return self._numbers
+
+
+def _tensor(value: Any) -> torch.Tensor:
+    tensor: torch.Tensor = value.tensor if isinstance(value, DeviceArray) else value
+    return tensor
+
+
+def _shown(path: Path) -> str:
+    return ".".join(map(str, path))
