@@ -144,22 +144,22 @@ def test_a_full_disk_while_training(run, capsys):
 
 
 def test_a_full_disk_after_a_checkpoint_says_how_to_go_on(tmp_path, monkeypatch, capsys):
-    from embodichain.learning import keeper
+    from embodichain.learning import session
 
-    real = keeper.save_checkpoint
+    real = session.save_checkpoint
 
     def full(model, path, note):
         if path.name == "final.zip":
             raise OSError(28, "No space left on device")
         real(model, path, note)
 
-    monkeypatch.setattr(keeper, "save_checkpoint", full)
+    monkeypatch.setattr(session, "save_checkpoint", full)
     assert main(["train", *TINY, "total_timesteps=64", "--quiet"]) == 1
     err = capsys.readouterr().err
     folder = Path("outputs/latest").resolve()
     assert "could not be written: No space left on device; with room again, `embodichain" in err
     assert "goes on from its step_000000000032.zip" in err
-    monkeypatch.setattr(keeper, "save_checkpoint", real)
+    monkeypatch.setattr(session, "save_checkpoint", real)
     assert main(["train", f"resume={folder}", "--quiet"]) == 0
     summary = json.loads(Path("outputs/latest/summary.json").read_text())
     assert summary["env_steps"] == 64
