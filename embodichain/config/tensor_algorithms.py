@@ -4,7 +4,7 @@ They learn on the tensors that the environment returns, on its device. Names and
 keys are those of the library; the defaults are the settings that Isaac Lab publishes for a Unitree
 Go2 on flat ground (its `rsl_rl_ppo_cfg.py` and `skrl_flat_ppo_cfg.yaml`; those for a UR10 that
 reaches differ in the size of the networks and the number of epochs), with normalized observations
-and `init_std` in the units of actions here.
+and `action_scale`.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ TENSOR_ALGORITHMS = {"rsl_rl_ppo": ("rsl_rl", "rsl_rl"), "skrl_ppo": ("skrl", "s
 
 Share = Annotated[float, Field(ge=0, le=1)]
 _NOT_ARGUMENTS = (
-    *("name", "critic_groups", "hidden_dims", "activation", "init_std", "obs_normalization"),
-    *("desired_kl", "num_steps_per_env"),
+    *("name", "critic_groups", "hidden_dims", "activation", "action_scale", "init_std"),
+    *("obs_normalization", "desired_kl", "num_steps_per_env"),
 )
 
 
@@ -39,9 +39,11 @@ class TensorAlgoCfg:
     hidden_dims: Annotated[list[PositiveInt], Field(min_length=1)] = [128, 128, 128]
     """Widths of the hidden layers of actor and critic, which are separate networks."""
     activation: Literal["elu", "gelu", "relu", "selu", "sigmoid", "tanh"] = "elu"
-    init_std: PositiveFloat = 0.25
-    """Standard deviation of actions in [-1, 1] at the start. Isaac Lab's is 1 in units of the
-    action term; where actions are clipped to 4 such units, that is the same."""
+    action_scale: PositiveFloat = 0.25
+    """Action, in [-1, 1], for an output of 1 of the actor. Outputs of Isaac Lab's actors are in
+    units of the action term; where actions are clipped to 4 such units, that is the same."""
+    init_std: PositiveFloat = 1.0
+    """Standard deviation of the actor's outputs at the start."""
     obs_normalization: bool = True
     """Whether observations are normalized by their mean and standard deviation so far."""
     desired_kl: PositiveFloat | None = 0.01

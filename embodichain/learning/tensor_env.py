@@ -68,11 +68,13 @@ class TensorEnv:
     Args:
         env: A batched environment (wrapped or not) with ``autoreset_mode`` SAME_STEP.
         critic_groups: Observation groups of the critic; empty: `GROUP`, which the actor reads.
+        action_scale: What learners' actions are multiplied by.
 
     Attributes:
         env: The environment.
         base: The environment without wrappers.
         num_envs: N.
+        action_scale: What learners' actions are multiplied by.
         device: Where the tensors are.
         critic_groups: Observation groups of the critic.
         spaces: Observation group -> space of one environment, (K,).
@@ -85,11 +87,16 @@ class TensorEnv:
         ValueError: If the environment does not reset in the same step.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], critic_groups: Iterable[str] = ()) -> None:
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        critic_groups: Iterable[str] = (),
+        action_scale: float = 1.0,
+    ) -> None:
         require_torch_batch(env, type(self).__name__)
         self.env = env
         self.base = cast("BaseEnv", env.unwrapped)
-        self.num_envs = self.base.num_envs
+        self.num_envs, self.action_scale = self.base.num_envs, action_scale
         self.device: torch.device = self.base.device
         self.critic_groups = tuple(critic_groups) or (GROUP,)
         names = dict.fromkeys((GROUP, *self.critic_groups))
@@ -101,11 +108,6 @@ class TensorEnv:
         self.high = torch.as_tensor(space.high, dtype=torch.float32, device=self.device)
         """(A,) upper bounds of the task's actions."""
         self.step_seconds = 0.0
-
-    @property
-    def restorable(self) -> bool:
-        """Whether the environment's state can be saved and restored: on the CPU."""
-        return self.device.type == "cpu"
 
     def reset(self, seed: int | None = None) -> Groups:
         """Reset every environment; return the observation groups, (N, K) each."""
@@ -120,13 +122,14 @@ class TensorEnv:
         """Step all environments.
 
         Args:
-            actions: (N, A); they are clipped to [-1, 1] and scaled to the task's bounds.
+            actions: (N, A); times `action_scale`, they are clipped to [-1, 1] and scaled to the
+                task's bounds.
 
         Raises:
             ValueError: If the shape is wrong, or on the CPU if an action is not finite.
         """
         begun = time.perf_counter()
-        scaled = to_bounds(actions, self.low, self.high)
+        scaled = to_bounds(actions * self.action_scale, self.low, self.high)
         obs, reward, terminated, truncated, info = self.env.step(scaled)
         groups = self.groups(obs)
         final = self.groups(info["final_obs"]) if "final_obs" in info else groups

@@ -160,8 +160,6 @@ class TensorSession:
     def resume(self, checkpoint: Path, state: dict[str, Any]) -> None:
         """Restore networks, environment, statistics and generators from a checkpoint.
 
-        On a GPU, where the state of the environment is not saved, new episodes begin.
-
         Args:
             checkpoint: The zip.
             state: The training state from the file beside it.
@@ -173,12 +171,10 @@ class TensorSession:
         try:
             saved = state["training"]
             self.learner.load_state_dict(saved["learner"])
-            seed = self.seed + state["env_steps"]  # of the new episodes, where they are
-            self._groups = self.vec_env.reset(seed=seed)  # creates state that is built lazily
-            if saved["env"] is not None:
-                self.vec_env.base.load_state_dict(saved["env"])
-                self._groups = {name: value.to(device) for name, value in saved["groups"].items()}
-                self._recorder.returns = saved["returns"].to(device)
+            self.vec_env.reset()  # creates lazily built state, which is overwritten below
+            self.vec_env.base.load_state_dict(saved["env"])
+            self._groups = {name: value.to(device) for name, value in saved["groups"].items()}
+            self._recorder.returns = saved["returns"].to(device)
             self._generators = saved["generators"]
             self.statistics.load_state_dict(state["statistics"])
         except (KeyError, RuntimeError, ValueError) as error:
@@ -273,7 +269,7 @@ class TensorSession:
         if resumable:
             training = {
                 "learner": self.learner.state_dict(),
-                "env": self.vec_env.base.state_dict() if self.vec_env.restorable else None,
+                "env": self.vec_env.base.state_dict(),
                 "groups": self._groups,
                 "returns": self._recorder.returns,
                 "generators": _get_generators(self.vec_env.device),
@@ -292,7 +288,7 @@ class TensorSession:
             trained_in=note[DIGEST],
         )
         example = torch.zeros(2, len(about.columns))
-        acting = _Acting(self.learner.actor().cpu(), low, high)
+        acting = _Acting(self.learner.actor().cpu(), self.vec_env.action_scale, low, high)
         save_script(script_bytes(acting, example, about), path, note)
 
 
@@ -302,14 +298,14 @@ class _Acting(torch.nn.Module):
     low: Tensor
     high: Tensor
 
-    def __init__(self, actor: torch.nn.Module, low: Tensor, high: Tensor) -> None:
+    def __init__(self, actor: torch.nn.Module, scale: float, low: Tensor, high: Tensor) -> None:
         super().__init__()
-        self.actor = actor
+        self.actor, self.scale = actor, scale
         self.register_buffer("low", low)
         self.register_buffer("high", high)
 
     def forward(self, observations: Tensor) -> Tensor:
-        return to_bounds(self.actor(observations), self.low, self.high)
+        return to_bounds(self.actor(observations) * self.scale, self.low, self.high)
 
 
 def _get_generators(device: torch.device) -> dict[str, Any]:

@@ -229,7 +229,7 @@ def _vec_env(env: BaseEnv, algorithm: AnyAlgorithm) -> SB3VecEnv | TensorEnv:
     if unknown:
         raise ConfigError(unknown)
     if isinstance(algorithm, TensorAlgorithm):
-        return TensorEnv(env, algorithm.critic_groups)
+        return TensorEnv(env, algorithm.critic_groups, algorithm.cfg.action_scale)
     return SB3VecEnv(env, GROUP, flatten=algorithm.flat, critic_groups=algorithm.critic_groups)
 
 

@@ -80,6 +80,14 @@ def test_actions_are_clipped_and_scaled_to_the_bounds():
     assert env.action_space.low.tolist() == [-1.0, -1.0]
 
 
+def test_actions_are_scaled_before_they_are_clipped():
+    counting = CountingEnv([0], low=-2.0, high=2.0)
+    env = TensorEnv(counting, action_scale=0.25)
+    env.reset()
+    env.step(torch.tensor([[1.0, -5.0]]))
+    np.testing.assert_array_equal(counting.actions[0], [[0.5, -2.0]])
+
+
 def test_scaling_hits_the_bounds_exactly():
     low, high = torch.tensor([0.1, -7.3]), torch.tensor([0.7, 1e-3])
     assert torch.equal(to_bounds(-torch.ones(1, 2), low, high)[0], low)

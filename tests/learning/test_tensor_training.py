@@ -15,12 +15,14 @@ from embodichain.config import make_env, resolve
 from embodichain.config.check_types import check_types
 from embodichain.config.tensor_algorithms import TENSOR_ALGORITHMS
 from embodichain.learning import evaluate, export_policy, load_policy
-from embodichain.learning.checkpoint import read_note
+from embodichain.learning.checkpoint import DIGEST, read_note
+from embodichain.learning.episodes import TrainStatistics
+from embodichain.learning.exported import load_exported
 from embodichain.learning.exporting import FORMATS
 from embodichain.learning.keeper import state_path
 from embodichain.learning.plain_state import read_tree, write_tree
 from embodichain.learning.tensor_env import TensorEnv
-from embodichain.learning.tensor_training import TensorAlgorithm
+from embodichain.learning.tensor_training import TensorAlgorithm, TensorSession
 from embodichain.learning.train import check_algorithm, train
 from embodichain.learning.vec_env import ENDS
 from embodichain.utils.errors import ConfigError
@@ -117,7 +119,7 @@ def test_rows_have_the_columns_of_other_trainings(tmp_path, algo):
     assert sum(last[f"Episode_Termination/{kind}"] for kind in ENDS) == 1.0
     assert 0.0 <= last["rollout/success_rate"] <= 1.0
     assert last["Episode_Reward/distance"] < 0 and last["train/value_loss"] > 0
-    assert 0 < last["train/learning_rate"] <= 1e-2 and 0.2 < last["train/std"] < 0.3
+    assert 0 < last["train/learning_rate"] <= 1e-2 and 0.8 < last["train/std"] < 1.2
 
 
 @BOTH
@@ -138,17 +140,6 @@ def test_resumed_equals_uninterrupted(tmp_path, algo):
     np.testing.assert_array_equal(everything(second), everything(whole))
     before = json.loads((whole / "summary.json").read_text())
     assert [summary.episodes, summary.mean_return] == [before["episodes"], before["mean_return"]]
-
-
-def test_new_episodes_begin_where_the_state_of_the_environment_is_not_saved(tmp_path, monkeypatch):
-    monkeypatch.setattr(TensorEnv, "restorable", property(lambda env: False))
-    first, second = folder(tmp_path, "first"), folder(tmp_path, "second")
-    before = train(config(*SKRL, TWO), first)
-    saved = read_tree(first / "checkpoints/final.state.npz")["training"]
-    assert saved["env"] is None
-    after = train(config(*SKRL, FOUR, f"resume={first}"), second)
-    # 16 steps end 2 episodes of 7 in each of 4 environments, and so do 16 further ones.
-    assert (before.episodes, after.episodes, after.env_steps) == (8, 16, 128)
 
 
 @BOTH
@@ -211,6 +202,26 @@ def test_a_checkpoint_gives_mean_actions_and_runs_no_code(tmp_path, caplog):
         load_policy(alone, deterministic=False)
 
 
+def test_a_checkpoint_acts_as_the_actor_did_in_training(tmp_path):
+    low, high = np.float32([-3.0, 0.5]), np.float32([1.0, 20.0])
+    env = TensorEnv(CountingEnv([0, 3], low=low, high=high), action_scale=0.25)
+    keys = {"name": "skrl_ppo", "hidden_dims": [4]}
+    cfg = check_types({"task": {}, "algo": keys}).root.algo
+    learner = TensorAlgorithm.of(cfg).build(env, 3)
+    session = TensorSession(learner, env, TrainStatistics(100), tmp_path)
+    note = {"algo": "skrl_ppo", "group": "policy", "task": "counting", DIGEST: None}
+    session.save(tmp_path / "policy.zip", note, resumable=False, rolling=False)
+    seen = torch.tensor([[1.0, 20.0, -7.0], [0.5, 0.0, 3.0]])
+    with torch.no_grad():
+        actions = (0.25 * learner.actor()(seen)).clamp(-1, 1).numpy()
+    found = load_exported(tmp_path / "policy.zip")
+    np.testing.assert_allclose(
+        found.act(seen.numpy()), low + (actions + 1) * (high - low) / 2, atol=1e-5
+    )
+    assert found.metadata.action_high == (1.0, 20.0)
+    assert found.metadata.columns == ("where/id[0]", "time[0]", "time[1]")
+
+
 def test_another_task_is_refused(tmp_path):
     train(config(*SKRL, TWO), tmp_path)
     env = embodichain.make("reach", 2, ["task.max_episode_steps=9"])
@@ -224,7 +235,7 @@ def test_another_task_is_refused(tmp_path):
 @BOTH
 def test_what_it_learns_balances_the_pole(tmp_path, algo):
     """11 updates lead from 20 steps on average to hundreds; but for the noise as shipped."""
-    lines = ["task=cart_pole", algo[0], "algo.init_std=1.0", "total_timesteps=4224", "seed=1"]
+    lines = ["task=cart_pole", algo[0], "algo.action_scale=1.0", "total_timesteps=4224", "seed=1"]
     resolved = resolve([*lines, "sim.num_threads=1"], "train")
     train(resolved, tmp_path)
     env = make_env(resolved)
