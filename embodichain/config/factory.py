@@ -177,15 +177,15 @@ def with_warp_values(
     chosen = resolved.root.sim.warp.arrays
     if chosen == "host" or (chosen == "device" and verb is None):  # `BaseEnv` says it itself
         return resolved
-    find = why_host if chosen == "auto" else why_not_device
-    reasons = find(resolved.root, verb)
-    try:
-        reasons = reasons or _refusals(resolved, kwargs or {})
-    except ConfigError as error:
-        if chosen == "device":
-            raise
-        # If it is no matter of the arrays, the environment of the job raises it again.
-        reasons = [f"{problem.path}: {problem.message}" for problem in error.problems]
+    reasons = (why_host if chosen == "auto" else why_not_device)(resolved.root, verb)
+    if not reasons:
+        try:
+            _try_device(resolved, kwargs or {})
+        except (ConfigError, IndexError, RuntimeError, TypeError, ValueError) as error:
+            if chosen == "device" and not isinstance(error, TypeError):
+                raise
+            # What is wrong on the host too, the environment of the job raises again.
+            reasons = [f"{_term_of(error)}{error}"]
     if chosen == "device":
         if reasons:
             raise ConfigError([Problem("sim.warp.arrays", f"device: {why}") for why in reasons])
@@ -198,24 +198,20 @@ def with_warp_values(
     return dataclasses.replace(with_arrays(resolved, "host"), notes=(*resolved.notes, note))
 
 
-def _refusals(resolved: Resolved, kwargs: Mapping[str, Any]) -> list[str]:
-    """Why a few environments do not step with arrays on the device; empty if they do."""
+def _try_device(resolved: Resolved, kwargs: Mapping[str, Any]) -> None:
+    """Step a few environments with arrays on the device."""
     from embodichain.lab.gym.policies import resolve_policy
     from embodichain.lab.sim.prepared_scene import PreparedScene
 
     unseen = {**resolved.tree["viewer"], "name": "none"}
     tried = with_arrays(resolved, "device").changed(num_envs=_TRIED_ENVS, viewer=unseen)
     tried = dataclasses.replace(tried, prepared=PreparedScene())
-    try:
-        given = {key: value for key, value in kwargs.items() if key != "run_dir"}
-        with closing(make_env(tried, **given)) as env:
-            policy = resolve_policy("random")
-            obs, _ = env.reset()
-            for _ in range(_TRIED_STEPS):
-                obs, *_ = env.step(policy(obs, env))
-    except (ConfigError, TypeError) as error:  # what is wrong on the host too is found again
-        return [f"{_term_of(error)}{error}"]
-    return []
+    given = {key: value for key, value in kwargs.items() if key != "run_dir"}
+    with closing(make_env(tried, **given)) as env:
+        policy = resolve_policy("zero")
+        obs, _ = env.reset()
+        for _ in range(_TRIED_STEPS):
+            obs, *_ = env.step(policy(obs, env))
 
 
 def _term_of(error: Exception) -> str:

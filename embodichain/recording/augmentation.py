@@ -12,13 +12,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from embodichain.lab.gym.expert.arms import Arm, arms_of
 from embodichain.recording.segments import Source, read_sources, read_tools, target_poses
+from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import (
     quat_conjugate,
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.types import EnvObs
 
     Rows = NDArray[np.int64]
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["Augmented"]
 
@@ -80,7 +78,7 @@ class Augmented:
         """
         if self._player is None or self._player.env is not env:
             self._player = _Player(env, self._path, self._most, self._nearest)
-        return torch.from_numpy(self._player.act().astype(np.float32))
+        return tensor_of(self._player.act().astype(np.float32))
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin anew in these environments; (n,) int64, or None for all."""

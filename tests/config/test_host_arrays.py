@@ -1,11 +1,13 @@
 """`sim.warp.arrays`: chosen before a job, and what needs arrays of the host."""
 
+import json
 import logging
 
 import pytest
 import yaml
 
 import embodichain
+from embodichain.cli import main
 from embodichain.config.factory import with_warp_values
 from embodichain.config.host_arrays import why_host, why_not_device, with_arrays
 from embodichain.config.rerun import resolve_again
@@ -140,3 +142,34 @@ def test_gymnasiums_arrays_are_on_the_host():
         env.reset(seed=1)
         env.step(env.action_space.sample())
         env.close()
+
+
+def test_validate_says_the_same(capsys):
+    lines = ("task=cart_pole", *WARP)
+    assert main(["validate", *lines, "--json"]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    reason = "record.format=mcap: the log is of arrays of the host"
+    assert [(n["path"], n["message"]) for n in notes] == [
+        ("sim.warp.arrays", f"host, because {reason}")
+    ]
+    assert main(["validate", *lines, "sim.warp.arrays=device", "--json"]) == 2
+    (mistake,) = json.loads(capsys.readouterr().out)["mistakes"]
+    assert (mistake["path"], mistake["message"]) == ("sim.warp.arrays", f"device: {reason}")
+    assert main(["validate", "--train", *lines, "sim.warp.arrays=device"]) == 0
+
+
+FAILS = """
+def fails(env, obs, action, info):
+    if env.arrays.on_device:
+        raise RuntimeError("tensors of different devices")
+    return env.elapsed_steps * 1.0
+"""
+
+
+def test_any_failure_of_the_trial_is_a_reason(tmp_path, monkeypatch):
+    (tmp_path / "failing_reward.py").write_text(FAILS)
+    monkeypatch.syspath_prepend(tmp_path)
+    term = '+task.rewards.mine={func: "failing_reward:fails", weight: 1.0}'
+    assert chosen(*ALONE, term) == ("host", ["host, because tensors of different devices"])
+    with pytest.raises(RuntimeError, match="tensors of different devices"):
+        chosen(*ALONE, term, "sim.warp.arrays=device")

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+import embodichain
+
 pytestmark = pytest.mark.unmeasured
 
 HEAVY = {"torch", "tensordict", "stable_baselines3"}
@@ -82,3 +84,9 @@ def test_a_run_imports_nothing_of_learning_and_windows(tmp_path: Path) -> None:
     )
     assert "torch" in found
     assert found & {"stable_baselines3", "matplotlib", "pandas", "scipy", "tensorboard"} == set()
+
+
+def test_torch_is_not_made_a_lazy_module() -> None:
+    """From Python 3.12.3 on, `importlib.util.LazyLoader` cannot load torch."""
+    sources = Path(embodichain.__file__).parent.rglob("*.py")
+    assert [path for path in sources if 'lazy_loader.load("torch")' in path.read_text()] == []

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-import lazy_loader
 import numpy as np
 
 from embodichain.compat.terms._targets import asset_of, stored
@@ -28,13 +27,10 @@ from embodichain.utils.math import (
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    import torch
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["PrepareExtraAttr", "RegisterInfoToEnv"]
 
@@ -226,7 +222,7 @@ class RegisterInfoToEnv(Term):
         table: dict[str, Any] = getattr(self._env, self._table)
         self._keys[key] = None
         old: Any = table.get(key)
-        both = isinstance(value, torch.Tensor) and isinstance(old, torch.Tensor)
+        both = hasattr(value, "detach") and hasattr(old, "detach")
         rows = env_ids is not None and both and len(value) == self._env.num_envs
         if rows and old.shape == value.shape:
             arrays = self._env.arrays

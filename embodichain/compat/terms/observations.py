@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-import lazy_loader
 import numpy as np
 from pydantic import Field
 
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = [
     "GetRobotEefPose",
@@ -135,6 +132,8 @@ def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: ResolvedEntity
     if hasattr(asset, "get_body_scale"):
         scale: torch.Tensor = asset.get_body_scale()
         return scale
+    import torch
+
     scale = torch.tensor(asset.cfg.body_scale, dtype=torch.float32, device=env.device)
     return scale.repeat(env.num_envs, 1)
 
@@ -149,6 +148,8 @@ def get_object_uid(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> to
     Example:
         ``{func: get_object_uid, params: {entity_cfg: {uid: cube}}}``
     """
+    import torch
+
     return torch.full((env.num_envs,), entity_cfg.body_id, dtype=torch.int32, device=env.device)
 
 
@@ -172,6 +173,8 @@ def get_rigid_object_physics_attributes(
         ``{func: get_rigid_object_physics_attributes, params: {entity_cfg: {uid: cube}}}``
     """
     values = [getattr(entity_cfg.asset, f"get_{name}")() for name in attributes]
+    import torch
+
     return torch.cat([value.reshape(env.num_envs, -1) for value in values], dim=1)
 
 

@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.types import EnvObs
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = [
     "POLICIES",
@@ -253,5 +250,5 @@ def _joint_robot(env: BaseEnv) -> Robot:
 
 
 def _repeated(row: F64, env: BaseEnv) -> torch.Tensor:
-    rows = torch.from_numpy(np.tile(row.astype(np.float32), (env.num_envs, 1)))
+    rows = tensor_of(np.tile(row.astype(np.float32), (env.num_envs, 1)))
     return rows.to(env.device)

@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.param_types import Positive
+from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_rotate
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.mdp.actions.parallel_gripper import ParallelGripper
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.types import EnvObs
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = [
     "DISCARDED",
@@ -253,7 +251,7 @@ class Teleop:
         for one, is_open in zip(self._tools, self._open, strict=True):
             if one.gripper is not None:
                 action[:, one.grip] = one.gripper.high if is_open else one.gripper.low
-        return torch.from_numpy(action.astype(np.float32))
+        return tensor_of(action.astype(np.float32))
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin an episode: the grippers are as the task begins."""

@@ -13,6 +13,7 @@ from embodichain.lab.gym.envs.snapshot import Snapshot
 from embodichain.lab.gym.policies import resolve_policy
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.vector import NumpyVectorEnv
+from embodichain.lab.sim.engine import device_values
 from embodichain.lab.sim.engine.device_array import DeviceArray
 from embodichain.lab.sim.engine.device_arrays import DeviceArrays
 from embodichain.learning.plain_state import read_tree, write_tree
@@ -72,6 +73,7 @@ def test_some_environments_can_be_reset(env):
 REFUSED = {
     "observers": lambda env: env.add_observer(StepObserver()),
     "recorded states": lambda env: env.restore(object.__new__(Snapshot)),
+    "actions that are mappings": lambda env: env.step({"qpos": torch.zeros(N, 1)}),
     "results that are arrays of numpy": lambda env: NumpyVectorEnv(env),
 }
 
@@ -127,3 +129,13 @@ def test_a_state_has_only_arrays_of_the_host():
     loaded = arrays.loaded(saved)
     assert loaded["a"].host().dtype == np.int64 and loaded["b"][0] == 1.5
     assert loaded["b"][1]["c"].host().tolist() == [0.5, 0.5]
+
+
+@pytest.mark.parametrize("task", ["reach", "quadruped_velocity"])
+def test_no_row_of_each_environment_is_kept_on_the_host(task, monkeypatch):
+    """Small arrays of the host are constants; those with a row for each environment are large."""
+    monkeypatch.setattr(device_values, "_LARGEST_CONSTANT", 2000)
+    with made(task, num_envs=128) as env:
+        obs, _ = env.reset()
+        for _ in range(2):
+            obs, *_ = env.step(resolve_policy("random")(obs, env))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import NonNegative
 from embodichain.lab.gym.expert.execution import Execution
 from embodichain.lab.gym.expert.program import steps_of
+from embodichain.utils.arrays import tensor_of
 
 if TYPE_CHECKING:
     import torch
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.types import EnvObs
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["Expert"]
 
@@ -55,7 +53,7 @@ class Expert:
         if execution is None or execution.env is not env:
             steps = self._given if self._given is not None else env.cfg.expert
             execution = self._execution = Execution(env, steps_of(steps, env), self._pushes)
-        return torch.from_numpy(execution.act().astype(np.float32))
+        return tensor_of(execution.act().astype(np.float32))
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin anew in these environments; (n,) int64, or None for all."""

@@ -94,6 +94,7 @@ class ActionCheck:
 
         Raises:
             TypeError: If it is not a floating tensor, array or mapping.
+            ConfigError: If it is a mapping, and arrays are on a device.
             ValueError: If its shape or device is wrong or a number is not finite; on a device
                 numbers are not checked, and an environment with such an action diverges.
         """
@@ -111,6 +112,7 @@ class ActionCheck:
             tensor = action.detach() if action.requires_grad else action
             numbers = self._arrays.of(tensor)
         elif isinstance(action, Mapping):
+            self._arrays.require_host("actions that are mappings")
             return action, self._finite(self._joined(action))
         else:
             raise TypeError(f"an action is a tensor {self._wanted()}, got {type(action).__name__}")

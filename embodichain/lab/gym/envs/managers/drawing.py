@@ -10,7 +10,6 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.registry import Kind
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.utils.arrays import Arrays
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = [
     "CommandManager",

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, MutableMapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.observation import ObservationLayout
     from embodichain.lab.sim.engine.api import EnvIndex
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = [
     "ObservationEntry",
@@ -142,7 +139,8 @@ class ObservationEntry:
             raise ConfigError([Problem(f"{self.key}.scale", message)])
         if self._scale is not None and "float" in str(value.dtype):
             # With a row for every environment: broadcasting one row takes four times as long.
-            self._scale = np.broadcast_to(np.float32(self._scale), tuple(value.shape)).copy()
+            rows = np.broadcast_to(np.float32(self._scale), tuple(value.shape))
+            self._scale = self._env.arrays.put(rows)
         if self._noise_cfg is not None:
             shape = tuple(value.shape[1:])
             self._noise = Noise(
@@ -384,6 +382,8 @@ class ObservationManager(Manager[ObservationCfg]):
             if columns is not None and obs.packed:
                 return contiguous(obs.rows[:, columns])
         count, paths = self.num_envs, self._paths(group)
+        import torch  # lists of terms are made without it
+
         entries = [obs[p].reshape(count, -1).to(torch.float32) for p in paths]
         rows: NDArray[np.float32] = self._arrays.of(torch.cat(entries, dim=1))
         return rows

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = [
     "ActionPipeline",

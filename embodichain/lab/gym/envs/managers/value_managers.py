@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.types import EnvObs
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = [
     "JudgedEnv",
@@ -398,7 +395,7 @@ def check_shapes(env: JudgedEnv, obs: EnvObs) -> None:
     if not any(len(manager) for manager in managers):
         return
     count = env.num_envs
-    none = torch.zeros(count, dtype=torch.bool)
+    none = tensor_of(env.arrays.full(count, False, np.bool_))
     info: dict[str, Any] = {
         "elapsed_steps": env.elapsed_steps,
         "success": none,

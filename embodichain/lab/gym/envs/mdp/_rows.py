@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
 import numpy as np
 
 from embodichain.utils.arrays import contiguous, tensor_of
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = [
     "action_rows",
@@ -84,7 +81,7 @@ def action_rows(env: TermContext, action: Any) -> F64:
     Raises:
         TypeError: If it is not a tensor: the columns of a `TensorDict` have no order.
     """
-    if not isinstance(action, torch.Tensor):
+    if not hasattr(action, "detach"):
         raise TypeError(f"this term needs an action tensor, got {type(action).__name__}")
     rows: F64 = env.arrays.of(action.detach()).astype(np.float64)
     return rows
