@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
 
+from embodichain.utils.arrays import Arrays
 from embodichain.utils.tensor_mapping import TensorMapping
 
 
@@ -20,7 +21,7 @@ class CountingEnv(gym.Env):
 
     def __init__(self, ends, limit=10, low=-1.0, high=1.0, has_success=True, mode="SAME_STEP"):
         self.num_envs = len(ends)
-        self.device = torch.device("cpu")
+        self.device, self.arrays = torch.device("cpu"), Arrays()
         self.render_mode = None
         self.metadata = {"autoreset_mode": AutoresetMode[mode]}
         self.ends = np.asarray(ends)
