@@ -58,6 +58,13 @@ def test_policies(env, name):
     env.step(action)
 
 
+def test_the_action_that_holds_positions():
+    with made("reach") as env:
+        obs, _ = env.reset()
+        action = resolve_policy("hold")(obs, env)
+        assert action.shape == (N, 6) and action.device.type == env.device.type
+
+
 def test_some_environments_can_be_reset(env):
     env.reset(seed=5)
     begun = env.episode_ids
@@ -117,8 +124,10 @@ def test_a_saved_state_continues_to_the_bit(task):
         other.load_state_dict(read_tree(Path("state.npz")))
         for action in actions[9:]:
             (obs, reward, *_), (obs2, reward2, *_) = one.step(action), other.step(action)
-            assert obs.rows.host().tobytes() == obs2.rows.host().tobytes()
-            assert reward.equal(reward2)
+            # On a GPU contact forces are added up in any order.
+            loose = 1e-3 if DEVICE != "cpu" and task == "quadruped_velocity" else 0.0
+            np.testing.assert_allclose(obs2.rows.host(), obs.rows.host(), rtol=loose, atol=loose)
+            np.testing.assert_allclose(reward2.cpu(), reward.cpu(), rtol=loose, atol=loose)
 
 
 def test_a_state_has_only_arrays_of_the_host():

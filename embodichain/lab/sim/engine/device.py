@@ -66,6 +66,8 @@ def _check(
 
 
 _OF_ACTUATORS = frozenset({"qfrc_actuator", "actuator_force"})
+_OF_CENTRES = frozenset({"subtree_com", "cdof"})
+_OF_VELOCITIES = frozenset({"cvel", "cdof_dot"})
 
 
 class DeviceEngine(WarpEngine):
@@ -165,10 +167,17 @@ class DeviceEngine(WarpEngine):
         self._upload()
         with self._stream():
             if self._only_kinematics:
-                self.worlds.kinematics()
+                names = self._derived_views.keys()
+                self.worlds.kinematics(centres=bool(names & _OF_CENTRES), **self._kinds())
             else:
                 self.worlds.position_and_velocity()
         self._any_dirty = False
+
+    def _kinds(self) -> dict[str, bool]:
+        """Which fields of `WarpWorlds.kinematics` are in use."""
+        names = self._derived_views.keys()
+        seen = any(name.startswith(("cam_", "light_")) for name in names)
+        return {"cameras": seen, "velocities": bool(names & _OF_VELOCITIES)}
 
     def _stream(self) -> Any:
         """Launch Warp's kernels on torch's stream, in the order of the calls."""
@@ -209,7 +218,7 @@ class DeviceEngine(WarpEngine):
         self._upload()
         with self._stream():
             if name in _OF_ACTUATORS:  # needs neither contacts nor the solver
-                self.worlds.actuation()
+                self.worlds.actuation(**self._kinds())
             else:
                 self.worlds.forward()
         if self._only_kinematics:

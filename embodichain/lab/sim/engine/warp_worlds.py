@@ -46,6 +46,23 @@ LEAST_TOLERANCE = 1e-6
 """Of the solver in float32, as `mujoco_warp.put_model` sets it."""
 
 
+@wp.kernel  # type: ignore[untyped-decorator]
+def _actuator_velocity(
+    counts: wp.array2d[int],
+    starts: wp.array2d[int],
+    dofs: wp.array2d[int],
+    moment: wp.array2d[float],
+    qvel: wp.array2d[float],
+    velocity: wp.array2d[float],
+) -> None:
+    world, actuator = wp.tid()  # type: ignore[misc]
+    start = starts[world, actuator]
+    total = float(0.0)  # noqa: UP018  (a variable of Warp)
+    for k in range(counts[world, actuator]):
+        total += moment[world, start + k] * qvel[world, dofs[world, start + k]]
+    velocity[world, actuator] = total
+
+
 class Counts(NamedTuple):
     """Numbers of one position stage.
 
@@ -152,11 +169,25 @@ class WarpWorlds:
             self._data.overflow.zero_()
             mjw.forward(self._model, self._data)
 
-    def kinematics(self) -> None:
-        """Compute poses, velocities of bodies, and what else does not depend on contacts."""
+    def kinematics(
+        self, *, centres: bool = True, cameras: bool = True, velocities: bool = True
+    ) -> None:
+        """Compute poses of bodies, geoms and sites.
+
+        Args:
+            centres: Also ``subtree_com`` and ``cdof``, on which velocities depend.
+            cameras: Also those of cameras and lights.
+            velocities: Also ``cvel`` and ``cdof_dot``.
+        """
+        model, data = self._model, self._data
         with wp.ScopedDevice(self._device):
-            mjw.fwd_kinematics(self._model, self._data)
-            mjw.com_vel(self._model, self._data)
+            mjw.kinematics(model, data)
+            if centres or velocities:
+                mjw.com_pos(model, data)
+            if cameras:
+                mjw.camlight(model, data)
+            if velocities:
+                mjw.com_vel(model, data)
 
     def position_and_velocity(self) -> None:
         """Compute the position and velocity stages with their sensors."""
@@ -168,13 +199,25 @@ class WarpWorlds:
             mjw.fwd_velocity(model, data)
             mjw.sensor_vel(model, data)
 
-    def actuation(self) -> None:
-        """Compute forces of actuators, and what they depend on; no contacts."""
+    def actuation(self, *, cameras: bool = True, velocities: bool = True) -> None:
+        """Compute forces of actuators, and what they depend on; no contacts.
+
+        Args:
+            cameras: Also poses of cameras and lights, see `kinematics`.
+            velocities: Also velocities of bodies.
+        """
         model, data = self._model, self._data
+        self.kinematics(cameras=cameras, velocities=velocities)
         with wp.ScopedDevice(self._device):
-            mjw.fwd_kinematics(model, data)
+            mjw.tendon(model, data)
             mjw.transmission(model, data)
-            mjw.fwd_velocity(model, data)
+            if self._compiled.jnt_actgravcomp.any():  # computed with the passive forces
+                mjw.fwd_velocity(model, data)
+            else:
+                shape = data.moment_rownnz.shape
+                rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
+                inputs = [*rows, data.actuator_moment, data.qvel, data.actuator_velocity]
+                wp.launch(_actuator_velocity, shape, inputs)
             mjw.fwd_actuation(model, data)
 
     def positions(self) -> None:

@@ -330,7 +330,7 @@ class ActionManager(Manager[ActionTermCfg]):
 
     def hold(self) -> NDArray[np.float64]:
         """(N, A) the action that keeps the present targets."""
-        held = np.empty((self.num_envs, self.action_dim))
+        held: F64 = self._arrays.full((self.num_envs, self.action_dim), 0.0)
         for name, term in self.terms.items():
             held[:, self.slices[name]] = term.instance.hold()
         return held
