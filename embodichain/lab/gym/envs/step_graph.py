@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import torch
 
 from embodichain.lab.gym.envs.kept_arrays import HostValue, Path, Place, kept_arrays
-from embodichain.lab.sim.engine.device_array import DeviceArray
+from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observation import Observation
@@ -66,7 +66,7 @@ class StepGraph:
     def __init__(self, env: RecordedEnv) -> None:
         self._env = env
         self._engine = cast("DeviceEngine", env.sim.engine)
-        self._steps = 0
+        self._left = _WARM_UP
         self._graph: torch.cuda.CUDAGraph | None = None
         self._kept: dict[Path, Any] = {}
         self._revision: Any = None
@@ -84,21 +84,20 @@ class StepGraph:
             the next step.
         """
         self._engine.check_memory()
-        self._steps += 1
-        if self.reason or self._steps <= _WARM_UP:
+        if self._graph is not None and not self._is_valid():
+            self._graph = self._revision = None
+            self._left = 1
+        if self.reason or self._left:
+            self._left = max(self._left - 1, 0)
             return run(action)
-        if self._revision != self._env.revision:
-            if self._revision is None or self._graph is not None:
-                self._graph = None
-                self._revision = ()
-                return self._observe(run, action)
-            self._record(run, action)
-        else:
+        if self._graph is not None:
             self._env.control_step += 1
-        if self._graph is None:
-            return run(action)
-        if self._env.arrays_moved:
-            self._restore_addresses()
+        elif self._revision is None:
+            return self._observe(run, action)
+        else:
+            self._record(run, action)
+            if self._graph is None:
+                return run(action)
         self._action.copy_(action)
         self._graph.replay()
         obs, reward, terminated, truncated, info = self._result
@@ -108,6 +107,7 @@ class StepGraph:
 
     def _observe(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
         """Take a step, and find the arrays that it reads and replaces."""
+        self._kept.clear()
         before, numbers = self._places()
         watched: dict[Path, tuple[Any, Any]] = {}
         for path, place in before.items():
@@ -115,6 +115,7 @@ class StepGraph:
             put = _Watched(value.tensor) if isinstance(value, DeviceArray) else value
             watched[path] = value, put
             place.set(put)
+        self._revision = ()
         result = run(action)
         after, numbers_after = self._places()
         changing = []
@@ -133,7 +134,7 @@ class StepGraph:
         return result
 
     def _places(self) -> tuple[dict[Path, Place], dict[Path, HostValue]]:
-        return kept_arrays(self._env, (StepGraph,))
+        return kept_arrays(self._env, (StepGraph, EnvMask))
 
     def _unwatch(self) -> None:
         """Replace what still watches, such as arrays in new containers."""
@@ -207,15 +208,25 @@ class StepGraph:
             _tensor(kept).copy_(new)
             place.set(kept)
 
-    def _restore_addresses(self) -> None:
-        """Copy what code outside of steps has put in place of kept arrays into these."""
+    def _is_valid(self) -> bool:
+        """Whether the graph computes the next step, after changes by code outside of steps.
+
+        What such code has put in place of kept arrays is copied into these.
+        """
+        if self._revision != self._env.revision:
+            return False
+        if not self._env.arrays_moved:
+            return True
         self._env.arrays_moved = False
         places = self._places()[0]
+        if not self._kept.keys() <= places.keys():
+            return False
         for path, kept in self._kept.items():
             value = places[path].get()
             if value is not kept:
                 _tensor(kept).copy_(_tensor(value))
                 places[path].set(kept)
+        return True
 
 
 class _Watched(DeviceArray):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import MetricCfg, RewardCfg, TerminationCfg
 from embodichain.lab.gym.envs.context import TermContext
 from embodichain.lab.gym.envs.managers.manager import Manager, checked_rows
-from embodichain.utils.arrays import tensor_of
+from embodichain.utils.arrays import is_host, tensor_of
 
 if TYPE_CHECKING:
     import torch
@@ -52,14 +52,16 @@ class TermRows(Mapping[str, "torch.Tensor"]):
         self._tensors: dict[str, torch.Tensor] = {}
 
     def __getitem__(self, name: str) -> torch.Tensor:
-        """Return a term's values; the same tensor at every call."""
+        """Return a term's values; the same tensor at every call, on a device a new one."""
         found = self._tensors.get(name)
         if found is None:
             try:
-                row = self.names.index(name)
+                row = self.rows[self.names.index(name)]
             except ValueError:
                 raise KeyError(name) from None
-            found = self._tensors[name] = tensor_of(self.rows[row].copy())
+            found = tensor_of(row.copy())
+            if is_host(row):  # a recorded step (`StepGraph`) writes new values into its rows
+                self._tensors[name] = found
         return found
 
     def zeroed(self, rows: NDArray[np.bool_]) -> TermRows:

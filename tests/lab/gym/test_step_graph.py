@@ -1,0 +1,197 @@
+"""Steps as CUDA graphs: against steps that are launched one by one.
+
+Without a GPU the recording is tried on the CPU, where it runs at once, and nothing is replayed.
+"""
+
+import contextlib
+import logging
+import re
+
+import numpy as np
+import pytest
+import torch
+
+import embodichain
+from embodichain.lab.gym.envs import kept_arrays as walk
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.step_graph import StepGraph
+from embodichain.lab.sim.engine.device_array import DeviceArray
+from tests.helpers.warp_scene import DEVICE
+
+pytestmark = pytest.mark.unmeasured
+
+N = 3
+LINES = (
+    *(f"device={DEVICE}", "sim.engine=warp", "sim.warp.arrays=device", "sim.num_threads=1"),
+    *("sim.warp.nconmax=64", "sim.warp.njmax=200", "seed=3", "task.max_episode_steps=6"),
+)
+TASKS = ["cart_pole", "quadruped_velocity"]
+
+
+class NothingToReplay:
+    """Stands for `torch.cuda.CUDAGraph`: the launches that it should record ran at once."""
+
+    def replay(self):
+        pass
+
+
+@pytest.fixture(autouse=DEVICE == "cpu")
+def recorded_at_once(monkeypatch):
+    nothing = lambda *args, **kwargs: contextlib.nullcontext()  # noqa: E731
+    monkeypatch.setattr(torch.cuda, "CUDAGraph", NothingToReplay)
+    monkeypatch.setattr(torch.cuda, "graph", nothing)
+    monkeypatch.setattr(torch.cuda, "synchronize", lambda: None)
+
+
+@contextlib.contextmanager
+def made(task, *lines):
+    """An environment that steps by graph, and one that launches all kernels."""
+    both = [embodichain.make(task, N, [*LINES, *lines]) for _ in range(2)]
+    try:
+        for env in both:
+            env.reset()
+            env._graph = None
+        graph = both[0]._graph = StepGraph(both[0])
+        if DEVICE == "cpu":
+            engine = graph._engine
+            vars(engine)["recording"] = lambda: contextlib.nullcontext(engine._mark(None))
+        yield *both, graph
+    finally:
+        for env in both:
+            env.close()
+
+
+def actions(env, steps):
+    rng, space = np.random.default_rng(0), env.single_action_space
+    drawn = rng.uniform(space.low, space.high, (steps, N, *space.shape)).astype(np.float32)
+    return torch.from_numpy(drawn).to(env.device)
+
+
+def same(a, b):
+    loose = 0.0 if DEVICE == "cpu" else 1e-3
+    np.testing.assert_allclose(a.cpu(), b.cpu(), rtol=loose, atol=loose)
+
+
+STEPS = 4 if DEVICE == "cpu" else 30
+"""The fourth is recorded."""
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_recorded_steps_are_as_others(task):
+    with made(task) as (one, other, graph):
+        for action in actions(one, STEPS):
+            (obs, *numbers, info), (obs2, *numbers2, info2) = one.step(action), other.step(action)
+            same(torch.as_tensor(obs.rows.tensor), torch.as_tensor(obs2.rows.tensor))
+            for found, wanted in zip(numbers, numbers2, strict=True):
+                same(found, wanted)
+            # A learner reads them, which must not make them part of the state.
+            for group in ("rewards", "episode_sums"):
+                assert list(info[group]) == list(info2[group])
+                for name, values in info[group].items():
+                    same(values, info2[group][name])
+            for name, values in one.termination_manager.values.items():
+                same(values.float(), other.termination_manager.values[name].float())
+        assert graph.reason == "" and graph._graph is not None
+        assert one.control_step == other.control_step == STEPS
+        same(one.elapsed_steps, other.elapsed_steps)
+
+
+def test_what_is_kept_stays_at_its_address():
+    with made("cart_pole") as (one, _, graph):
+        for action in actions(one, 4):
+            one.step(action)
+        assert ("managers", "rewards", "_sums") in graph._kept
+        kept = dict(graph._kept)
+        one.reset()
+        assert one.arrays_moved
+        places = graph._places()[0]
+        moved = [path for path, array in kept.items() if places[path].get() is not array]
+        assert moved
+        wanted = {path: torch.clone(_tensor(places[path].get())) for path in kept}
+        assert graph._is_valid()
+        places = graph._places()[0]
+        for path, array in kept.items():
+            assert places[path].get() is array
+            assert torch.equal(_tensor(array), wanted[path])
+        assert not one.arrays_moved
+
+
+def _tensor(value):
+    return value.tensor if isinstance(value, DeviceArray) else value
+
+
+def test_other_weights_are_recorded_anew():
+    with made("cart_pole") as (one, _, graph):
+        steps = actions(one, 7)
+        for action in steps[:4]:
+            one.step(action)
+        first = graph._graph
+        name = next(iter(one.reward_manager.weights))
+        one.reward_manager.set_weight(name, 3.0)
+        for action in steps[4:6]:  # one to check the terms again, one that is observed
+            one.step(action)
+            assert graph._graph is None
+        one.step(steps[6])
+        assert graph.reason == ""
+        assert graph._graph is not None and graph._graph is not first
+
+
+class Counting(Term):
+    """Counts its calls on the host."""
+
+    def __init__(self, env):
+        self.calls = 0
+
+    def __call__(self, env, obs, action, info):
+        self.calls += 1
+        return env.arrays.full(env.num_envs, float(self.calls))
+
+
+class Growing(Term):
+    """Keeps all earlier values, in an array that grows."""
+
+    def __init__(self, env):
+        self.values = env.arrays.full((env.num_envs, 1), 0.0)
+
+    def __call__(self, env, obs, action, info):
+        self.values = np.concatenate([self.values, self.values[:, :1] + 1.0], axis=1)
+        return self.values.sum(axis=1)
+
+
+@pytest.mark.parametrize(
+    ("term", "reason"),
+    [(Counting, r"changes .*calls, which is on the host"), (Growing, r"changes .*values from")],
+)
+def test_what_cannot_be_recorded_is_launched(term, reason, caplog):
+    """A number of the host, or an array of another shape, would be that of the recorded step."""
+    line = f"+task.rewards.own={{func: '{__name__}:{term.__name__}', weight: 1.0}}"
+    with made("cart_pole", line) as (one, other, graph):
+        caplog.set_level(logging.WARNING)
+        for action in actions(one, 6):
+            same(one.step(action)[1], other.step(action)[1])
+        assert graph._graph is None and one.control_step == 6
+        assert caplog.text.count("steps are not recorded as a CUDA graph") == 1
+        assert re.search(reason, graph.reason)
+
+
+class Node:
+    __slots__ = ("left", "right")
+
+    def __init__(self, left, right):
+        self.left, self.right = left, right
+
+
+def test_every_place_is_found_and_can_be_set():
+    arrays = [DeviceArray(torch.full((2,), float(i))) for i in range(6)]
+    shared = {"a": arrays[0], "b": [arrays[1], (arrays[2], 5)]}
+    closure = lambda: shared  # noqa: E731
+    root = Node(closure, {"again": shared, "deep": Node(arrays[3], (1.5, np.arange(3)))})
+    places, numbers = walk.kept_arrays(root)
+    held = {id(place.get()) for place in places.values()}
+    assert held == {id(array) for array in arrays[:4]}
+    assert 5 in numbers.values() and np.arange(3).tobytes() in numbers.values()
+    for place in places.values():
+        place.set(arrays[5])
+    assert shared["a"] is shared["b"][0] is shared["b"][1][0] is arrays[5]
+    assert root.right["deep"].left is arrays[5] and shared["b"][1][1] == 5
+    assert walk.kept_arrays(root, (Node,)) == ({}, {})
