@@ -113,8 +113,10 @@ class DeviceEngine(WarpEngine):
         }
         empty = torch.zeros((num_envs, 0), device=self.device)
         self._states |= {n: DeviceArray(empty) for n in self._layout if n not in self._states}
-        # Fields that `forward` has to compute, and for which environments, when they are read.
-        self._late: dict[str, EnvMask | None] = {}
+        # Fields that `forward` has to compute when they are read, and for which environments: a
+        # mask of each, at one address, so that a recorded step can read that of the step before.
+        self._late: set[str] = set()
+        self._late_masks: dict[str, DeviceArray] = {}
         self._kept: dict[str, tuple[DeviceArray, DeviceArray]] = {}
         self._wild = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._overflow = torch.zeros(num_envs, dtype=torch.int32, device=self.device)
@@ -207,6 +209,8 @@ class DeviceEngine(WarpEngine):
             self._any_dirty = True
             output = DeviceArray(self.worlds.view(name).reshape(shape))
             found = self._kept[name] = output, output.copy()
+            none = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+            self._late_masks[name] = DeviceArray(none)
             self._views_made += 1
         if name in self._late:
             self._compute_late(name)
@@ -214,7 +218,7 @@ class DeviceEngine(WarpEngine):
 
     def _compute_late(self, name: str) -> None:
         """Compute a field where `forward` was called after the last step."""
-        env_ids = self._late.pop(name)
+        self._late.remove(name)
         self._upload()
         with self._stream():
             if name in _OF_ACTUATORS:  # needs neither contacts nor the solver
@@ -224,7 +228,9 @@ class DeviceEngine(WarpEngine):
         if self._only_kinematics:
             self._any_dirty = False
         output, copy = self._kept[name]
-        copy[ALL if env_ids is None else env_ids] = output
+        mask = self._late_masks[name]
+        copy[EnvMask(mask.tensor)] = output
+        mask[...] = False
 
     def cast_rays(
         self,
@@ -257,8 +263,9 @@ class DeviceEngine(WarpEngine):
         self._check_states()
         self._mark(None)
         self._late.clear()
-        for output, copy in self._kept.values():
+        for name, (output, copy) in self._kept.items():
             copy[...] = output
+            self._late_masks[name][...] = False
 
     @property
     def _timestep(self) -> Any:
@@ -287,10 +294,9 @@ class DeviceEngine(WarpEngine):
         self._seen.copy_(self._overflow, non_blocking=True)
 
     def forward(self, env_ids: Any = None) -> None:
-        for name in self._kept:
-            before = self._late.get(name, env_ids)
-            both = env_ids is not None and before is not None
-            self._late[name] = EnvMask(env_ids.mask | before.mask) if both else None
+        for mask in self._late_masks.values():
+            mask[ALL if env_ids is None else env_ids] = True
+        self._late.update(self._kept)
         self.version += 1
 
     def take_diverged(self) -> Any:
