@@ -77,6 +77,13 @@ def test_some_environments_can_be_reset(env):
     assert (env.episode_ids - begun).tolist() == [1, 0, 1]
 
 
+def test_episodes_can_be_cut_off(env):
+    env.reset()
+    env.truncate([0, 2])
+    zero = torch.zeros(N, 1, device=env.device)
+    assert [env.step(zero)[3].tolist() for _ in range(2)] == [[True, False, True], [False] * 3]
+
+
 REFUSED = {
     "observers": lambda env: env.add_observer(StepObserver()),
     "recorded states": lambda env: env.restore(object.__new__(Snapshot)),

@@ -136,6 +136,21 @@ def test_other_weights_are_recorded_anew():
         assert graph._graph is not None and graph._graph is not first
 
 
+def test_what_code_outside_of_steps_writes_counts():
+    """A state is in the graph's own arrays; a number of the host makes it out of date."""
+    with made("reach") as (one, _, graph):
+        steps = actions(one, 8)
+        for action in steps[:4]:
+            one.step(action)
+        first = graph._graph
+        one.robot.set_qpos(np.zeros((N, 6), np.float32), target=False)
+        one.step(steps[4])
+        assert graph._graph is first
+        one.robot.set_joint_drive(max_velocity=np.full((N, 6), 0.5))
+        one.step(steps[5])
+        assert graph._graph is None
+
+
 class Counting(Term):
     """Counts its calls on the host."""
 

@@ -55,7 +55,9 @@ class Episodes:
         self.ids: NDArray[np.int64] = arrays.full(num_envs, -1, np.int64)
         self.success: Mask = arrays.full(num_envs, False, np.bool_)
         self.pending: Mask | None = None
-        self.cut: Mask | None = None
+        self._on_device = arrays.on_device
+        # On a device it is always there: a recorded step reads it.
+        self.cut: Mask | None = self.success.copy() if self._on_device else None
         self.last_action: NDArray[np.float64] = arrays.full((num_envs, 0), 0.0)
 
     def set_last_action(self, ids: NDArray[np.int64], action: Any) -> None:
@@ -104,7 +106,10 @@ class Episodes:
         over: Mask = self.elapsed >= np.int32(self.limit)
         if self.cut is not None:
             over |= self.cut
-            self.cut = None
+            if self._on_device:
+                self.cut[...] = False
+            else:
+                self.cut = None
         return over
 
     def state_dict(self) -> dict[str, Any]:
@@ -124,7 +129,8 @@ class Episodes:
         self.begun = bool(self._arrays.host(self.ids)[0] >= 0)
         self.success, self.last_action = saved["success"].copy(), saved["last_action"].copy()
         self.pending = None if saved["pending"] is None else saved["pending"].copy()
-        self.cut = None if saved["cut"] is None else saved["cut"].copy()
+        none = np.zeros_like(self.success) if self._on_device else None
+        self.cut = none if saved["cut"] is None else saved["cut"].copy()
 
 
 FINAL_KEYS = ("final_obs", "final_info", "_final_obs", "_final_info", "final_observation")

@@ -31,8 +31,11 @@ __all__ = ["RecordedEnv", "StepGraph"]
 logger = logging.getLogger(__name__)
 _WARM_UP = 2
 """Steps before those that are observed and recorded: they load kernels and make constants."""
-_COUNTERS = {"control_step", "version", "_version", "_all_changed", "physics_seconds"}
-"""Numbers of the host that every step changes, and that decide nothing in a recorded step."""
+_COUNTERS = {
+    *("control_step", "version", "_version", "_all_changed", "physics_seconds"),
+    *("_any_dirty", "arrays_moved", "_views_made"),
+}
+"""Numbers of the host that change, and decide nothing in a recorded step, or are in `revision`."""
 
 
 Step = tuple["EnvObs", torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
@@ -70,6 +73,8 @@ class StepGraph:
         self._graph: torch.cuda.CUDAGraph | None = None
         self._kept: dict[Path, Any] = {}
         self._revision: Any = None
+        self._numbers: dict[Path, HostValue] = {}
+        self._version = -1
         self.reason = ""
 
     def step(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
@@ -144,8 +149,8 @@ class StepGraph:
                 place.set(DeviceArray(value.tensor))
 
     def _check_numbers(self, before: dict[Path, HostValue], after: dict[Path, HostValue]) -> None:
-        for path, value in after.items():
-            if before.get(path, value) != value and path[-1] not in _COUNTERS:
+        for path, value in _decisive(after).items():
+            if before.get(path, value) != value:
                 self._give_up(f"a step changes {_shown(path)}, which is on the host")
 
     def _give_up(self, reason: str) -> None:
@@ -186,6 +191,7 @@ class StepGraph:
         finally:
             gc.enable()
         self._graph, self._revision = graph, env.revision
+        self._numbers, self._version = _decisive(self._places()[1]), self._engine.version
 
     def _keep(self) -> None:
         """Copy the arrays that replaced kept ones into these, and put the kept ones back."""
@@ -211,15 +217,17 @@ class StepGraph:
     def _is_valid(self) -> bool:
         """Whether the graph computes the next step, after changes by code outside of steps.
 
-        What such code has put in place of kept arrays is copied into these.
+        What such code has put in place of kept arrays is copied into these. It may have written to
+        the engine, or changed numbers of the host, such as whether drives have a largest velocity.
         """
         if self._revision != self._env.revision:
             return False
-        if not self._env.arrays_moved:
+        if not self._env.arrays_moved and self._version == self._engine.version:
             return True
         self._env.arrays_moved = False
-        places = self._places()[0]
-        if not self._kept.keys() <= places.keys():
+        self._version = self._engine.version
+        places, numbers = self._places()
+        if not self._kept.keys() <= places.keys() or _decisive(numbers) != self._numbers:
             return False
         for path, kept in self._kept.items():
             value = places[path].get()
@@ -247,6 +255,11 @@ class _Watched(DeviceArray):
 def _tensor(value: Any) -> torch.Tensor:
     tensor: torch.Tensor = value.tensor if isinstance(value, DeviceArray) else value
     return tensor
+
+
+def _decisive(numbers: dict[Path, HostValue]) -> dict[Path, HostValue]:
+    """The numbers of the host that may decide what a step computes."""
+    return {path: value for path, value in numbers.items() if path[-1] not in _COUNTERS}
 
 
 def _shown(path: Path) -> str:

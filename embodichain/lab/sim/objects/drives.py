@@ -330,6 +330,7 @@ class Drives:
                 self.damping[_at(ids, joints[~driven])] = values[:, ~driven]
         elif name == "max_velocity":  # used by actions only: MuJoCo has no velocity limit
             self._note_gains()
+            engine.version += 1  # other targets
         else:
             self.columns(joints)
             if name != "max_effort":
