@@ -77,6 +77,20 @@ def test_some_environments_can_be_reset(env):
     assert (env.episode_ids - begun).tolist() == [1, 0, 1]
 
 
+@pytest.mark.parametrize("kind", ["tensor", "array", "list"])
+def test_values_of_users_may_be_anywhere(env, kind):
+    env.reset()
+    values = np.array([[0.1, 0.2], [0.3, -0.4]], np.float32)
+    given = {"tensor": torch.from_numpy(values).to(env.device), "array": values}
+    env.robot.set_qpos(given.get(kind, values.tolist()), env_ids=[0, 2], target=False)
+    found = env.robot.get_qpos()
+    assert found.device.type == env.device.type
+    np.testing.assert_allclose(found.cpu()[[0, 2]], values, atol=1e-7)
+    pose = np.array([[0.0, 0.5, 1.0, 1.0, 0.0, 0.0, 0.0]] * N, np.float32)
+    with pytest.raises(ValueError, match=r"must have shape \(3, 2\), got \(3, 7\)"):
+        env.robot.set_qpos(torch.from_numpy(pose).to(env.device), target=False)
+
+
 def test_episodes_can_be_cut_off(env):
     env.reset()
     env.truncate([0, 2])

@@ -169,6 +169,7 @@ class StepGraph:
         graph = torch.cuda.CUDAGraph()
         saved = {path: place.get() for path, place in places.items()}
         control_step = env.control_step
+        collecting = gc.isenabled()
         gc.collect()
         gc.disable()  # what it frees would be recorded
         try:
@@ -189,7 +190,8 @@ class StepGraph:
             self._give_up(f"{type(error).__name__}: {error}")
             return
         finally:
-            gc.enable()
+            if collecting:
+                gc.enable()
         self._graph, self._revision = graph, env.revision
         self._numbers, self._version = _decisive(self._places()[1]), self._engine.version
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from embodichain.lab.sim.body_motion import BodyMotion
-from embodichain.utils.arrays import as_env_ids, as_rows, to_tensor
+from embodichain.utils.arrays import as_env_ids, as_rows, is_host, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 
 if TYPE_CHECKING:
@@ -77,7 +77,13 @@ class Handle(Generic[Index]):
     def _checked(
         self, values: Any, width: int, env_ids: Any, what: str, **options: bool
     ) -> tuple[F64, EnvIndex | None]:
-        """Return values (n, width) and their n environments; options as in `as_rows`."""
+        """Return values (n, width) and their n environments; options as in `as_rows`.
+
+        Users' values are copied to the simulation's device.
+        """
+        arrays = self.host.arrays
+        if arrays.on_device and is_host(values):
+            values = arrays.of(torch.as_tensor(values).to(arrays.device))
         ids = as_env_ids(env_ids, self.num_instances)
         rows = self.num_instances if ids is None else len(ids)
         return as_rows(values, rows, width, f"{self.uid}: {what}", **options), ids
