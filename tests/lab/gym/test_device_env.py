@@ -91,6 +91,19 @@ def test_values_of_users_may_be_anywhere(env, kind):
         env.robot.set_qpos(torch.from_numpy(pose).to(env.device), target=False)
 
 
+def test_gains_and_masses_of_users_are_checked():
+    with made() as env:
+        env.reset()
+        one = torch.ones(N, 1, device=env.device)
+        for what in (env.robot.set_mass, env.robot.set_joint_drive):
+            names = {"link_names": ["pole"]} if what == env.robot.set_mass else {"joint_ids": [0]}
+            key = "mass" if what == env.robot.set_mass else "max_velocity"
+            what(**{key: 2.0 * one}, **names)
+            with pytest.raises(ValueError, match=r"must (be positive|not be negative)"):
+                what(**{key: -one}, **names)
+        assert env.robot.get_mass(["pole"]).tolist() == [[2.0]] * N
+
+
 def test_episodes_can_be_cut_off(env):
     env.reset()
     env.truncate([0, 2])

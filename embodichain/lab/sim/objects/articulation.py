@@ -286,7 +286,7 @@ class Articulation(BatchEntity):
             if value is None:
                 continue
             array, ids = self._checked(value, len(joints), env_ids, name, finite=False)
-            if not (array >= 0).all():
+            if not (self.host.arrays.host(array) >= 0).all():
                 raise ValueError(f"{self.uid}: {name} must not be negative or NaN")
             self.drives.write(name, array, ids, joints)
 
@@ -437,8 +437,8 @@ class Articulation(BatchEntity):
         """Set link masses (n, k) in kg; each link's inertia scales with its mass."""
         bodies = self._bodies_of(link_names)
         new, ids = self._checked(mass, len(bodies), env_ids, "mass")
-        if (new <= 0).any():
-            raise ValueError(f"{self.uid}: masses must be positive, got {new.min()}")
+        if (least := self.host.arrays.host(new).min(initial=np.inf)) <= 0:
+            raise ValueError(f"{self.uid}: masses must be positive, got {least}")
         self.write_mass(new, bodies, ids)
 
     def write_mass(

@@ -193,8 +193,8 @@ class RigidObject(BatchEntity):
         """
         self._need_dynamic("set_mass")
         new, ids = self._checked(np.reshape(mass, (-1, 1)), 1, env_ids, "mass")
-        if (new <= 0).any():
-            raise ValueError(f"{self.uid}: mass must be positive, got {new.min()}")
+        if (least := self.host.arrays.host(new).min(initial=np.inf)) <= 0:
+            raise ValueError(f"{self.uid}: mass must be positive, got {least}")
         self.write_mass(new[:, 0], ids)
 
     def write_mass(self, mass: F64, ids: EnvIndex | None, inertia: bool = True) -> None:
@@ -224,7 +224,8 @@ class RigidObject(BatchEntity):
         """
         self._need_dynamic("set_inertia")
         new, ids = self._checked(inertia, 3, env_ids, "inertia")
-        if (new <= 0).any() or (2 * new.max(axis=1) > new.sum(axis=1) + 1e-12).any():
+        given = self.host.arrays.host(new)
+        if (given <= 0).any() or (2 * given.max(axis=1) > given.sum(axis=1) + 1e-12).any():
             raise ValueError(
                 f"{self.uid}: moments must be positive, the largest at most the sum "
                 "of the other two"
