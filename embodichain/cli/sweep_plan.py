@@ -28,6 +28,7 @@ __all__ = ["Plan", "plan_sweep", "swept_keys"]
 LAUNCHER = "hydra/launcher"
 CLUSTERS = ("slurm", "ray")
 """Launchers that start jobs on other machines, each with its own number of cores."""
+_FOLDER = "hydra.sweep.dir"
 _AT_ONCE = "joblib"
 _ONE_BY_ONE = "basic"
 
@@ -102,7 +103,9 @@ def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
             threads = int(first.tree["sim"]["num_threads"])
         note = _note(jobs, at_once, threads, launcher)
     folder = str(config.hydra.sweep.dir)
-    lines.append("hydra.sweep.dir='{}'".format(folder.replace("\\", "\\\\").replace("'", "\\'")))
+    quoted = folder.replace("\\", "\\\\").replace("'", "\\'")
+    lines = [line for line in lines if line.lstrip("+").partition("=")[0] != _FOLDER]
+    lines.append(f"{_FOLDER}='{quoted}'")
     keys = (*swept_keys(lines), *_searched(config))
     return Plan(tuple(lines), Path(folder), keys, launcher, jobs, note)
 

@@ -188,7 +188,9 @@ def short_labels(groups: Sequence[Group]) -> tuple[str, list[str]]:
         return "", [group.label for group in groups]
     common = [part for part in parts[0] if all(part in other for other in parts)]
     labels = [" ".join(part for part in own if part not in common) for own in parts]
-    return " ".join(common), [label or group.label for label, group in zip(labels, groups)]
+    return " ".join(common), [
+        label or group.label for label, group in zip(labels, groups, strict=True)
+    ]
 
 
 def band(curves: Sequence[Curve], points: int = 200) -> tuple[F64, F64, F64, F64]:
