@@ -74,7 +74,8 @@ def why_not() -> str | None:
     if os.geteuid() != 0:
         return "slurmctld and slurmd are started as root"
     missing = [name for name in PROGRAMS if shutil.which(name, path=_path()) is None]
-    return f"no {', '.join(missing)}: scripts/system_deps.sh PYTHON slurm" if missing else None
+    what = "apt-get install slurmctld slurmd slurm-client munge (scripts/system_deps.sh does)"
+    return f"no {', '.join(missing)}: {what}" if missing else None
 
 
 @contextlib.contextmanager
