@@ -40,7 +40,7 @@ def why_not_device(root: RootCfg, verb: Verb | None) -> list[str]:
 
 
 def why_host(root: RootCfg, verb: Verb | None) -> list[str]:
-    """Return `why_not_device`, and what may read arrays of the host: learned policies, users' own.
+    """Return `why_not_device`, and what may read arrays of the host: functions of users.
 
     Args:
         root: The config.
@@ -48,7 +48,7 @@ def why_host(root: RootCfg, verb: Verb | None) -> list[str]:
     """
     found = why_not_device(root, verb)
     name = _policy(root)
-    if verb not in (None, "train") and name not in POLICIES:
+    if verb not in (None, "train") and name not in POLICIES and ":" in name:
         found.append(f"policy={name} may read arrays of the host")
     return found
 

@@ -131,15 +131,19 @@ class StepCopies(StepObserver):
 
     def _send(self, packed: torch.Tensor, calls: list[_Call]) -> None:
         if self._buffers.full:
-            self._receive_one(*next(self._buffers.waiting()), wait=True)
+            self._receive_oldest(wait=True)
         self._buffers.send(packed, (calls, self._env.reward_manager.weights))
 
     def _receive(self, *, wait: bool) -> None:
-        for calls, weights in self._buffers.waiting():
-            if not self._receive_one(calls, weights, wait=wait):
-                return
+        while self._receive_oldest(wait=wait):
+            pass
 
-    def _receive_one(self, calls: list[_Call], weights: Mapping[str, float], *, wait: bool) -> bool:
+    def _receive_oldest(self, *, wait: bool) -> bool:
+        """Report the oldest copy; False if there is none, or it has not arrived."""
+        oldest = self._buffers.oldest
+        if oldest is None:
+            return False
+        calls, weights = oldest
         slots = [slot for call in calls for slot in call.slots.values()]
         arrays = self._buffers.receive(slots, wait=wait)
         if arrays is None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -169,7 +169,7 @@ class HostBuffers(Generic[T]):
         self._free.append(oldest.buffer)
         return found
 
-    def waiting(self) -> Iterator[T]:
-        """What the copies on their way are about, the oldest first; more may be received."""
-        while self._sent:
-            yield self._sent[0].about
+    @property
+    def oldest(self) -> T | None:
+        """What the oldest copy on its way is about; None if there is none."""
+        return self._sent[0].about if self._sent else None
