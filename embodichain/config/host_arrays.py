@@ -32,8 +32,6 @@ def why_not_device(root: RootCfg, verb: Verb | None) -> list[str]:
         found.append("collect chooses episodes by arrays of the host")
     if root.record.format != "none" and root.record.images is not None:
         found.append("record.images: pictures are drawn on the host")
-    if root.record.format != "none" and root.record.state == "keyframes":
-        found.append("record.state=keyframes: a log of states has all of them")
     if (name := _policy(root)) in _PLANNED:
         found.append(f"policy={name} plans with arrays of the host")
     return found
