@@ -243,6 +243,8 @@ class Reenactment:
     def _warn(self, steps: int) -> None:
         header = self._log.header
         why = "it was recorded on another kind of processor, or terms were changed"
+        if not header.has_writes:
+            why = "it has states of a device, in float32; these were computed on the host"
         if header.mujoco_version != mujoco.__version__:
             why = f"it was recorded with MuJoCo {header.mujoco_version}, not {mujoco.__version__}"
         _log.warning(
