@@ -7,7 +7,7 @@ import inspect
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -223,10 +223,10 @@ class Algorithm:
                 message = "an observation of images is not normalized: use reward, or false"
                 raise ConfigError([Problem("algo.normalize", message)])
             kwargs |= {"norm_obs_keys": numbers} if isinstance(space, Dict) else {}
-        normalized = VecNormalize(vec_env, **kwargs)
+        normalized: Any = VecNormalize(vec_env, **kwargs)  # its obs_rms is declared as a dict
         if mirror is not None and kwargs["norm_obs"]:
             normalized.obs_rms = MirroredMeanStd(mirror)
-        return normalized
+        return cast(VecEnv, normalized)
 
 
 def action_noise(kind: str, std: float | None, width: int, num_envs: int) -> ActionNoise:

@@ -243,7 +243,8 @@ class _MirroredExtractor(MlpExtractor):
 
     def _critic(self, both: Tensor) -> Tensor:
         latent, image = self.value_net(both).chunk(2)
-        return 0.5 * (latent + image)
+        average: Tensor = 0.5 * (latent + image)
+        return average
 
 
 class SymmetricActorCriticPolicy(ActorCriticPolicy):
