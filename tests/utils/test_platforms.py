@@ -22,9 +22,7 @@ def test_what_a_system_lacks_is_refused_with_what_works(monkeypatch: pytest.Monk
         platforms.need("viewer=web", "record=none", "SIGUSR2")  # a limit, but none that is refused
     (problem,) = caught.value.problems
     assert problem.path == "viewer"
-    assert problem.message == (
-        "viewer=web does not work on Windows: its process inherits a socket"
-    )
+    assert problem.message == ("viewer=web does not work on Windows: its process inherits a socket")
     assert problem.hint == "Instead: viewer=native, or Linux in WSL"
 
 
