@@ -1,7 +1,7 @@
 """Builds what a release consists of, and moves the changelog's entries under its heading.
 
-`python scripts/release.py prepare 0.1.0` writes the version into `embodichain/__init__.py` and turns
-the changelog's *Unreleased* into a dated section; commit that, and tag the commit ``v0.1.0``.
+`python scripts/release.py prepare 0.1.0` writes the version into `embodichain/__init__.py`, and
+makes a dated section of the changelog's *Unreleased*; commit that, and tag the commit ``v0.1.0``.
 
 `python scripts/release.py build` (`make dist`) builds sdist, wheel and SHA256SUMS into ``dist/``
 from the files of the commit, never from the working tree. The same commit gives the same bytes:
@@ -55,24 +55,26 @@ def version_of(root: Path) -> str:
 def prepare(root: Path, version: str, date: str) -> None:
     """Writes a version and its dated section.
 
+    A section of that version that was never tagged is a draft: the entries join it.
+
     Raises:
-        ReleaseError: The version or the date is malformed or the section exists, or nothing is
-            unreleased.
+        ReleaseError: The version or the date is malformed, the version is tagged already, or
+            nothing is unreleased.
     """
     if not _ALLOWED.fullmatch(version):
         raise ReleaseError(f"{version!r} is not MAJOR.MINOR.PATCH, with a1, b1 or rc1 at most")
     if not re.fullmatch(r"\d{4}-\d{2}-\d{2}", date):
         raise ReleaseError(f"{date!r} is not YYYY-MM-DD")
+    if git(root, "tag", "--list", f"v{version}"):
+        raise ReleaseError(f"v{version} is tagged already")
     text = (root / CHANGELOG).read_text(encoding="utf-8")
-    if version in dict(_HEADING.findall(text)):
-        raise ReleaseError(f"{CHANGELOG}: there is a section for {version} already")
     before, mark, after = text.partition(f"{UNRELEASED}\n")
-    entries = _HEADING.split(after)[0]
-    if not mark or not re.search(r"^- \S", entries, re.MULTILINE):
+    if not mark or not re.search(r"^- \S", _HEADING.split(after)[0], re.MULTILINE):
         raise ReleaseError(f"{CHANGELOG}: nothing is listed under {UNRELEASED!r}")
-    dated = f"{before}{mark}\n## [{version}] - {date}\n{after}"
-    source = (root / VERSION_FILE).read_text(encoding="utf-8")
+    draft = re.compile(rf"^## \[{re.escape(version)}\].*\n\n?", re.MULTILINE)
+    dated = f"{before}{mark}\n## [{version}] - {date}\n{draft.sub('', after)}"
     version_of(root)
+    source = (root / VERSION_FILE).read_text(encoding="utf-8")
     (root / CHANGELOG).write_text(dated, encoding="utf-8")
     source = _VERSION.sub(f'__version__ = "{version}"', source)
     (root / VERSION_FILE).write_text(source, encoding="utf-8")

@@ -41,10 +41,13 @@ def test_package_is_typed(tracked: dict[str, str]) -> None:
     assert "embodichain/py.typed" in tracked
 
 
-def test_changelog_has_an_unreleased_section_with_entries(texts: dict[str, str]) -> None:
+def test_changelog_lists_what_is_unreleased(texts: dict[str, str]) -> None:
+    """A commit that makes a release has just moved it under the version's heading."""
     sections = re.split(r"^## ", texts["CHANGELOG.md"], flags=re.MULTILINE)[1:]
     assert sections[0].startswith("[Unreleased]")
-    assert re.search(r"^- \S", sections[0], re.MULTILINE)
+    released = sections[1].startswith(f"[{embodichain.__version__}]")
+    entries = sections[0] + sections[1] * released
+    assert re.search(r"^- \S", entries, re.MULTILINE)
 
 
 @pytest.mark.parametrize(
