@@ -115,7 +115,8 @@ $(OLDEST)/.installed $(NEWEST)/.installed: pyproject.toml | system
 	$(@D)/bin/python -m pip --disable-pip-version-check install uv
 	$(@D)/bin/uv pip install --python $(@D)/bin/python --resolution $(RESOLUTION) -r pyproject.toml
 	$(@D)/bin/uv pip install --python $(@D)/bin/python -c constraints.txt \
-	    pytest pytest-cov pytest-timeout pytest-xdist hypothesis packaging setuptools
+	    pytest pytest-cov pytest-timeout pytest-xdist hypothesis packaging setuptools \
+	    imageio-ffmpeg mcap-protobuf-support
 	$(@D)/bin/uv pip install --python $(@D)/bin/python --no-deps --no-build-isolation -e .
 	touch $@
 
