@@ -262,6 +262,7 @@ figure { margin: 0; width: 310px; }
 figcaption { font-size: 13px; }
 svg { border: 1px solid #8886; border-radius: 4px; }
 small, .note { color: #777; }
+ul { list-style: none; padding: 0; }
 """
 
 
@@ -294,7 +295,7 @@ def page(rows: list[Row]) -> str:
         first, last = of[0], of[-1]
         parts.append(f"<h2 id='{benchmark}'>{benchmark}</h2>")
         parts.append(
-            f"<p class='note'>{len(of)} of commits {first.commit} ({first.date}) to "
+            f"<p class='note'>{len(of)} commits, {first.commit} ({first.date}) to "
             f"{last.commit} ({last.date})</p>\n<div class='charts'>"
         )
         parts += [_chart(name, of, machines) for name in names]
@@ -305,9 +306,12 @@ def page(rows: list[Row]) -> str:
 def _machine(row: Row) -> str:
     of = row.machine
     device = f"{of['device']} with " if "device" in of else ""
-    return (
-        f"{device}{of['cores']} cores of {of['processor']}, {of['memory_gib']} GiB, {of['system']}"
-    )
+    cores = f"{of['cores']} cores of {of['processor']}"
+    return f"{device}{cores}, {of['memory_gib']} GiB, {of['system']}"
+
+
+def _written(value: float) -> str:
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:g}"
 
 
 def _chart(name: str, rows: list[Row], machines: list[str]) -> str:
@@ -330,7 +334,8 @@ def _chart(name: str, rows: list[Row], machines: list[str]) -> str:
         drawn.append(f"<polyline points='{line}' fill='none' stroke='{colour}' opacity='.5'/>")
         for i, row, value, unit in own:
             x, y = place(i, value)
-            said = f"{row.commit} {row.date}: {value:g} {unit}, load {row.machine['load_at_start']}"
+            at = f"{row.commit} {row.date}, load {row.machine['load_at_start']}"
+            said = f"{_written(value)} {unit}: {at}"
             drawn.append(
                 f"<circle cx='{x}' cy='{y}' r='3' fill='{colour}'>"
                 f"<title>{html.escape(said)}</title></circle>"
@@ -339,7 +344,7 @@ def _chart(name: str, rows: list[Row], machines: list[str]) -> str:
     mark = "&#9650;" if unit in HIGHER or unit.endswith("steps/s") else "&#9660;"
     return (
         f"<figure><figcaption>{html.escape(name)} <small>{mark}</small><br>"
-        f"<b>{value:g}</b> {html.escape(unit)}</figcaption>"
+        f"<b>{_written(value)}</b> {html.escape(unit)}</figcaption>"
         f"<svg width='{_WIDTH}' height='{_HEIGHT}' role='img' "
         f"aria-label='{html.escape(name, quote=True)}'>{''.join(drawn)}</svg></figure>"
     )

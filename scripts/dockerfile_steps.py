@@ -4,7 +4,7 @@
 ``debootstrap --variant=minbase bookworm DIR`` makes; every ``FROM`` is a copy of it. ``RUN`` runs
 in a chroot with the build's arguments and variables, ``COPY`` copies what .dockerignore leaves, and
 at the end the entry point runs with the given arguments as the image's user. `--bind PATH` shows a
-path of this machine inside, such as an installer's configuration; `--env NAME` passes a variable.
+path of this machine inside, read-only; `--env NAME` passes a variable.
 
 What it does not try: Docker's own layers, caching and isolation, and that ``debian:12-slim`` is the
 base that debootstrap makes without documentation files.
@@ -198,17 +198,42 @@ class Builder:
         }
         words = [f"{name}={value}" for name, value in variables.items()]
         user = [f"--userspec={stage.user}"] if stage.user != "root" else []
-        shown = [Path("/proc"), Path("/dev"), *self.binds]
-        for path in shown:
+        root = stage.root
+        for path in self.binds:
             place = self._inside(str(path))
             place.parent.mkdir(parents=True, exist_ok=True)
             place.mkdir(exist_ok=True) if path.is_dir() else place.touch()
-        # In a mount namespace of its own: nothing stays mounted, whatever happens.
-        mounts = [shlex.join(["mount", "--bind", str(p), str(self._inside(str(p)))]) for p in shown]
         line = f"cd {stage.folder} && exec {shlex.join(['env', '-i', *words, *command])}"
-        chroot = shlex.join(["exec", "chroot", *user, str(stage.root), "/bin/sh", "-c", line])
-        outer = ["unshare", "--mount", "/bin/sh", "-c", " && ".join([*mounts, chroot])]
-        subprocess.run(outer, check=True, stdin=subprocess.DEVNULL)
+        chroot = ["exec", "chroot", *user, str(root), "/bin/sh", "-c", line]
+        script = [*mounts(root, self.binds), shlex.join(chroot)]
+        # Namespaces of its own: nothing stays mounted or running, whatever happens.
+        own = ["unshare", "--mount", "--propagation", "private", "--pid", "--fork"]
+        subprocess.run(
+            [*own, "/bin/sh", "-c", " && ".join(script)], check=True, stdin=subprocess.DEVNULL
+        )
+
+
+def mounts(root: Path, binds: list[Path]) -> list[str]:
+    """Commands that mount what a step sees of this machine, none of which it can write to.
+
+    A package's installation script that runs inside would otherwise change this machine's files.
+    """
+    dev = root / "dev"
+    commands = [
+        ["mount", "-t", "proc", "proc", str(root / "proc")],
+        ["mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", str(dev)],
+        ["mkdir", "-m", "1777", str(dev / "shm")],
+    ]
+    for name in ("null", "zero", "random", "urandom"):
+        commands += [
+            ["touch", str(dev / name)],
+            ["mount", "--bind", f"/dev/{name}", str(dev / name)],
+        ]
+    for path in binds:
+        place = str(root / str(path).lstrip("/"))
+        commands.append(["mount", "--bind", str(path), place])
+        commands.append(["mount", "-o", "remount,bind,ro", place])
+    return [shlex.join(command) for command in commands]
 
 
 def main(arguments: list[str] | None = None) -> int:

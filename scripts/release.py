@@ -1,7 +1,8 @@
 """Builds what a release consists of, and moves the changelog's entries under its heading.
 
-`python scripts/release.py prepare 0.1.0` writes the version into `embodichain/__init__.py`, and
-makes a dated section of the changelog's *Unreleased*; commit that, and tag the commit ``v0.1.0``.
+`python scripts/release.py prepare 0.1.0` writes the version into `embodichain/__init__.py` and
+CITATION.cff, and makes a dated section of the changelog's *Unreleased*; commit that, and tag the
+commit ``v0.1.0``.
 
 `python scripts/release.py build` (`make dist`) builds sdist, wheel and SHA256SUMS into ``dist/``
 from the files of the commit, never from the working tree. The same commit gives the same bytes:
@@ -29,9 +30,11 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 VERSION_FILE = Path("embodichain", "__init__.py")
 CHANGELOG = Path("CHANGELOG.md")
+CITATION = Path("CITATION.cff")
 SUMS = "SHA256SUMS"
 UNRELEASED = "## [Unreleased]"
 _VERSION = re.compile(r'^__version__ = "([^"]+)"$', re.MULTILINE)
+_CITED = re.compile(r"^(?:version|date-released):.*\n?", re.MULTILINE)
 _HEADING = re.compile(r"^## \[([^\]]+)\](?: - (\d{4}-\d{2}-\d{2}))?$", re.MULTILINE)
 _ALLOWED = re.compile(r"\d+\.\d+\.\d+(?:(?:a|b|rc)\d+)?")  # of PEP 440, what this project uses
 
@@ -75,6 +78,10 @@ def prepare(root: Path, version: str, date: str) -> None:
     dated = f"{before}{mark}\n## [{version}] - {date}\n{draft.sub('', after)}"
     version_of(root)
     source = (root / VERSION_FILE).read_text(encoding="utf-8")
+    citation = _CITED.sub("", (root / CITATION).read_text(encoding="utf-8")).rstrip("\n")
+    (root / CITATION).write_text(
+        f"{citation}\nversion: {version}\ndate-released: {date}\n", encoding="utf-8"
+    )
     (root / CHANGELOG).write_text(dated, encoding="utf-8")
     source = _VERSION.sub(f'__version__ = "{version}"', source)
     (root / VERSION_FILE).write_text(source, encoding="utf-8")
@@ -109,6 +116,8 @@ def check(root: Path, tag: str | None = None) -> str | None:
     version = version_of(root)
     if found != f"v{version}":
         raise ReleaseError(f"the tag is {found}, {VERSION_FILE} has {version}")
+    if f"\nversion: {version}\n" not in (root / CITATION).read_text(encoding="utf-8"):
+        raise ReleaseError(f"{CITATION} does not have version: {version}")
     headings = dict(_HEADING.findall((root / CHANGELOG).read_text(encoding="utf-8")))
     if not headings.get(version):
         raise ReleaseError(f"{CHANGELOG} has no dated heading '## [{version}] - YYYY-MM-DD'")
@@ -199,7 +208,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if options.verb == "prepare":
             prepare(root, options.version, options.date)
-            print(f"{CHANGELOG} and {VERSION_FILE}: {options.version}; now commit, and tag it")
+            print(f"{CHANGELOG}, {VERSION_FILE}, {CITATION}: {options.version}; now:")
             print(f"  git commit -am 'release: {options.version}' && git tag v{options.version}")
             return 0
         tag = check(root, options.tag)

@@ -25,6 +25,9 @@ LOG = """\
 SOURCE = '"""The package."""\n\n__version__ = "0.1.0"\n'
 
 
+CITATION = "cff-version: 1.2.0\nversion: 0.1.0\ntitle: a\n"
+
+
 class Checkout:
     """A repository with what a release looks at."""
 
@@ -33,6 +36,7 @@ class Checkout:
         (root / "embodichain").mkdir(parents=True)
         self.write("embodichain/__init__.py", SOURCE)
         self.write("CHANGELOG.md", LOG)
+        self.write("CITATION.cff", CITATION)
         self.git("init", "-q")
         self.commit()
 
@@ -62,6 +66,9 @@ def test_unreleased_entries_become_a_dated_section(checkout: Checkout) -> None:
         "## [Unreleased]\n", "## [Unreleased]\n\n## [0.2.0rc1] - 2026-02-03\n"
     )
     assert release.version_of(checkout.root) == "0.2.0rc1"
+    assert (checkout.root / "CITATION.cff").read_text() == (
+        "cff-version: 1.2.0\ntitle: a\nversion: 0.2.0rc1\ndate-released: 2026-02-03\n"
+    )
 
 
 def test_they_join_a_section_that_was_never_tagged(checkout: Checkout) -> None:
@@ -112,7 +119,7 @@ def test_only_a_clean_commit_is_built(
 
 
 def test_tag_version_and_heading_agree(checkout: Checkout) -> None:
-    with pytest.raises(release.ReleaseError, match=r"not have the tag v0\.1\.0 \(its tags: none"):
+    with pytest.raises(release.ReleaseError, match=r"not have the tag v0\.1\.0 \(it has: none"):
         release.check(checkout.root, "v0.1.0")
     checkout.git("tag", "v0.1.0")
     assert release.check(checkout.root) == release.check(checkout.root, "v0.1.0") == "v0.1.0"
@@ -121,6 +128,12 @@ def test_tag_version_and_heading_agree(checkout: Checkout) -> None:
     checkout.commit()
     checkout.git("tag", "-f", "v0.1.0")
     with pytest.raises(release.ReleaseError, match="no dated heading"):
+        release.check(checkout.root)
+
+    checkout.write("CITATION.cff", CITATION.replace("0.1.0", "0.0.9"))
+    checkout.commit()
+    checkout.git("tag", "-f", "v0.1.0")
+    with pytest.raises(release.ReleaseError, match=r"CITATION.cff does not have version: 0.1.0"):
         release.check(checkout.root)
 
     checkout.write("embodichain/__init__.py", SOURCE.replace("0.1.0", "0.1.1"))
