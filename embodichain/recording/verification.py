@@ -146,8 +146,11 @@ def verify(
                 f"pictures of {header.engine} are not compared: its poses are float32"
             )
         selected = _select(header, env)
-        about = {"engine": header.engine, "has_writes": header.has_writes}
-        report = VerifyReport(reader.path, False, 0, len(selected), **about)
+        report = VerifyReport(
+            *(reader.path, False, 0, len(selected)),
+            engine=header.engine,
+            has_writes=header.has_writes,
+        )
         if header.unverifiable:
             return replace(report, problems=[header.unverifiable])
         model, exact, problems = _model(reader)
