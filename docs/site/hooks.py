@@ -1,8 +1,8 @@
 """Hooks of MkDocs: pages read the same on GitHub and on the site.
 
-Markdown in docs/ links to files of the repository with relative paths, as GitHub wants them. The site
-has what such links name: Markdown as pages, everything else as a file below ``repository/``. Notebooks
-are executed and become pages.
+Markdown in docs/ links to files of the repository with relative paths, as GitHub wants them. The
+site has what such links name: Markdown as pages, everything else as a file below ``repository/``.
+Notebooks are executed and become pages.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ FILES = "".join(
     (REPO / "docs" / name).read_text(encoding="utf-8")
     for name in ("cli.md", "training.md", "log.md", "gpu.md", "extending.md")
 )
-"""Pages, tested themselves, that name files of run folders, keys of Hydra's plug-ins and signatures."""
+"""Pages, tested themselves, that name files of run folders, Hydra's keys and signatures."""
 
 
 def rows(page: Path) -> Iterator[tuple[str, str]]:
