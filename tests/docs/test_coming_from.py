@@ -26,14 +26,10 @@ PAGES = sorted((REPO / "docs" / "coming-from").glob("*.md"))
 TABLE = re.compile(r"^\|(?P<head>.*)\|\n\| --- .*\n(?P<rows>(?:\|.*\n)+)", re.MULTILINE)
 PACKAGES = ("embodichain.learning", "embodichain.recording", "embodichain.lab.gym.envs")
 TASK_KEYS = set(key_names(schema_at(["task"], {})))
+SECTIONS = ("actions", "events", "commands", "observations", "rewards", "terminations", "metrics")
 ITEM_KEYS = {
-    key
-    for section in ("actions", "events", "commands", "observations", "rewards", "terminations")
-    for key in key_names(schema_at(["task", section, "NAME"], {}))
-} | {
-    *key_names(schema_at(["task", "metrics", "NAME"], {})),
-    *("bias", "sensor_type", "data_types"),
-    *("of", "from", "to", "entity_cfg"),
+    *(key for name in SECTIONS for key in key_names(schema_at(["task", name, "NAME"], {}))),
+    *("bias", "sensor_type", "data_types", "of", "from", "to", "entity_cfg"),
 }
 """Keys of a term or a sensor, whichever section it is in."""
 PYTHON = {"flatten", "autoreset_mode", "render_mode"}
