@@ -1,5 +1,6 @@
 """The documentation site is built without a warning, complete, and works in a browser, offline."""
 
+import fcntl
 import functools
 import http.server
 import importlib
@@ -68,11 +69,28 @@ class Html(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The folder of the site as `make docs` builds it, notebooks executed; and its pages."""
-    folder = tmp_path_factory.mktemp("site") / "site"
+    """The folder of the site as `make docs` builds it, notebooks executed; and its pages.
+
+    Workers of pytest-xdist share it: the first one builds it, the others wait.
+    """
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "site"
+    with open(f"{folder}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            build(folder)
+    pages = {
+        path.relative_to(folder).as_posix(): Html(path.read_text(encoding="utf-8"))
+        for path in folder.rglob("*.html")
+    }
+    return SimpleNamespace(folder=folder, pages=pages)
+
+
+def build(folder: Path) -> None:
+    unfinished = folder.with_suffix(".new")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict"]
     done = subprocess.run(
-        [*command, "-f", str(DOCS / "site" / "mkdocs.yml"), "-d", str(folder)],
+        [*command, "-f", str(DOCS / "site" / "mkdocs.yml"), "-d", str(unfinished)],
         cwd=REPO,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "OMP_NUM_THREADS": "1"},
         capture_output=True,
@@ -81,11 +99,7 @@ def site(tmp_path_factory):
     )
     assert done.returncode == 0, done.stderr
     assert "WARNING" not in done.stderr, done.stderr
-    pages = {
-        path.relative_to(folder).as_posix(): Html(path.read_text(encoding="utf-8"))
-        for path in folder.rglob("*.html")
-    }
-    return SimpleNamespace(folder=folder, pages=pages)
+    unfinished.rename(folder)
 
 
 def test_every_page_is_in_the_navigation(site) -> None:
@@ -161,40 +175,6 @@ def test_raw_figures_are_beside_the_page_of_performance(site) -> None:
     assert len(linked) > 5
     for link in linked:
         assert json.loads((site.folder / link).read_text(encoding="utf-8"))
-
-
-def slug(heading: str) -> str:
-    """The anchor that GitHub makes of a heading."""
-    plain = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).replace("`", "")
-    return re.sub(r"[^\w\- ]", "", plain.strip().lower()).replace(" ", "-")
-
-
-def prose(path: Path) -> str:
-    """Markdown without its code."""
-    text = path.read_text(encoding="utf-8")
-    if path.suffix == ".ipynb":
-        cells = json.loads(text)["cells"]
-        text = "\n\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
-    return re.sub(r"^(```+).*?^\1\s*?$|`[^`\n]*`", "`", text, flags=re.MULTILINE | re.DOTALL)
-
-
-def anchors(path: Path) -> set[str]:
-    text = re.sub(r"^(```+).*?^\1\s*?$", "", path.read_text("utf-8"), flags=re.M | re.S)
-    return {slug(heading) for heading in re.findall(r"^#+ (.*)", text, re.MULTILINE)}
-
-
-@pytest.mark.parametrize(
-    "path", [*REPO.glob("*.md"), *SOURCES], ids=lambda path: str(path.relative_to(REPO))
-)
-def test_links_lead_somewhere_on_github(path: Path) -> None:
-    for address in re.findall(r"\]\(([^)\s]+)\)", prose(path)):
-        parts = urlsplit(address)
-        if parts.scheme:
-            continue
-        target = (path.parent / parts.path).resolve() if parts.path else path
-        assert target.exists(), address
-        if parts.fragment and target.suffix == ".md":
-            assert parts.fragment in anchors(target), address
 
 
 class Quiet(http.server.SimpleHTTPRequestHandler):
