@@ -20,8 +20,8 @@ from pymdownx.slugs import slugify
 
 REPO = Path(__file__).parents[2]
 DOCS = REPO / "docs"
-ROOT_PAGES = {"CHANGELOG.md": "CHANGELOG.md", "CONTRIBUTING.md": "CONTRIBUTING.md"}
-"""Markdown in the root of the repository -> its page on the site."""
+ROOT_PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
+"""Markdown in the root of the repository that is a page of the site, under the same name."""
 REPOSITORY = "repository"
 """Folder of the site with files from outside of docs/ that pages link to."""
 UNLISTED = "How-to guides"
@@ -40,7 +40,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add pages and files from outside of docs/, and complete the navigation."""
     for source in ROOT_PAGES:
         text = (REPO / source).read_text(encoding="utf-8")
-        files.append(File.generated(config, ROOT_PAGES[source], content=_from_root(text)))
+        files.append(File.generated(config, source, content=_from_root(text)))
     for file in [file for file in files if file.src_uri.endswith(".ipynb")]:
         files.remove(file)
         made = notebook_pages.convert(Path(str(file.abs_src_path)))
@@ -82,8 +82,9 @@ def _resolve(uri: str) -> Any:
         if path.endswith(".ipynb"):
             path = f"{path.removesuffix('.ipynb')}.md"
         elif not target.startswith("docs/"):
-            page = ROOT_PAGES.get(target, "index.md" if target == "README.md" else None)
-            absolute = page or f"{REPOSITORY}/{target}"
+            absolute = "index.md" if target == "README.md" else target
+            if absolute not in ("index.md", *ROOT_PAGES):
+                absolute = f"{REPOSITORY}/{target}"
             path = posixpath.relpath(absolute, posixpath.dirname(uri) or ".")
         return f"{match['before']}{path}{match['anchor'] or ''}"
 
