@@ -6,7 +6,6 @@ a job that used all of them would slow the others down.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import prod
@@ -21,6 +20,7 @@ from embodichain.config.composed import relax
 from embodichain.config.hydra_loader import COMPOSING, config_loader, explain
 from embodichain.config.resolved import Resolved
 from embodichain.config.schema import Verb
+from embodichain.lab.sim.engine.mujoco_process import all_cores
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["Plan", "plan_sweep", "swept_keys"]
@@ -82,7 +82,7 @@ def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
                 raise ConfigError(explain(error, loader)) from error
 
         config = composed()
-        cores = len(os.sched_getaffinity(0))
+        cores = all_cores()
         jobs = _jobs(config, lines)
         most = min(jobs, _batch(config, jobs))
         launcher = str(config.hydra.runtime.choices[LAUNCHER])
