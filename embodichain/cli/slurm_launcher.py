@@ -50,7 +50,7 @@ class _SlurmJob:
     def __call__(self) -> None:
         try:
             with signals_raise():
-                self.job(os.environ["SLURM_JOB_ID"])
+                self.job(_own_identity())
         except Interrupted as error:
             sys.stderr.write(f"{error}\n")
             self._queue_again()
@@ -58,7 +58,7 @@ class _SlurmJob:
 
     def _queue_again(self) -> None:
         """Queue the job again unless Slurm has ended or queued it already."""
-        identity, count = os.environ["SLURM_JOB_ID"], int(os.environ.get("SLURM_RESTART_COUNT", 0))
+        identity, count = _own_identity(), int(os.environ.get("SLURM_RESTART_COUNT", 0))
         if _states([identity]).get(identity) != "RUNNING":
             return
         if count >= self.requeues:
@@ -157,6 +157,12 @@ class SlurmLauncher(ClusterLauncher):
             if not left or now > deadline:
                 return found
             time.sleep(self.poll_s)
+
+
+def _own_identity() -> str:
+    """The name of the job that this process belongs to: ``12``, of an array ``12_3``."""
+    array = os.environ.get("SLURM_ARRAY_JOB_ID")
+    return f"{array}_{os.environ['SLURM_ARRAY_TASK_ID']}" if array else os.environ["SLURM_JOB_ID"]
 
 
 def _states(identities: Sequence[str]) -> dict[str, str]:

@@ -52,7 +52,7 @@ def test_a_search_keeps_its_trials(cluster: tuple[Any, list[Any]], tmp_path: Pat
 def test_a_job_whose_node_died_goes_on_on_another(
     cluster: tuple[Any, list[Any]], tmp_path: Path
 ) -> None:
-    long = ("seed=0,1", "total_timesteps=3200", "checkpoint.every_steps=32")
+    long = ("seed=0,1", "total_timesteps=1600", "checkpoint.every_steps=32")
     process = start(cluster[0].address, tmp_path, *long)
     end = time.monotonic() + GUARD
     while len({p.parts[-3] for p in tmp_path.glob("s/*/checkpoints/step_*.zip")}) < 2:

@@ -20,7 +20,7 @@ from tests.helpers.sweeps import TINY, learned, results, summary
 
 GUARD = 240.0
 """Seconds after which something hangs."""
-LONG = (*TINY, "seed=0,1", "total_timesteps=3200", "checkpoint.every_steps=32")
+LONG = (*TINY, "seed=0,1", "total_timesteps=1600", "checkpoint.every_steps=32")
 ON_SLURM = ("hydra/launcher=slurm", "hydra.launcher.poll_s=0.3")
 
 pytestmark = [
