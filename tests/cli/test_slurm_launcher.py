@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from embodichain.cli import main
 from tests.helpers.slurm_cluster import Slurm, slurm, why_not
 from tests.helpers.sweeps import TINY, learned, results, summary
 
@@ -67,8 +68,7 @@ def reference(cluster: Slurm, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A sweep that nothing interrupted, on this machine."""
     folder = tmp_path_factory.mktemp("reference")
     where = [f"output_dir={folder}", f"hydra.sweep.dir={folder}/s", "hydra/launcher=basic"]
-    command = [sys.executable, "-m", "embodichain", "train", "-m", "--quiet", *where, *LONG]
-    subprocess.run(command, check=True, timeout=GUARD)
+    assert main(["train", "-m", "--quiet", *where, *LONG]) == 0
     return folder / "s"
 
 
