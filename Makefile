@@ -113,10 +113,11 @@ $(NEWEST)/.installed: RESOLUTION := highest
 $(OLDEST)/.installed $(NEWEST)/.installed: pyproject.toml | system
 	$(PYTHON) -m venv $(@D)
 	$(@D)/bin/python -m pip --disable-pip-version-check install uv
-	$(@D)/bin/uv pip install --python $(@D)/bin/python --resolution $(RESOLUTION) -r pyproject.toml
+	$(@D)/bin/uv pip install --python $(@D)/bin/python --resolution $(RESOLUTION) \
+	    -r pyproject.toml --extra robots --extra gpu --extra video
 	$(@D)/bin/uv pip install --python $(@D)/bin/python -c constraints.txt \
-	    pytest pytest-cov pytest-timeout pytest-xdist hypothesis packaging setuptools \
-	    imageio-ffmpeg mcap-protobuf-support
+	    pytest pytest-cov pytest-timeout pytest-xdist hypothesis packaging setuptools
+	$(@D)/bin/uv pip install --python $(@D)/bin/python --no-deps mcap-protobuf-support
 	$(@D)/bin/uv pip install --python $(@D)/bin/python --no-deps --no-build-isolation -e .
 	touch $@
 
