@@ -96,6 +96,7 @@ check: test lint types imports
 
 # From the files of the commit, so that the same commit gives the same bytes.
 dist: venv
+	rm -rf dist
 	$(BIN)/python scripts/release.py build $(if $(TAG),--tag $(TAG))
 
 smoke: dist
