@@ -96,8 +96,7 @@ def test_jobs_need_what_their_verb_uses():
     assert why_not_device(own, "run") == why_host(own, "train") == []
     assert why_host(own, "run") == ["policy=my_policies:act may read arrays of the host"]
     seen = resolved("task.sensors.side.observe=true", task="reach_vision").root
-    reason = "task.sensors.side.observe: pictures are drawn on the host"
-    assert why_not_device(seen, None) == [reason]
+    assert why_not_device(seen, "train") == []
 
 
 def test_the_host_can_be_asked_for_and_others_have_no_choice():

@@ -218,6 +218,12 @@ class Observation(TensorMapping):
         found.others.update(self.others)
         return found
 
+    def copy(self) -> Observation:
+        """Return an observation that shares no memory with this one."""
+        found = Observation(self.layout, self.rows.copy())
+        found.others.update({path: value.clone() for path, value in self.others.items()})
+        return found
+
     def set_other(self, path: Path, value: torch.Tensor) -> None:
         """Set an entry that is not in the array; terms may have read `others` already."""
         packed = self.packed

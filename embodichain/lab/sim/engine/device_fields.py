@@ -86,6 +86,10 @@ class DeviceFields:
             self.revision += 1
         return found
 
+    def differs(self, name: str) -> bool:
+        """Whether a field may differ between worlds."""
+        return name in self._views
+
     def values(self, name: str) -> Any:
         """(N, ...) values of a field that may differ, (1, ...) on the host of another."""
         compiled = compiled_field(self._model, name)

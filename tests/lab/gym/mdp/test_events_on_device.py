@@ -41,9 +41,7 @@ REFUSED = {
 """Events that are refused with some parameters, and words of the message."""
 NO_FIELD = {"randomize_shape"}
 """Events that write a field that Warp does not have for each world, wherever arrays are."""
-NO_CAMERA = {"randomize_camera_intrinsics"}
-"""Events of camera sensors, which a simulation with arrays on a device does not have."""
-LEFT_OUT = {name for name, (given, _) in REFUSED.items() if not given} | NO_CAMERA
+LEFT_OUT = {name for name, (given, _) in REFUSED.items() if not given}
 EVENTS = EXAMPLES["event"].keys() - LEFT_OUT - NO_FIELD
 
 
@@ -61,7 +59,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pair]:
     write_task("events", events, folder)
     file = folder / "task" / "everything.yaml"
     tree = yaml.safe_load(file.read_text())
-    del tree["sensors"]
+    tree["sensors"] = {n: s for n, s in tree["sensors"].items() if s["sensor_type"] == "camera"}
     tree |= {"commands": EXAMPLES["command"], "actions": EXAMPLES["action"], "rewards": {}}
     file.write_text(yaml.safe_dump(tree, sort_keys=False))
     made = []
