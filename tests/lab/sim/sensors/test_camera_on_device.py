@@ -231,7 +231,7 @@ def test_two_eyes(device: SimulationManager) -> None:
     focal = 1.25 * HEIGHT
     np.testing.assert_allclose(seen(device, "two", "disparity"), focal * 0.1 / depth, rtol=1e-5)
     # 60 px x 0.1 m / 1 m: the box is 6 columns further left for the right eye.
-    columns = [np.flatnonzero((part[0, 20] < 1.2)).min() for part in (depth, right)]
+    columns = [np.flatnonzero(part[0, 20] < 1.2).min() for part in (depth, right)]
     assert columns[0] - columns[1] == 6
 
 
