@@ -18,7 +18,7 @@ def why_not_device(root: RootCfg, verb: Verb | None) -> list[str]:
         root: The config.
         verb: The verb of the job; None is an environment without a log, a viewer or a policy.
     """
-    found = []
+    found: list[str] = []
     if root.viewer.name == "native" or (verb is not None and root.viewer.name != "none"):
         found.append(f"viewer={root.viewer.name} shows arrays of the host")
     if verb in (None, "train"):

@@ -132,6 +132,11 @@ def test_the_checker_of_gymnasium_environments(folder):
     env.close()
 
 
+def test_networks_that_take_vectors_are_refused(folder):
+    with pytest.raises(ConfigError, match="algo: its networks take vectors, and front in group "):
+        train(resolve(["task=seen", "algo=rsl_rl_ppo", "total_timesteps=16"], "train"), folder)
+
+
 ALGO = ["algo.n_steps=4", "algo.batch_size=8", "algo.n_epochs=1", "num_envs=4", "eval.episodes=0"]
 LINES = ["task=seen", "total_timesteps=16", *ALGO]
 

@@ -238,17 +238,15 @@ class DeviceCameras:
 
     def _check_lens(self, camera: int, optics: Optics) -> None:
         """Check what has no form if rays are computed for each world."""
-        key = f"task.sensors.{self._model.camera(camera).name}"
-        problems = []
+        name, where = self._model.camera(camera).name, "where lenses differ between environments"
+        sensor, found = self._model.cam_sensorsize[camera], []
         if optics.near > _LEAST_NEAR:
-            message = f"at most {_LEAST_NEAR} m where lenses differ between environments and arrays"
-            problems.append(Problem(f"{key}.near", f"{message} are on a device, got {optics.near}"))
-        sensor = self._model.cam_sensorsize[camera]
+            found.append(f"near must be at most {_LEAST_NEAR} m, got {optics.near},")
         if sensor.all() and abs(sensor[0] * optics.height / sensor[1] / optics.width - 1) > 1e-5:
-            message = "its pixels are not square, and lenses that differ between environments have"
-            problems.append(Problem(f"{key}.width", f"{message} no such form on a device"))
-        if problems:
-            raise ConfigError(problems)
+            found.append("pixels must be as wide as its file's sensor has them")
+        if found:
+            message = f"camera {name!r}: {' and '.join(found)} {where} and arrays are on a device"
+            raise ConfigError([Problem("sensor", message)])
 
 
 def _kernel_kind(context: mjw.RenderContext) -> tuple[Any, ...]:

@@ -124,6 +124,27 @@ def test_events_draw_and_write_the_same(pair: Pair, name: str) -> None:
         assert np.array_equal(rows(env)[others], old[others])
 
 
+LOOKS = ("camera_pose", "camera_fovy", "camera_intrinsics", "light", "texture", "visual_material")
+
+
+def test_pictures_show_what_events_draw(pair: Pair) -> None:
+    """Of the environments that they chose; another renderer draws on the host."""
+
+    def pictures() -> list[Any]:
+        return [env.arrays.host(env.get_sensor("front").read("color")).astype(int) for env in pair]
+
+    before = pictures()
+    for env in pair:
+        for name in LOOKS:
+            fire(env, f"randomize_{name}")
+    after = pictures()
+    for old, new in zip(before, after, strict=True):
+        changed = np.abs(new - old).max(axis=(1, 2, 3)) > 8
+        assert changed.tolist() == [False, True, True, False]
+    # Coarse pixels at edges and of patterns differ.
+    assert np.median(np.abs(after[1] - after[0]).max(axis=-1)) < 8
+
+
 @pytest.mark.parametrize("name", sorted(REFUSED))
 def test_events_without_a_form_on_a_device_are_refused(pair: Pair, name: str) -> None:
     given, message = REFUSED[name]

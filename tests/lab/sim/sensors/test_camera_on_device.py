@@ -298,7 +298,7 @@ def test_lenses_of_environments(device: SimulationManager) -> None:
     np.testing.assert_allclose(depth[2, :, 20:], before[2, :, :-20], atol=2e-5)
     np.testing.assert_array_equal(mask[2, :, 20:], mask[1, :, :-20])
     assert eye.get_intrinsics()[:, 0, 2].tolist() == pytest.approx([20.0, 20.0, 40.0], abs=1e-4)
-    with pytest.raises(ConfigError, match=r"sensors\.near\.near: at most 0\.005 m where lenses"):
+    with pytest.raises(ConfigError, match=r"'near': near must be at most 0\.005 m, got 1\.3,"):
         device.get_sensor("near").get_data()
     # A field of view is another field.
     back = seen(device, "back", "depth")
