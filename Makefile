@@ -3,6 +3,7 @@
 #   make run       install what `run` needs, then run the main job
 #   make test      install the rest, then run every test  (PYTEST_ARGS="-m 'not slow'" leaves some out)
 #   make test-warp     every task on MuJoCo Warp (`make test` tries two)
+#   make docs      the documentation site, into build/site; DOCS_NOTEBOOKS=0 leaves out their execution
 #   make lint types imports     the other checks; `make check` is all of them
 #   make lerobot   have LeRobot's own package load a data set of ours (8 GB: its torch has CUDA)
 #   make dist      build wheel, sdist and SHA256SUMS of the commit  (TAG=v0.1.0 insists on the tag)
@@ -31,7 +32,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run venv test test-warp lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
+.PHONY: help run venv test test-warp docs lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
 
 help:
 	@sed -n 's/^#   /  /p' Makefile
@@ -70,6 +71,11 @@ test: venv
 # Every task on MuJoCo Warp's CPU device. Kernels that are not in Warp's cache are compiled: minutes.
 test-warp: venv
 	EMBODICHAIN_TEST_WARP=all $(BIN)/python -m pytest -n 2 --dist worksteal --timeout 1800 tests/lab/sim/engine/test_warp_tasks.py
+
+# Warnings are errors: a link without a target, a page without a place, a docstring that cannot be read.
+# It is a folder of files: `python -m http.server -d build/site` serves it, and then its search works too.
+docs: venv
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict -f docs/site/mkdocs.yml -d $(CURDIR)/build/site
 
 lint: venv
 	$(BIN)/ruff check .

@@ -67,7 +67,7 @@ class DeviceCameras:
         model: The compiled scene.
         count: N.
         device: Warp's name of the device.
-        differs: Tells whether a model field may differ between worlds.
+        written: Returns the values of a model field that may differ between worlds, None of another.
     """
 
     def __init__(
@@ -76,10 +76,10 @@ class DeviceCameras:
         model: mujoco.MjModel,
         count: int,
         device: str,
-        differs: Callable[[str], bool],
+        written: Callable[[str], DeviceArray | None],
     ) -> None:
         self._worlds, self._model, self._count = worlds, model, count
-        self._differs = differs
+        self._written = written
         self._device = wp.get_device(device)
         self._scene: mjw.RenderContext | None = None
         self._parts: dict[Any, list[_Part]] = {}
@@ -102,7 +102,7 @@ class DeviceCameras:
             ConfigError: If lenses may differ between worlds, and something of this one has no form
                 then; names the camera.
         """
-        lenses = self._differs(self._lens_field(camera))
+        lenses = self._written(self._lens_field(camera)) is not None
         scene = self._scene
         if scene is None:
             with wp.ScopedDevice(self._device):
@@ -110,7 +110,7 @@ class DeviceCameras:
         if self._version != version:
             self._version = version
             self._worlds.refit(scene)
-        faded = self._differs("light_attenuation")
+        faded = self._written("light_attenuation") is not None
         key = camera, optics, tuple(outputs), look, lenses, faded
         if key not in self._parts:
             if lenses:

@@ -204,7 +204,7 @@ def test_what_is_drawn_otherwise_is_said_once(
     engine: Any = made["device"].engine
     _say_once.cache_clear()
     for _ in range(2):
-        cameras = DeviceCameras(engine.worlds, engine.model, N, DEVICE, engine.fields.differs)
+        cameras = DeviceCameras(engine.worlds, engine.model, N, DEVICE, engine.fields.written)
         with caplog.at_level(logging.WARNING):
             cameras._make_scene()
     assert [record.getMessage() for record in caplog.records] == [
