@@ -67,7 +67,7 @@ class DeviceCameras:
         model: The compiled scene.
         count: N.
         device: Warp's name of the device.
-        written: Returns the values of a model field that may differ between worlds, None of another.
+        written: Returns values of a model field that may differ between worlds; None of another.
     """
 
     def __init__(
