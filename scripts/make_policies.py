@@ -1,8 +1,8 @@
-"""Trains, exports and evaluates the policies that ship: `python scripts/make_policies.py [TASK...]`.
+"""Trains, exports and evaluates the policies that ship: `scripts/make_policies.py [TASK...]`.
 
-Without tasks, it makes all of `RECIPES`. Each is the task's own training (`suggested.train`) with the
-seed of the recipe. `--output` writes elsewhere; `--key KEY=VALUE` changes the training, for a trial.
-A policy that is made again replaces the shipped one; commit both of its files.
+Without tasks, it makes all of `RECIPES`. Each is the task's own training (`suggested.train`) with
+the seed of the recipe. `--output` writes elsewhere; `--key KEY=VALUE` changes the training, for a
+trial. A policy that is made again replaces the shipped one; commit both of its files.
 """
 
 import argparse
@@ -56,7 +56,7 @@ def make(task: str, seed: int, output: Path, keys: list[str], episodes: int, lea
         run = trained["folder"]
         verb(["export", "policy", run, "--format", "torchscript", "-o", str(script)], quiet=False)
         plain.write_bytes(without_paths(script.read_bytes()))
-        evaluation = ["eval", "FILE", f"task={task}", f"episodes={episodes}"]
+        evaluation = ["eval", "FILE", f"task={task}", f"episodes={episodes}", "num_envs=50"]
         line = [str(plain) if word == "FILE" else word for word in evaluation]
         result = verb([*line, "record=none", f"output_dir={folder}"])
         success = result["success"]
