@@ -13,10 +13,8 @@ from pathlib import Path
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["PRETRAINED", "Pretrained", "pretrained", "pretrained_tasks"]
+__all__ = ["Pretrained", "pretrained", "pretrained_tasks"]
 
-PRETRAINED = "pretrained"
-"""Name of the policy in a config, and for `eval`, `play` and `demo`."""
 FOLDER = Path(__file__).parent / "policies"
 
 
