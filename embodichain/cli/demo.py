@@ -139,10 +139,10 @@ class _Page:
 
     def _wait(self, job: Job, view: WebView) -> bool:
         """Wait for a browser; returns False if the run was stopped."""
-        if self._display and not webbrowser.open(view.url) and not job.quiet:
-            sys.stderr.write("no browser could be opened here\n")
-        if not job.quiet:
-            sys.stderr.write("waiting for a browser to open it; Ctrl-C ends the demo\n")
+        opened = self._display and webbrowser.open(view.url)
+        if not job.root.quiet:
+            why = "no browser could be opened here; " if self._display and not opened else ""
+            sys.stderr.write(f"{why}waiting for a browser at {view.url} (Ctrl-C ends the demo)\n")
         while not view.watched and not job.stop.is_stopped():
             time.sleep(_NAP)
         return view.watched
