@@ -4,7 +4,7 @@
 #   make test      install the rest, then run every test  (PYTEST_ARGS="-m 'not slow'" leaves some out)
 #   make test-warp     every task on MuJoCo Warp (`make test` tries two)
 #   make lint types imports     the other checks; `make check` is all of them
-#   make lerobot   have LeRobot's own package load a data set of ours (8 GB: its torch has CUDA)
+#   make lerobot   LeRobot loads a data set of ours, trains on it, evaluates in a task (8 GB: CUDA's torch)
 #   make format    sort imports, lay out the code
 #   make pins      write constraints.txt from what .venv holds now
 #   make clean     remove .venv, .venv-lerobot and what the tools left; outputs/ stays
@@ -74,15 +74,16 @@ imports: venv
 	$(BIN)/lint-imports
 
 # Not part of `check`: its torch is older than ours, and a CUDA build. It lives in a place of its own.
-$(LEROBOT)/.installed: Makefile
+$(LEROBOT)/.installed: Makefile pyproject.toml plugins/lerobot_env_embodichain/pyproject.toml
 	$(PYTHON) -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install lerobot==0.4.4
+	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install --no-compile \
+	    lerobot==0.4.4 -e '.[lerobot]' -e plugins/lerobot_env_embodichain
 	touch $@
 
 lerobot: venv $(LEROBOT)/.installed
 	LEROBOT_PYTHON=$(abspath $(LEROBOT))/bin/python \
 	    $(BIN)/python -m pytest tests/recording/export/test_lerobot.py \
-	    tests/recording/export/test_episodes.py
+	    tests/recording/export/test_episodes.py tests/end_to_end/test_lerobot_plugin.py
 
 check: test lint types imports
 

@@ -34,7 +34,7 @@ class Pretrained:
         evaluated: The command that evaluated it.
         episodes: Episodes of the evaluation.
         success: Share of these that succeeded.
-        interval: 95 % interval of the success rate (Clopper-Pearson).
+        interval: 95 % interval of the success rate (Wilson).
         sha256: Hash of the file, in hexadecimal.
     """
 
