@@ -57,7 +57,7 @@ def test_keys_that_help_names_exist() -> None:
         (["list"], "Missing argument '{tasks|robots|policies|terms}'. Choose from:"),
         (
             ["list", "task"],
-            "Invalid value for '{tasks|robots|policies|terms}': 'task' is not one of 'tasks', 'robots', ",
+            "Invalid value for '{tasks|robots|policies|terms}': 'task' is not one of 'tasks', ",
         ),
         (["list", "tasks", "robots"], "Got unexpected extra argument (robots)"),
         (["run", "one", "two"], "one task at a time: one, two."),
