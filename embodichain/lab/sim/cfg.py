@@ -197,10 +197,10 @@ class SimulationManagerCfg:
 
     @property
     def has_ground(self) -> bool:
-        """Whether the `default_plane` at z = 0 exists."""
+        """Whether there is a `default_plane`: a plane at z = 0, or a terrain."""
         ground = self.scene.ground
         wanted = not self.scene.fpath if ground is None else ground.type != "none"
-        return self.ground_plane and wanted
+        return (self.ground_plane and wanted) or self.scene.terrain is not None
 
     @property
     def prepared_scene(self) -> Any:

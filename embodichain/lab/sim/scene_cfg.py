@@ -1,4 +1,4 @@
-"""Configs of what a scene looks like: ground, sky, lights, furniture, camera views. Pure data.
+"""Configs of surroundings: ground, terrain, sky, lights, furniture, camera views. Pure data.
 
 `ObjectBaseCfg` and the vector types that the configs of entities share are here too.
 """
@@ -14,17 +14,28 @@ from pydantic import Field
 from embodichain.utils.configclass import configclass
 
 __all__ = [
+    "AnyPatchCfg",
+    "BlocksPatchCfg",
+    "FlatPatchCfg",
     "Four",
+    "GapsPatchCfg",
     "GroundCfg",
     "LightCfg",
     "ObjectBaseCfg",
+    "PatchCfg",
     "PedestalCfg",
     "Quat",
+    "RoughPatchCfg",
     "SceneCfg",
     "SkyCfg",
+    "SlopePatchCfg",
+    "StairsPatchCfg",
+    "StonesPatchCfg",
     "TableCfg",
+    "TerrainCfg",
     "Vec3",
     "ViewCfg",
+    "WavesPatchCfg",
 ]
 
 Vec3 = Annotated[Sequence[float], Field(min_length=3, max_length=3)]
@@ -133,6 +144,154 @@ class PedestalCfg:
     collision: bool = True
 
 
+Ends = Annotated[
+    Sequence[Annotated[float, Field(ge=0, allow_inf_nan=False)]], Field(min_length=2, max_length=2)
+]
+"""A value at the lowest and one at the highest level; linear between them."""
+Count = Annotated[int, Field(ge=1)]
+Direction = Literal["up", "down"]
+"""Whether the ground rises or falls from the middle of a patch to its edge, where it is 0."""
+
+
+@configclass
+class PatchCfg:
+    """Base of the kinds of patches; `type` names the concrete one."""
+
+    type: str = ""
+    columns: Count = 1
+    """How many columns of patches are of this kind."""
+
+
+@configclass
+class FlatPatchCfg(PatchCfg):
+    """Flat ground at height 0."""
+
+    type: Literal["flat"] = "flat"
+
+
+@configclass
+class RoughPatchCfg(PatchCfg):
+    """Random heights on a grid, with linear interpolation between them."""
+
+    type: Literal["rough"] = "rough"
+    height: Ends = (0.02, 0.1)
+    """Metres: the largest height and depth."""
+    spacing: Length = 0.2
+    """Metres between two heights."""
+
+
+@configclass
+class SlopePatchCfg(PatchCfg):
+    """A pyramid without its top, or a pit of the same form."""
+
+    type: Literal["slope"] = "slope"
+    slope: Ends = (0.0, 0.4)
+    """Rise over run."""
+    direction: Direction = "up"
+
+
+@configclass
+class StairsPatchCfg(PatchCfg):
+    """Square stairs around the middle."""
+
+    type: Literal["stairs"] = "stairs"
+    step_height: Ends = (0.05, 0.2)
+    """Metres."""
+    step_depth: Length = 0.3
+    """Metres."""
+    direction: Direction = "up"
+
+
+@configclass
+class WavesPatchCfg(PatchCfg):
+    """A product of two sine waves, along x and along y."""
+
+    type: Literal["waves"] = "waves"
+    height: Ends = (0.02, 0.15)
+    """Metres: the amplitude."""
+    count: Count = 3
+    """Waves along an edge."""
+
+
+@configclass
+class BlocksPatchCfg(PatchCfg):
+    """Square blocks side by side, each with a random height."""
+
+    type: Literal["blocks"] = "blocks"
+    height: Ends = (0.03, 0.15)
+    """Metres: the height of the highest; the lowest is 0."""
+    size: Length = 0.45
+    """Metres: edge of a block."""
+
+
+@configclass
+class StonesPatchCfg(PatchCfg):
+    """Square stepping stones, each with a random height."""
+
+    type: Literal["stepping_stones"] = "stepping_stones"
+    size: Ends = (0.9, 0.4)
+    """Metres: edge of a stone."""
+    gap: Ends = (0.1, 0.3)
+    """Metres between two stones."""
+    height: Ends = (0.0, 0.05)
+    """Metres: the largest height and depth of a stone's top."""
+    depth: Length = 0.5
+    """Metres: of the gaps."""
+
+
+@configclass
+class GapsPatchCfg(PatchCfg):
+    """Square ditches around the middle, with flat ground between them."""
+
+    type: Literal["gaps"] = "gaps"
+    width: Ends = (0.1, 0.5)
+    """Metres: of a ditch."""
+    land: Length = 0.8
+    """Metres between two ditches."""
+    depth: Length = 0.5
+    """Metres."""
+
+
+AnyPatchCfg = Annotated[
+    FlatPatchCfg
+    | RoughPatchCfg
+    | SlopePatchCfg
+    | StairsPatchCfg
+    | WavesPatchCfg
+    | BlocksPatchCfg
+    | StonesPatchCfg
+    | GapsPatchCfg,
+    Field(discriminator="type"),
+]
+"""The union that YAML is checked against; `type` selects the member."""
+
+
+@configclass
+class TerrainCfg:
+    """Rough ground from square patches, instead of the ground plane; entity ``default_plane``.
+
+    Rows along x are levels of difficulty, columns along y are kinds. It is one height field, so
+    vertical walls, such as those of steps, are as steep as the resolution allows. An environment
+    is on its first patch unless the event `place_terrain` chooses another.
+    """
+
+    patches: Annotated[dict[str, AnyPatchCfg], Field(min_length=1)]
+    """The kinds, by name."""
+    levels: Count = 5
+    size: Length = 8.0
+    """Metres: edge of a patch."""
+    platform: Length = 1.5
+    """Metres: edge of the flat square in the middle of a patch, where episodes start."""
+    border: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 4.0
+    """Metres of flat ground around all patches; there is nothing beyond it."""
+    resolution: Length = 0.1
+    """Metres between two heights."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Of random heights; the run's seed does not change the terrain."""
+    friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
+    """Sliding friction."""
+
+
 @configclass
 class SceneCfg:
     """What surrounds the robots and objects of a task."""
@@ -143,6 +302,8 @@ class SceneCfg:
     """The file's keyframe with the initial state; None is ``home``, else the first, if any."""
     ground: GroundCfg | None = None
     """None is a checker, or no ground if there is a file."""
+    terrain: TerrainCfg | None = None
+    """Rough ground instead of the plane, in the colours of `ground`."""
     sky: SkyCfg | None = None
     """None is the file's, else the default sky."""
     ambient: Share | None = None

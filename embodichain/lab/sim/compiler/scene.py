@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -43,6 +43,9 @@ from embodichain.lab.sim.scene_cfg import GroundCfg
 from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.compiler.terrain import Terrain
 
 __all__ = ["CompiledScene", "SceneParts", "compile_scene"]
 
@@ -146,6 +149,7 @@ class CompiledScene:
         sensors: Columns of each sensor.
         notes: Messages for the user, one line each: options of the robots' files that the scene
             replaces, sensors that can never report anything.
+        terrain: The patches of the ground, if it has any.
     """
 
     model: mujoco.MjModel
@@ -154,6 +158,7 @@ class CompiledScene:
     initial_row: F64
     sensors: dict[str, SensorIndex] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    terrain: Terrain | None = None
 
     @property
     def camera_sensors(self) -> list[str]:
@@ -215,7 +220,12 @@ def compile_scene(
             masked += 1
             separate(child, masked)
         notes += _attach(spec, child, parsed)
-    if sim_cfg.has_ground:
+    terrain = None
+    if sim_cfg.scene.terrain is not None:
+        from embodichain.lab.sim.compiler.terrain import add_terrain  # few scenes have one
+
+        terrain = add_terrain(spec, sim_cfg.scene.terrain, sim_cfg.scene.ground or GroundCfg())
+    elif sim_cfg.has_ground:
         add_ground(spec, sim_cfg.scene.ground or GroundCfg())
     for number, (uid, cfg) in enumerate(objects.items()):
         add_object(spec, uid, cfg, number)
@@ -256,7 +266,7 @@ def compile_scene(
     place_lights(spec, model, lights, center, radius)
     place_views(spec, model, data, sim_cfg.views)
     columns = {uid: index_sensor(model, plan, entities) for uid, plan in sensors.items()}
-    return CompiledScene(model, spec, entities, row, columns, tuple(notes))
+    return CompiledScene(model, spec, entities, row, columns, tuple(notes), terrain)
 
 
 def _check(

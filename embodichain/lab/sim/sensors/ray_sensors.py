@@ -15,9 +15,12 @@ from embodichain.utils.math import quat_to_matrix, rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.height_field import GroundHeights
     from embodichain.lab.sim.sensors.sampling import Readings
 
 __all__ = ["HeightScanSensor", "RayCaster", "RaySensor"]
+
+_DOWN = (0.0, 0.0, -1.0)
 
 
 class _Cast(NamedTuple):
@@ -135,17 +138,44 @@ class RaySensor(RayCaster):
 class HeightScanSensor(RayCaster):
     """Heights of the sensor's origin above what is below the points of a grid.
 
-    Rays start `start_height` above the sensor.
+    Rays start `start_height` above the sensor. Where they are vertical and can hit a terrain only,
+    its heights are read instead.
     """
 
     cfg: HeightScanSensorCfg
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        if self._ground is not None:
+            return (self._above_ground(self._ground, env_ids),)
         cast = self._cast(env_ids, self.cfg.start_height)
         # A ray without a hit reads what the surface at its distance would give, or 0.
         reached = cast.origins[..., 2] + cast.directions[..., 2] * cast.distance
         height = cast.place[:, None, 2] - reached
         return (height if self.cfg.no_hit != "zero" else np.where(cast.hit, height, 0.0),)
+
+    @cached_property
+    def _ground(self) -> GroundHeights | None:
+        """The terrain, if vertical rays could hit nothing else: then its heights are read."""
+        vertical = np.array_equal(self._rays[1], np.broadcast_to(_DOWN, self._rays[1].shape))
+        if not vertical or self.cfg.alignment == "base":
+            return None
+        from embodichain.lab.sim.height_field import GroundHeights  # few scenes have a terrain
+
+        return GroundHeights.hit_alone(self.engine, self.index.geoms)
+
+    def _above_ground(self, ground: GroundHeights, env_ids: EnvIndex | None) -> F64:
+        """(n, R) m: what rays would measure, without rays."""
+        cfg, (starts, _) = self.cfg, self._rays
+        position, axes = self._mount(env_ids)
+        points = position[:, None] + rotate(axes[:, None], starts)
+        surface, inside = ground.read(points[..., 0], points[..., 1], env_ids)
+        height = (position + rotate(axes, np.asarray(cfg.pos, np.float64)))[:, None, 2] - surface
+        start = points[..., 2] + cfg.start_height
+        near = inside & (start - surface <= cfg.max_range)
+        if cfg.no_hit == "zero":
+            return np.where(near, height, 0.0)
+        missing = np.inf if cfg.no_hit == "inf" else cfg.max_range - cfg.start_height
+        return np.where(near, height, missing)
 
     def read_height(self) -> F64:
         """(N, R) m; negative where the surface is above the sensor.

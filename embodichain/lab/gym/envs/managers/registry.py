@@ -92,7 +92,7 @@ logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
-_MODULES = ("shapes", "sampled_commands", "curricula")
+_MODULES = ("shapes", "sampled_commands", "curricula", "terrain")
 _PACKAGES = ("actions", "events", "quantities")
 ENTRY_POINTS = "embodichain.terms"
 """Entry point group of packages with terms: each entry is a module to import with ours."""
