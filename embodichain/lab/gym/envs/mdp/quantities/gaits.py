@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 __all__ = ["feet_gait"]
 
+_EDGE = 1e-3
+"""Of the sine, above which a foot swings: the sine of half a period is rounded to either sign."""
+
 
 @quantity("reward", "metric")
 def feet_gait(
@@ -75,4 +78,4 @@ def feet_gait(
     origins = env.sim.engine.derived("xpos")[:, sensor.body_ids]
     error = (origins[..., 2] - rest_height - height * swing) / width
     touched = squares(sensor.read_force()) > force_threshold * force_threshold
-    return mean(np.where(swing > 0.0, np.exp(-error * error), np.where(touched, 1.0, 0.0)))
+    return mean(np.where(swing > _EDGE, np.exp(-error * error), np.where(touched, 1.0, 0.0)))
