@@ -75,7 +75,7 @@ def call_hydra(
         check(overrides)
 
     # Pickled by value for the workers of a sweep, with its closure.
-    @hydra.main(version_base=VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
+    @hydra.main(**VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
     def job(composed: DictConfig) -> float | None:
         resolved, folder = resolve(from_hydra(), verb), None
         if HydraConfig.get().mode == RunMode.MULTIRUN or HydraConfig.get().run.dir != ".":
