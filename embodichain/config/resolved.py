@@ -74,6 +74,7 @@ class Resolved:
         root, cfg = self.root, copy.deepcopy(self.root.task)
         cfg.num_envs = root.num_envs or 1
         cfg.seed = root.seed
+        cfg.first_env = root.sim.first_env
         cfg.sim_cfg = SimulationManagerCfg(
             headless=root.viewer.name != "native",
             window_env=root.viewer.env,

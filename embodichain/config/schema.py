@@ -36,6 +36,7 @@ __all__ = [
 ROOT_INSTEAD = {
     "num_envs": "it is a key of the root: num_envs=N",
     "seed": "it is a key of the root: seed=N",
+    "first_env": "it is a key of the group sim: sim.first_env=N",
     "sim_cfg": "use task.physics for the physics and the group sim for how it runs",
 }
 """Fields of `EnvCfg` that a task file must not set -> what to use instead."""
@@ -59,6 +60,8 @@ class SimCfg:
     """Where environments run: in this process."""
     num_threads: Annotated[int, Field(ge=0)] = 0
     """Physics threads; 0 is one for every core that the process may use."""
+    first_env: Annotated[int, Field(ge=0)] = 0
+    """Number of the first environment: *i* draws as first_env + i of a larger batch."""
     persistent: bool | None = None
     """One MjData per environment (True) or per thread (False); None is True only for a model that
     needs it (sleep, IPC, plugins)."""
