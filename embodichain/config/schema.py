@@ -24,6 +24,7 @@ __all__ = [
     "CollectCfg",
     "EvalCfg",
     "PolicyCfg",
+    "RayCfg",
     "RecordCfg",
     "RootCfg",
     "SimCfg",
@@ -51,13 +52,28 @@ PositiveInt = Annotated[int, Field(ge=1)]
 
 
 @configclass
+class RayCfg:
+    """The cluster of `sim.backend=ray`."""
+
+    address: Annotated[str, Field(min_length=1)] | None = None
+    """``auto``, ``HOST:PORT``; None is ``RAY_ADDRESS``, or a cluster of this machine alone."""
+    cpus: PositiveInt = 1
+    """Cores that each shard reserves."""
+    save_every: PositiveInt = 1000
+    """Control steps between two saved states, from which lost shards are rebuilt."""
+
+
+@configclass
 class SimCfg:
     """How the simulation runs; the scene itself is in the task."""
 
     engine: EngineName | None = None
     """`mujoco` is `mujoco.batch` on the CPU, `warp` MuJoCo Warp; null is that of `device`."""
-    backend: Literal["local"] = "local"
-    """Where environments run: in this process."""
+    backend: Literal["local", "ray"] = "local"
+    """Where environments run: in this process, or in shards on the nodes of a Ray cluster."""
+    shards: PositiveInt = 1
+    """Number of shards of `ray`; results do not depend on it."""
+    ray: RayCfg = RayCfg()
     num_threads: Annotated[int, Field(ge=0)] = 0
     """Physics threads; 0 is one for every core that the process may use."""
     first_env: Annotated[int, Field(ge=0)] = 0

@@ -37,7 +37,7 @@ class LocalShard:
             return Done(ShardLostError("it was lost on purpose"))
         try:
             return Done(getattr(self.shard, method)(*pickle.loads(pickle.dumps(args))))
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001  raised again by `result`
             return Done(error)
 
     def lose(self) -> None:

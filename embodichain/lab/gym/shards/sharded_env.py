@@ -1,7 +1,7 @@
 """`ShardedEnv`: the batch interface of `BaseEnv` over shards that run elsewhere.
 
-It has what learners, evaluations and policies use: spaces, `reset`, `step`, `rand`, the structure of
-observations and actions, the state. The simulation itself is in the shards.
+It has what learners, evaluations and policies use: spaces, `reset`, `step`, `rand`, the structure
+of observations and actions, the state. The simulation itself is in the shards.
 """
 
 from __future__ import annotations
