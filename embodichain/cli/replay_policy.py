@@ -53,11 +53,11 @@ class _Pair:
 def rerun(path: Path, options: SimpleNamespace) -> int:
     """Repeat recorded episodes with another policy, and compare returns."""
     from embodichain.config.factory import make_env
-    from embodichain.recording.api import Log
+    from embodichain.recording import joining
     from embodichain.recording.reenactment import config_of
 
     target = find_target(options.policy)
-    with Log(path) as log:
+    with joining.open(path) as log:
         wanted = _wanted(log, options)
         resolved = config_of(log)
         names = [name for name in _STATE if name in log.columns]

@@ -87,8 +87,9 @@ class ShardBuilder:
         if self.folder and os.path.isdir(self.folder):
             os.chdir(self.folder)
         where = f"the config of environments {self.tree['sim']['first_env']} and on"
-        how = {"task_name": self.task_name, "allow_import": True}
-        return build_env(resolve_tree(self.tree, where, "run", **how), **self.kwargs)
+        name = self.task_name
+        resolved = resolve_tree(self.tree, where, "run", task_name=name, allow_import=True)
+        return build_env(resolved, **self.kwargs)
 
 
 class RemoteShard:

@@ -73,7 +73,7 @@ class Shard:
         if others_reset:
             self.env.curriculum_manager.compute(_NONE)
         obs, reward, terminated, truncated, info = self.env.step(torch.from_numpy(action.copy()))
-        arrays = {
+        arrays: dict[tuple[str, ...], NDArray[Any]] = {
             ("reward",): as_array(reward),
             ("terminated",): as_array(terminated),
             ("truncated",): as_array(truncated),

@@ -147,10 +147,15 @@ class ShardPool:
                 results.append(one.result())
             except ShardLostError as error:
                 results.append(self._rebuild(k, error))
-        self.steps += steps
-        if steps and self.steps - self._saved_at >= self._every:
-            self._save()
+        if steps:
+            self.passed(steps)
         return results
+
+    def passed(self, steps: int) -> None:
+        """Count control steps; save all shards if it is time."""
+        self.steps += steps
+        if self.steps - self._saved_at >= self._every:
+            self._save()
 
     def load(self, states: Sequence[Any]) -> None:
         """Let every shard continue from a state."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -112,6 +113,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         num_envs: N.
         streams: The random streams that policies draw from here.
         control_step: Control steps since the environments were built.
+        at_close: Called by `close` when the shards are closed.
     """
 
     def __init__(self, template: BaseEnv, pool: ShardPool, run_dir: Path | None = None) -> None:
@@ -139,6 +141,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
             for first, count in zip(pool.firsts, pool.counts, strict=True)
         ]
         self._others_reset = [False] * len(pool.counts)
+        self.at_close: list[Callable[[], None]] = []
         self._begun = self._closed = False
         self._run_dir: Path | None = None
         self.run_dir = run_dir
@@ -187,7 +190,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         joined = self._joined(tables, range(len(tables)))
         return self._observation(joined), self._info(joined, tables[0].values["info"])
 
-    def step(self, action: EnvAction, **kwargs: Any) -> Step:
+    def step(self, action: EnvAction, **kwargs: Any) -> Step:  # type: ignore[override]
         """Advance all environments by one control step; see `BaseEnv.step`.
 
         Raises:
@@ -274,17 +277,19 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
 
     # -- work in the shards ----------------------------------------------------------------------
 
-    def advance(
-        self, work: Callable[..., Any], args: Sequence[tuple[Any, ...]], steps: int
-    ) -> list[Any]:
+    def advance(self, work: Callable[..., Any], args: Sequence[tuple[Any, ...]]) -> list[Any]:
         """Call ``work(env, *args)`` in every shard, without communication in between.
 
         Args:
             work: An importable function; it gets the `BaseEnv` of the shard.
             args: Further arguments for each shard.
-            steps: Control steps that the batch advances by.
         """
-        return self.pool.call("advance", [(work, *mine) for mine in args], steps=steps)
+        return self.pool.call("advance", [(work, *mine) for mine in args])
+
+    def passed(self, steps: int) -> None:
+        """Count control steps that were taken by `advance`; shards may then be saved."""
+        self.control_step += steps
+        self.pool.passed(steps)
 
     # -- random numbers --------------------------------------------------------------------------
 
@@ -350,7 +355,8 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         """Close the shards, then the template."""
         if not self._closed:
             self._closed = True
-            try:
+            with ExitStack() as stack:  # the last callback first
+                stack.callback(self.template.close)
+                for callback in self.at_close:
+                    stack.callback(callback)
                 self.pool.close()
-            finally:
-                self.template.close()
