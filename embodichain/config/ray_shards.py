@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from embodichain.config.resolved import Resolved, build_env, resolve_tree, thaw
+from embodichain.config.schema import RayCfg
 from embodichain.lab.gym.shards.shard_pool import ShardLostError, ShardPool
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -53,7 +54,7 @@ def shard_config(resolved: Resolved, first: int, count: int) -> Resolved:
     """
     sim = thaw(resolved.tree["sim"])
     threads = sim["num_threads"] or sim["ray"]["cpus"]
-    mine = {"backend": "local", "shards": 1, "num_threads": threads}
+    mine = {"backend": "local", "shards": 1, "ray": vars(RayCfg()), "num_threads": threads}
     mine["first_env"] = sim["first_env"] + first
     viewer = {**thaw(resolved.tree["viewer"]), "name": "none"}
     return resolved.changed(num_envs=count, sim={**sim, **mine}, viewer=viewer)
