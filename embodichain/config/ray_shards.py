@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.config.resolved import Resolved, build_env, resolve_tree, thaw
 from embodichain.config.schema import RayCfg
 from embodichain.lab.gym.shards.shard_pool import ShardLostError, ShardPool
+from embodichain.lab.gym.shards.splitting import numbers_in_shard, split_batch
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -57,7 +58,13 @@ def shard_config(resolved: Resolved, first: int, count: int) -> Resolved:
     mine = {"backend": "local", "shards": 1, "ray": vars(RayCfg()), "num_threads": threads}
     mine["first_env"] = sim["first_env"] + first
     viewer = {**thaw(resolved.tree["viewer"]), "name": "none"}
-    return resolved.changed(num_envs=count, sim={**sim, **mine}, viewer=viewer)
+    record = thaw(resolved.tree["record"])
+    record["view_envs"] = numbers_in_shard(record["view_envs"], first, count)
+    if (images := record["images"]) is not None:
+        images["envs"] = numbers_in_shard(images["envs"], first, count)
+        record["images"] = images if images["envs"] else None
+    changed = {"sim": {**sim, **mine}, "record": record, "viewer": viewer}
+    return resolved.changed(num_envs=count, video=False, **changed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,7 +323,7 @@ def make_sharded(resolved: Resolved, kwargs: Mapping[str, Any]) -> ShardedEnv:
         ConfigError: As `make_env` and `RayShards` do.
         TypeError: If an argument has no form with shards.
     """
-    from embodichain.lab.gym.shards.sharded_env import ShardedEnv, split_batch
+    from embodichain.lab.gym.shards.sharded_env import ShardedEnv
 
     rest = dict(kwargs)
     run_dir = rest.pop("run_dir", None)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from embodichain.lab.gym.shards.splitting import numbers_in_shard
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.parts import LogPlace, part_name
 from embodichain.recording.recorder import McapRecorder, RecordStats
@@ -169,15 +170,12 @@ class ShardLogs:
 
 def _local_options(options: RecordOptions, entry: ShardEntry) -> RecordOptions:
     """The options with the shard's own numbers of environments."""
-
-    def local(envs: Sequence[int]) -> list[int]:
-        return [i - entry.first_env for i in envs if 0 <= i - entry.first_env < entry.num_envs]
-
-    images = options.images
+    span, images = (entry.first_env, entry.num_envs), options.images
     if images is not None:
-        mine = local(images.envs)
+        mine = numbers_in_shard(images.envs, *span)
         images = replace(images, envs=mine) if mine else None
-    return replace(options, view_envs=local(options.view_envs), images=images)
+    viewed = numbers_in_shard(options.view_envs, *span)
+    return replace(options, view_envs=viewed, images=images)
 
 
 def read_shards(path: Path) -> tuple[ShardEntry, ...]:

@@ -7,7 +7,8 @@ from typing import Any
 
 from embodichain.lab.gym.shards.shard import Shard
 from embodichain.lab.gym.shards.shard_pool import ShardLostError, ShardPool
-from embodichain.lab.gym.shards.sharded_env import ShardedEnv, split_batch
+from embodichain.lab.gym.shards.sharded_env import ShardedEnv
+from embodichain.lab.gym.shards.splitting import split_batch
 
 Build = Callable[[int, int], Any]
 """``build(first, count)``: the environments of a shard."""

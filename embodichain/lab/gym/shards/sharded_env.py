@@ -35,21 +35,15 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.envs.observers import StepObserver
 
-__all__ = ["ShardedEnv", "split_batch"]
+__all__ = ["ShardedEnv"]
 
 Step = tuple[EnvObs, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 _OF_TEMPLATE = (
-    *("single_action_space", "single_observation_space", "device", "arrays", "metadata"),
+    *("single_observation_space", "device", "arrays"),
     *("step_dt", "physics_dt", "control_frequency", "sim_steps_per_control", "judges_success"),
-    *("active_joint_ids", "render_mode", "seed_value", "observation_paths", "max_episode_steps"),
+    *("active_joint_ids", "seed_value", "observation_paths", "max_episode_steps"),
 )
 """Attributes that are the same for every environment of the task."""
-
-
-def split_batch(num_envs: int, shards: int) -> list[int]:
-    """Environments of each shard: as equal as possible, the first ones have one more."""
-    base, more = divmod(num_envs, shards)
-    return [base + (k < more) for k in range(shards)]
 
 
 class ShardedSim:
@@ -118,6 +112,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
 
     def __init__(self, template: BaseEnv, pool: ShardPool, run_dir: Path | None = None) -> None:
         self.template, self.pool = template, pool
+        self.metadata = template.metadata
         self.num_envs = sum(pool.counts)
         self.cfg = copy.copy(template.cfg)
         self.cfg.num_envs = self.num_envs

@@ -8,7 +8,6 @@ import pytest
 import torch
 
 import embodichain
-from embodichain.lab.gym.shards.sharded_env import split_batch
 from tests.helpers.local_shards import sharded
 
 OVERRIDES = [
@@ -147,8 +146,3 @@ def test_what_is_not_here_is_refused_by_name() -> None:
         pytest.raises(embodichain.utils.errors.ConfigError, match=r"2 shards of \[2, 1\]"),
     ):
         parts.load_state_dict(state)
-
-
-def test_a_batch_is_split_evenly() -> None:
-    assert split_batch(10, 4) == [3, 3, 2, 2]
-    assert split_batch(4, 4) == [1, 1, 1, 1]
