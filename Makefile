@@ -5,15 +5,23 @@
 #   make test-warp     every task on MuJoCo Warp (`make test` tries two)
 #   make lint types imports     the other checks; `make check` is all of them
 #   make lerobot   have LeRobot's own package load a data set of ours (8 GB: its torch has CUDA)
+#   make dist      build wheel, sdist and SHA256SUMS of the commit  (TAG=v0.1.0 insists on the tag)
+#   make smoke     the same, then try the wheel alone on every Python from 3.11 to 3.13 that is found
+#   make test-oldest, make test-newest     a part of the tests with the lowest and highest versions
+#                  that pyproject.toml allows
+#   make names     write the list of public names that a test compares with
 #   make format    sort imports, lay out the code
 #   make pins      write constraints.txt from what .venv holds now
-#   make clean     remove .venv, .venv-lerobot and what the tools left; outputs/ stays
+#   make clean     remove the environments and what the tools left; outputs/ stays
 #
 # PYTHON=python3.13 chooses the interpreter, VENV=DIR the place.
 
 PYTHON ?= python3
 VENV ?= .venv
 LEROBOT ?= .venv-lerobot
+OLDEST ?= .venv-oldest
+NEWEST ?= .venv-newest
+TAG ?=
 PYTEST_ARGS ?=
 
 BIN := $(VENV)/bin
@@ -23,7 +31,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run venv test test-warp lint types imports lerobot check format pins clean system system-tests
+.PHONY: help run venv test test-warp lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
 
 help:
 	@sed -n 's/^#   /  /p' Makefile
@@ -86,6 +94,44 @@ lerobot: venv $(LEROBOT)/.installed
 
 check: test lint types imports
 
+# From the files of the commit, so that the same commit gives the same bytes.
+dist: venv
+	$(BIN)/python scripts/release.py build $(if $(TAG),--tag $(TAG))
+
+smoke: dist
+	$(BIN)/python scripts/smoke.py dist/embodichain-*.whl
+
+# uv resolves to the lowest versions, which pip cannot; each environment has its own.
+# Test tools are the pinned ones. UV_TORCH_BACKEND=cpu avoids the CUDA build where uv reaches it.
+BOUNDS := tests/utils tests/config tests/lab/gym/test_base_env.py tests/lab/gym/test_vector.py \
+    tests/lab/gym/test_single.py tests/lab/sim/meshes tests/recording/test_api.py \
+    tests/recording/test_recorder.py tests/recording/test_log_file.py \
+    tests/learning/test_vec_env.py tests/learning/test_train.py tests/learning/test_resume.py
+
+$(OLDEST)/.installed: RESOLUTION := lowest-direct
+$(NEWEST)/.installed: RESOLUTION := highest
+$(OLDEST)/.installed $(NEWEST)/.installed: pyproject.toml | system
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/python -m pip --disable-pip-version-check install uv
+	$(@D)/bin/uv pip install --python $(@D)/bin/python --resolution $(RESOLUTION) -r pyproject.toml
+	$(@D)/bin/uv pip install --python $(@D)/bin/python -c constraints.txt \
+	    pytest pytest-cov pytest-timeout pytest-xdist hypothesis packaging setuptools \
+	    imageio-ffmpeg mcap-protobuf-support
+	$(@D)/bin/uv pip install --python $(@D)/bin/python --no-deps --no-build-isolation -e .
+	touch $@
+
+test-oldest: $(OLDEST)/.installed
+	$(PYTHON) scripts/smoke.py --installed $(OLDEST)
+	$(OLDEST)/bin/python -m pytest -n 2 -m "not slow" $(BOUNDS) $(PYTEST_ARGS)
+
+test-newest: $(NEWEST)/.installed
+	$(PYTHON) scripts/smoke.py --installed $(NEWEST)
+	$(NEWEST)/bin/python -m pytest -n 2 -m "not slow" $(BOUNDS) $(PYTEST_ARGS)
+
+# After adding public names, or removing some that CHANGELOG.md names.
+names: venv
+	$(BIN)/python scripts/names.py
+
 format: venv
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
@@ -95,6 +141,6 @@ pins: venv
 	mv constraints.tmp constraints.txt
 
 clean:
-	rm -rf $(VENV) $(LEROBOT) build dist *.egg-info .coverage .coverage.* htmlcov \
+	rm -rf $(VENV) $(LEROBOT) $(OLDEST) $(NEWEST) build dist *.egg-info .coverage .coverage.* htmlcov \
 	    .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -not -path './.git/*' -prune -exec rm -rf {} +

@@ -19,6 +19,7 @@ from typing import Literal
 from embodichain.cli import process
 from embodichain.cli.app import verb
 from embodichain.cli.output import print_json, print_table
+from embodichain.utils import platforms
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["EXTRAS", "Check", "command"]
@@ -35,6 +36,7 @@ EXTRAS = {
         "sweeps in parallel, and searches with Optuna",
         *("hydra-joblib-launcher", "hydra-optuna-sweeper", "alembic", "sqlalchemy"),
     ),
+    "ray": ("one experiment on many machines: sim.backend=ray", "ray"),
     "export": ("policies as ONNX files", "onnx", "onnxruntime"),
     "video": ("films: video=true, replay --video", "imageio-ffmpeg"),
     "h264": ("videos of cameras in logs: record.images", "av"),
@@ -112,13 +114,19 @@ def _versions() -> Iterator[Check]:
 
     yield Check("embodichain", "ok", embodichain.__version__)
     yield Check("Python", "ok", f"{platform.python_version()} on {platform.platform()}")
+    if sys.platform not in {"linux"}:
+        about = "untried: everything is developed and tested on Linux"
+        yield Check("system", "warn", about, "docs/install.md names what is missing here")
+    for limit in platforms.limits():
+        yield Check(limit.feature, "missing", limit.reason, limit.instead)
     versions, missing = _installed(_CORE)
     yield from (Check(name, "ok", version) for name, version in versions.items())
     yield from (Check(name, "fail", "not installed", f"pip install {name}") for name in missing)
 
 
 def _threads() -> Iterator[Check]:
-    usable, present = len(os.sched_getaffinity(0)), os.cpu_count()
+    present = os.cpu_count()
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else present
     yield Check("threads", "ok", f"{usable} of {present} cores; sim.num_threads=0 uses them all")
     limit = os.environ.get("OMP_NUM_THREADS")
     if limit:

@@ -21,7 +21,9 @@ from embodichain.cli.process import Interrupted, StopFlag
 from embodichain.cli.reporting import ProgressDisplay, log_to, warn_if_public
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
+from embodichain.utils import platforms
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.platforms import LIMITED
 
 if TYPE_CHECKING:
     from embodichain.config.composed import Composed
@@ -358,10 +360,12 @@ def check_extras(root: RootCfg) -> None:
     """Check that the video, the pictures of the log and the viewer can be made here.
 
     Raises:
-        ConfigError: A package is missing; names the extra.
+        ConfigError: A package is missing, with the extra's name, or something of Linux.
         RenderError: Pictures cannot be drawn here; names what to install.
     """
     logged = root.record.format != "none"
+    if sys.platform in LIMITED:
+        platforms.need(*["record=mcap"] * logged, f"viewer={root.viewer.name}")
     images = root.record.images if logged or root.viewer.name == "foxglove" else None
     drawn = ["video"] * bool(root.video) + ["record.images"] * (images is not None)
     if root.video:

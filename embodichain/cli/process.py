@@ -10,6 +10,7 @@ anything else at once; all files are closed before the process ends.
 
 from __future__ import annotations
 
+import _thread
 import gc
 import os
 import signal
@@ -120,7 +121,10 @@ def signals_raise() -> Iterator[None]:
     def deliver(number: int, seconds: float) -> None:
         def send() -> None:
             came.clear()
-            signal.pthread_kill(main or 0, number)
+            if hasattr(signal, "pthread_kill"):
+                signal.pthread_kill(main or 0, number)
+            else:  # Windows
+                _thread.interrupt_main(signal.Signals(number))
 
         timer = threading.Timer(seconds, send)
         timer.daemon = True

@@ -57,6 +57,7 @@ _NOT_ARGUMENTS = (
     "noise_type",
     "noise_std",
     "critic_groups",
+    "symmetric",
 )
 
 Count = Annotated[int, Field(ge=1)]
@@ -79,6 +80,8 @@ class AlgoCfg:
     critic_groups: Annotated[list[str], Field(min_length=1)] | None = None
     """Observation groups that the critic reads; null is `policy`, the group that the policy reads.
     Needs MultiInputPolicy."""
+    symmetric: bool | None = None
+    """Whether actor and critic have the task's `symmetry` exactly."""
     policy_kwargs: dict[str, Any] = {}
     """Arguments of the policy's class: `net_arch`, `log_std_init`..."""
     normalize: Literal["obs", "reward", "both"] | bool | None = None

@@ -7,7 +7,7 @@ import inspect
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ from stable_baselines3.common.noise import (
     VectorizedActionNoise,
 )
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
@@ -30,6 +30,7 @@ from embodichain.learning.asymmetric import ASYMMETRIC
 from embodichain.learning.extractors import SmallCnn
 from embodichain.learning.normalization import number_keys
 from embodichain.learning.spaces import observation_columns
+from embodichain.learning.symmetry import Mirror, MirroredMeanStd, SymmetricActorCriticPolicy
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -64,6 +65,7 @@ _POLICY_INSTEAD = {
     "chunk_size": "use algo.chunk_size",
     "ensemble_decay": "use algo.ensemble_decay",
     "ignored": "use algo.ignore",
+    "mirror": "use algo.symmetric and the task's symmetry",
 }
 _NORMALIZE_INSTEAD = {
     "venv": "the environment is the task's",
@@ -106,6 +108,7 @@ class Algorithm:
         normalize: Keyword arguments of `VecNormalize`; None if nothing is normalized.
         noise: Kind and standard deviation (None is 0.1) of action noise; None without noise.
         critic_groups: Observation groups of the critic; empty if it reads what the policy reads.
+        symmetric: Whether the policy has the task's symmetry.
     """
 
     name: str
@@ -113,6 +116,7 @@ class Algorithm:
     normalize: dict[str, Any] | None = None
     noise: tuple[str, float | None] | None = None
     critic_groups: tuple[str, ...] = ()
+    symmetric: bool = False
 
     @classmethod
     def of(cls, cfg: AlgoCfg) -> Algorithm:
@@ -135,7 +139,7 @@ class Algorithm:
             raise ConfigError([Problem("algo.policy", message)])
         policy = algorithm.policy_aliases[cfg.policy]
         arguments["policy_kwargs"], problems = _check_policy_kwargs(policy, cfg.policy_kwargs)
-        problems += _check_critic(cfg, policy)
+        problems += _check_critic(cfg, policy) + _check_symmetric(cfg, policy)
         path = "algo.normalize_kwargs"
         given, found = _check_call(VecNormalize, cfg.normalize_kwargs, _NORMALIZE_INSTEAD, path)
         problems += found
@@ -152,7 +156,8 @@ class Algorithm:
             normalize |= {"norm_reward": cfg.normalize != "obs", **given}
         kind = getattr(cfg, "noise_type", None)
         noise = None if kind is None else (kind, getattr(cfg, "noise_std", None))
-        return cls(cfg.name, arguments, normalize, noise, tuple(cfg.critic_groups or ()))
+        groups = tuple(cfg.critic_groups or ())
+        return cls(cfg.name, arguments, normalize, noise, groups, bool(cfg.symmetric))
 
     @property
     def flat(self) -> bool:
@@ -191,20 +196,24 @@ class Algorithm:
             policy = algorithm_class(self.name).policy_aliases[arguments["policy"]]
             arguments["policy"] = ASYMMETRIC[policy]
             arguments["policy_kwargs"] = {**arguments["policy_kwargs"], **keys}
+        mirror = Mirror.of(vec_env.base, vec_env.group) if self.symmetric else None
+        if mirror is not None:
+            arguments["policy"] = SymmetricActorCriticPolicy
+            arguments["policy_kwargs"] = {**arguments["policy_kwargs"], "mirror": mirror.to_list()}
         if self.noise is not None:
             (width,) = vec_env.action_space.shape or (0,)
             arguments["action_noise"] = action_noise(*self.noise, width, vec_env.num_envs)
         if self.is_cloning:
             ignored = _ignored(arguments.get("ignore"), vec_env)
             arguments["policy_kwargs"] = {**arguments["policy_kwargs"], "ignored": ignored}
-        env = self._normalized(vec_env)
+        env = self._normalized(vec_env, mirror)
         algorithm: Callable[..., BaseAlgorithm] = algorithm_class(self.name)
         try:
             return algorithm(env=env, seed=seed, device="cpu", **arguments)
         except (AssertionError, TypeError, ValueError) as error:  # how SB3 refuses
             raise ConfigError([Problem("algo", f"{self.name} refuses this: {error}")]) from error
 
-    def _normalized(self, vec_env: SB3VecEnv) -> VecEnv:
+    def _normalized(self, vec_env: SB3VecEnv, mirror: Mirror | None) -> VecEnv:
         if self.normalize is None:
             return vec_env
         kwargs, space = dict(self.normalize), vec_env.observation_space
@@ -214,7 +223,10 @@ class Algorithm:
                 message = "an observation of images is not normalized: use reward, or false"
                 raise ConfigError([Problem("algo.normalize", message)])
             kwargs |= {"norm_obs_keys": numbers} if isinstance(space, Dict) else {}
-        return VecNormalize(vec_env, **kwargs)
+        normalized: Any = VecNormalize(vec_env, **kwargs)  # its obs_rms is declared as a dict
+        if mirror is not None and kwargs["norm_obs"]:
+            normalized.obs_rms = MirroredMeanStd(mirror)
+        return cast(VecEnv, normalized)
 
 
 def action_noise(kind: str, std: float | None, width: int, num_envs: int) -> ActionNoise:
@@ -290,6 +302,19 @@ def _check_critic(cfg: AlgoCfg, policy: type[BasePolicy]) -> list[Problem]:
     if cfg.policy_kwargs.get("share_features_extractor"):
         message = "actor and critic with groups of their own share no features"
         return [Problem("algo.policy_kwargs.share_features_extractor", message)]
+    return []
+
+
+def _check_symmetric(cfg: AlgoCfg, policy: type[BasePolicy]) -> list[Problem]:
+    """Check that the policy can be symmetric: Gaussian actions of a flat vector."""
+    path = "algo.symmetric"
+    if not cfg.symmetric:
+        return []
+    if policy is not ActorCriticPolicy:
+        message = f"{cfg.policy} of {cfg.name} cannot be symmetric; "
+        return [Problem(path, message + "MlpPolicy of ppo, a2c and trpo can")]
+    if getattr(cfg, "use_sde", None):
+        return [Problem(path, "noise that depends on the state (use_sde) is not symmetric")]
     return []
 
 

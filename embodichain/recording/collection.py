@@ -10,13 +10,13 @@ cut off, or not needed any more.
 from __future__ import annotations
 
 import dataclasses
-import fcntl
 import json
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+from embodichain.utils import platforms
 from embodichain.utils.errors import ConfigError
 
 __all__ = [
@@ -150,7 +150,7 @@ class CollectionWriter:
             for success, name in _LISTS.items():
                 flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
                 self._files[success] = os.open(folder / name, flags, 0o666)
-                fcntl.flock(self._files[success], fcntl.LOCK_EX | fcntl.LOCK_NB)
+                platforms.lock(self._files[success])
                 _cut_half_line(self._files[success])
         except BlockingIOError as error:
             self.close()

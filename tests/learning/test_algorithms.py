@@ -86,7 +86,8 @@ def test_a_config_has_every_argument_of_its_class(cfg):
     if cfg.name in ("trpo", "tqc", "crossq", "recurrent_ppo"):
         pytest.importorskip("sb3_contrib")
     arguments = set(inspect.signature(algorithm_class(cfg.name).__init__).parameters) - GIVEN
-    settings = {"name", "normalize", "normalize_kwargs", "noise_type", "noise_std", "critic_groups"}
+    settings = {"name", "normalize", "normalize_kwargs", "noise_type", "noise_std"}
+    settings |= {"critic_groups", "symmetric"}
     assert {f.name for f in dataclasses.fields(cfg)} - settings == arguments
 
 

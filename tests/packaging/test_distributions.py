@@ -1,5 +1,6 @@
 """Wheel and sdist hold the tree's files and nothing else, and the wheel alone runs the main job."""
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -13,7 +14,11 @@ from typing import NamedTuple
 
 import pytest
 
+from scripts import release
+
 pytestmark = pytest.mark.unmeasured
+
+EPOCH = 1767323044  # 2026-01-02 03:04:04 UTC; zip files have even seconds
 
 LINKS = {"conf": "embodichain/conf", "tasks": "embodichain/tasks"}
 
@@ -22,6 +27,7 @@ class Built(NamedTuple):
     wheel: Path  # straight from the tree
     sdist: Path
     wheel_of_sdist: Path
+    tree: Path
 
 
 @pytest.fixture(scope="module")
@@ -32,18 +38,42 @@ def built(repo: Path, tracked: dict[str, str], tmp_path_factory: pytest.TempPath
         target = root / "tree" / path
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(repo / path, target, follow_symlinks=False)
-    # Without --wheel or --sdist, build makes the sdist and then a wheel out of it.
-    for out, what in (("both", []), ("direct", ["--wheel"])):
-        command = [sys.executable, "-m", "build", "--no-isolation", *what, "--outdir", root / out]
-        done = subprocess.run(
-            [*command, root / "tree"], capture_output=True, text=True, cwd=root, check=False
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-    return Built(
-        *(root / "direct").glob("*.whl"),
-        *(root / "both").glob("*.tar.gz"),
-        *(root / "both").glob("*.whl"),
+    sdist, wheel_of_sdist, _ = release.build(root / "tree", root / "both", EPOCH)
+    command = [sys.executable, "-m", "build", "--no-isolation", "--wheel"]
+    done = subprocess.run(
+        [*command, "--outdir", root / "direct", root / "tree"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
+    assert done.returncode == 0, done.stdout + done.stderr
+    (wheel,) = (root / "direct").glob("*.whl")
+    return Built(wheel, sdist, wheel_of_sdist, root / "tree")
+
+
+def test_the_same_files_give_the_same_bytes(built: Built, tmp_path: Path) -> None:
+    """Another folder, other times and modes of the files, another day."""
+    tree = tmp_path / "elsewhere"
+    shutil.copytree(built.tree, tree, symlinks=True, copy_function=shutil.copy)
+    shutil.rmtree(tree / "build", ignore_errors=True)
+    for path in tree.rglob("*.py"):
+        path.chmod(0o600)
+    again = release.build(tree, tmp_path / "dist", EPOCH)
+    for first, second in zip((built.sdist, built.wheel_of_sdist), again, strict=False):
+        assert first.read_bytes() == second.read_bytes(), first.name
+    sums = (tmp_path / "dist" / "SHA256SUMS").read_text().splitlines()
+    assert sums == [
+        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}"
+        for path in (built.wheel_of_sdist, built.sdist)
+    ]
+
+
+def test_times_are_the_commits(built: Built) -> None:
+    with tarfile.open(built.sdist) as archive:
+        assert {m.mtime for m in archive.getmembers()} == {EPOCH}
+        assert {(m.uid, m.uname) for m in archive.getmembers()} == {(0, "")}
+    with zipfile.ZipFile(built.wheel_of_sdist) as archive:
+        assert {i.date_time for i in archive.infolist()} == {(2026, 1, 2, 3, 4, 4)}
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 import embodichain
 
@@ -41,10 +42,13 @@ def test_package_is_typed(tracked: dict[str, str]) -> None:
     assert "embodichain/py.typed" in tracked
 
 
-def test_changelog_has_an_unreleased_section_with_entries(texts: dict[str, str]) -> None:
+def test_changelog_lists_what_is_unreleased(texts: dict[str, str]) -> None:
+    """A commit that makes a release has just moved it under the version's heading."""
     sections = re.split(r"^## ", texts["CHANGELOG.md"], flags=re.MULTILINE)[1:]
     assert sections[0].startswith("[Unreleased]")
-    assert re.search(r"^- \S", sections[0], re.MULTILINE)
+    released = sections[1].startswith(f"[{embodichain.__version__}]")
+    entries = sections[0] + sections[1] * released
+    assert re.search(r"^- \S", entries, re.MULTILINE)
 
 
 @pytest.mark.parametrize(
@@ -84,3 +88,14 @@ def test_configs_are_at_most_100_columns_wide(texts: dict[str, str]) -> None:
     assert len(configs) > 20
     wide = {p: max(map(len, text.splitlines())) for p, text in configs.items()}
     assert {p: width for p, width in wide.items() if width > 100} == {}
+
+
+def test_the_citation_is_of_this_version(texts: dict[str, str]) -> None:
+    """The keys are those of the Citation File Format 1.2.0."""
+    citation = yaml.safe_load(texts["CITATION.cff"])
+    assert citation["version"] == embodichain.__version__
+    assert citation["license"] == "MIT"
+    required = {"cff-version", "message", "title", "authors"}
+    optional = {"abstract", "type", "version", "date-released", "license", "keywords"}
+    assert required <= set(citation) <= required | optional
+    assert all(set(author) == {"name"} for author in citation["authors"])

@@ -268,6 +268,13 @@ class AttachmentCfg(ObjectBaseCfg):
 
 
 @configclass
+class CollisionShapeCfg(ObjectBaseCfg):
+    """A shape that a link collides as; its pose is in the frame of the link."""
+
+    shape: AnyShapeCfg = CubeCfg()
+
+
+@configclass
 class ArticulationCfg(ObjectBaseCfg):
     """A jointed mechanism read from a URDF or MJCF file."""
 
@@ -308,6 +315,10 @@ class ArticulationCfg(ObjectBaseCfg):
     collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
     """Collision geometry of the file's meshes: their convex hull, or convex parts
     (`embodichain[decompose]`)."""
+    collision_shapes: dict[str, CollisionShapeCfg | None] = dataclasses.field(
+        default_factory=dict, kw_only=True
+    )
+    """Link regex -> the shape that it collides as, instead of the file's; None: with nothing."""
 
 
 @configclass

@@ -27,6 +27,7 @@ import numpy as np
 
 from embodichain.lab.gym.teleop import ToolCommand
 from embodichain.lab.sim.engine.api import F64
+from embodichain.utils import platforms
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 if TYPE_CHECKING:
@@ -328,6 +329,7 @@ class WebPage:
 
 def _start(errors: Any) -> tuple[Connection, subprocess.Popen[bytes]]:
     """Start the other process; it gets no Ctrl-C, and ends when our end of the socket closes."""
+    platforms.need("viewer=web")
     ours, theirs = socket.socketpair()
     with theirs:
         process = subprocess.Popen(

@@ -177,7 +177,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.observation_manager = ObservationManager(self, cfg.observations)
         self.event_manager = EventManager(self, cfg.events)
         self.action_manager = ActionManager(self, cfg.actions)
-        self.reward_manager = RewardManager(self, cfg.rewards)
+        self.reward_manager = RewardManager(self, cfg.rewards, cfg.reward_floor)
         self.termination_manager = TerminationManager(self, cfg.terminations)
         self.metric_manager = MetricManager(self, cfg.metrics)
         built: list[Manager[Any]] = [self.command_manager, self.observation_manager]

@@ -39,6 +39,7 @@ __all__ = [
     "RewardCfg",
     "SceneEntityCfg",
     "SuggestedCfg",
+    "SymmetryCfg",
     "TermCfg",
     "TerminationCfg",
     "ValueCfg",
@@ -222,6 +223,28 @@ class PhysicsTaskCfg:
 
 
 @configclass
+class SymmetryCfg:
+    """How a reflection changes the columns of actions and observations, for `algo.symmetric`.
+
+    A reflection in the plane between a robot's left and right half, for example, changes the sign
+    of the y component of a velocity, and swaps the joints of a left and a right leg.
+    """
+
+    robot: str | None = None
+    """Uid of the robot of `swap` and `opposite`; None is the task's first robot."""
+    swap: dict[str, str] = {}
+    """Regex of joints -> the joint that each is swapped with, with the regex's groups (``\\1``).
+    Joints that occur in no pair are their own mirror images."""
+    opposite: Names = None
+    """Joints (regexes) whose mirror image moves in the negative direction."""
+    observations: dict[str, Literal["joints"] | list[Literal[-1, 1]]] = {}
+    """Observation of the group `policy` -> ``joints``: a value for each active joint; or the sign
+    of each column."""
+    actions: dict[str, Literal["joints"] | list[Literal[-1, 1]]] = {}
+    """Action term -> the same."""
+
+
+@configclass
 class SuggestedCfg:
     """Values for root keys that the user left at null, by verb."""
 
@@ -275,8 +298,14 @@ class EnvCfg:
     enable_corruption: bool | dict[str, bool] = dataclasses.field(default=True, kw_only=True)
     """Whether noise is applied to observations: for all groups, or by group (default True)."""
     rewards: dict[str, RewardCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    reward_floor: Annotated[float, Field(allow_inf_nan=False)] | None = dataclasses.field(
+        default=None, kw_only=True
+    )
+    """Smallest reward of a step, sum of all terms; None is no limit."""
     terminations: dict[str, TerminationCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     metrics: dict[str, MetricCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    symmetry: SymmetryCfg | None = dataclasses.field(default=None, kw_only=True)
+    """The reflection under which the task does not change."""
     curriculum: dict[str, CurriculumCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     expert: list[str | dict[str, Any]] | TermCfg | None = dataclasses.field(
         default=None, kw_only=True

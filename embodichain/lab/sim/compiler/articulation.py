@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import ArticulationCfg, RobotCfg, URDFCfg
+from embodichain.lab.sim.compiler.collision_shapes import replace_shapes, resolve_shapes
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
     DriveGains,
@@ -233,6 +234,8 @@ def parse_with_problems(
     problems += wrong
     links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
     problems += check_attachments(links, cfg.attachments)
+    shapes, wrong = resolve_shapes(links, cfg)
+    problems += wrong
     tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments])
     problems += wrong
     try:
@@ -242,6 +245,7 @@ def parse_with_problems(
             replaced.append("no joint is driven: it has no actuators, drive_pros names no joint")
         notes = [*robot.notes, *(f"{file.path}: {line}" for line in replaced)]
         if not problems:
+            replace_shapes(file.spec, shapes, cfg.attrs)
             add_attachments(file.spec, cfg.attachments)
             add_tools(file.spec, tools)
         for body in file.spec.bodies[1:]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ from embodichain.lab.sim.sensors.cfg import (
     LinksCfg,
     StereoCameraCfg,
 )
+from embodichain.utils import platforms
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
     euler_xyz_to_quat,
@@ -181,7 +181,7 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
 
 def check_memory(cfg: CameraCfg, num_envs: int) -> list[Problem]:
     """Return a problem if a camera's images of all N environments exceed the memory."""
-    limit = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    limit = platforms.memory_bytes()
     images = cfg.get_data_types()
     each = sum(_BYTES.get(name.removesuffix("_right"), 4) for name in images)
     needed = each * cfg.width * cfg.height * num_envs

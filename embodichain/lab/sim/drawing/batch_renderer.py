@@ -7,7 +7,6 @@ on N or on the other environments.
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
@@ -30,6 +29,7 @@ from embodichain.lab.sim.drawing.targets import (
 )
 from embodichain.lab.sim.drawing.textures import SceneTextures
 from embodichain.lab.sim.drawing.views import DrawnState, Pictures, View
+from embodichain.utils import platforms
 from embodichain.utils.errors import RenderError
 
 __all__ = ["BatchRenderer"]
@@ -115,7 +115,7 @@ class BatchRenderer:
                 raise RenderError(f"{message}: the most in {view.look} look is {most} a side")
             total += count * width * height * len(view.outputs) * OUTPUT_BYTES
             total += picture_bytes(width, height, samples)
-        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        memory = platforms.memory_bytes()
         if total > memory:
             sizes = ", ".join(f"{v.optics.width} x {v.optics.height}" for v in views)
             message = f"pictures of {count} environments ({sizes}) take {total / 2**30:.1f} GiB"

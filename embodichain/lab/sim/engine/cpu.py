@@ -5,7 +5,6 @@ Methods are documented in `api`. Use an instance from one Python thread at a tim
 
 from __future__ import annotations
 
-import os
 from typing import Any, Protocol
 
 import mujoco
@@ -25,7 +24,7 @@ from embodichain.lab.sim.engine.api import (
     Write,
 )
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, ModelFields, row_layout
-from embodichain.lab.sim.engine.mujoco_process import install_log_handler, stop_timers
+from embodichain.lab.sim.engine.mujoco_process import all_cores, install_log_handler, stop_timers
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -92,7 +91,7 @@ class HostEngine(Engine):
     ) -> None:
         install_log_handler()
         stop_timers()
-        threads = num_threads or len(os.sched_getaffinity(0))
+        threads = num_threads or all_cores()
         hidden = bool(model.opt.enableflags & _HIDDEN_STATE) or model.nplugin > 0
         self.model = model
         self.num_envs = num_envs

@@ -1,14 +1,15 @@
-"""Settings of MuJoCo for the whole process: warnings go to Python's logging, timers are off."""
+"""Settings of MuJoCo for the whole process: warnings go to logging, timers are off, threads."""
 
 from __future__ import annotations
 
 import ctypes
 import logging
+import os
 
 import mujoco
 from mujoco import _callbacks
 
-__all__ = ["install_log_handler", "stop_timers"]
+__all__ = ["all_cores", "install_log_handler", "stop_timers"]
 
 _logger = logging.getLogger("embodichain.mujoco")
 
@@ -43,3 +44,10 @@ def stop_timers() -> None:
     except (OSError, ValueError):
         return
     callback.value = None
+
+
+def all_cores() -> int:
+    """Return how many cores this process may use; on systems without affinity, all there are."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

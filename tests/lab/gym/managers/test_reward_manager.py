@@ -97,3 +97,16 @@ def test_classes_keep_state_per_episode(make) -> None:
     assert torch.allclose(env.step(moved)[1], torch.full((3,), -0.5))
     env.reset(options={"reset_ids": [2]})
     assert torch.allclose(env.step(home)[1], torch.tensor([-0.5, -0.5, 0.0]))
+
+
+def test_a_floor_is_the_smallest_reward_and_the_sums_of_terms_are_without_it() -> None:
+    class Mine(BaseEnv):
+        def get_reward(self, obs, action, info):
+            return torch.tensor([0.0, 2.0, 5.0])
+
+    env = Mine(task(rewards={"a": term(3.0, weight=-1.0)}, reward_floor=-0.5))
+    env.reset()
+    _, reward, _, _, info = env.step(still(env))
+    assert reward.tolist() == [-0.5, -0.5, 2.0]
+    assert info["episode_sums"]["a"].tolist() == [-3.0] * 3
+    env.close()

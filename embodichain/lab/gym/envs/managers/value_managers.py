@@ -258,12 +258,16 @@ class RewardManager(Manager[RewardCfg]):
     Args:
         env: The environment; its scene is complete.
         cfgs: Name -> reward.
+        floor: Smallest sum of a step, the rewards of hooks included; None is no limit.
 
     Attributes:
         weights: Name -> current weight; replaced, not changed, by `set_weight`.
     """
 
-    def __init__(self, env: TermContext, cfgs: Mapping[str, RewardCfg]) -> None:
+    def __init__(
+        self, env: TermContext, cfgs: Mapping[str, RewardCfg], floor: float | None = None
+    ) -> None:
+        self._floor = None if floor is None else np.float32(floor)
         weights = {name: float(cfg.weight) for name, cfg in cfgs.items()}
         self.weights: Mapping[str, float] = MappingProxyType(weights)
         super().__init__(env, "rewards", "reward", cfgs)
@@ -329,7 +333,7 @@ class RewardManager(Manager[RewardCfg]):
         total: F32 = np.add.accumulate(parts[self._first :], axis=0)[-1]
         info["rewards"] = TermRows(self._names, values)
         info["episode_sums"] = self.episode_sums
-        return total
+        return total if self._floor is None else np.maximum(total, self._floor)
 
     def take_back(self, rows: NDArray[np.bool_]) -> None:
         """Undo the last step in the sums of environments, (N,) bool."""

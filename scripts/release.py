@@ -1,0 +1,232 @@
+"""Builds what a release consists of, and moves the changelog's entries under its heading.
+
+`python scripts/release.py prepare 0.1.0` writes the version into `embodichain/__init__.py` and
+CITATION.cff, and makes a dated section of the changelog's *Unreleased*; commit that, and tag the
+commit ``v0.1.0``.
+
+`python scripts/release.py build` (`make dist`) builds sdist, wheel and SHA256SUMS into ``dist/``
+from the files of the commit, never from the working tree. The same commit gives the same bytes:
+times are the commit's, owners and modes are fixed, and the tools are those of constraints.txt. It
+refuses a dirty tree, and a tag, version and changelog that differ; ``--tag v0.1.0`` insists on the
+tag. The exit code is 2 for these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import hashlib
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+from datetime import UTC, datetime
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+VERSION_FILE = Path("embodichain", "__init__.py")
+CHANGELOG = Path("CHANGELOG.md")
+CITATION = Path("CITATION.cff")
+SUMS = "SHA256SUMS"
+UNRELEASED = "## [Unreleased]"
+_VERSION = re.compile(r'^__version__ = "([^"]+)"$', re.MULTILINE)
+_CITED = re.compile(r"^(?:version|date-released):.*\n?", re.MULTILINE)
+_HEADING = re.compile(r"^## \[([^\]]+)\](?: - (\d{4}-\d{2}-\d{2}))?$", re.MULTILINE)
+_ALLOWED = re.compile(r"\d+\.\d+\.\d+(?:(?:a|b|rc)\d+)?")  # of PEP 440, what this project uses
+
+
+class ReleaseError(Exception):
+    """The release cannot be made; the message says why."""
+
+
+def version_of(root: Path) -> str:
+    """The version in the source.
+
+    Raises:
+        ReleaseError: There is none, or several.
+    """
+    found: list[str] = _VERSION.findall((root / VERSION_FILE).read_text(encoding="utf-8"))
+    if len(found) != 1:
+        raise ReleaseError(f"{VERSION_FILE}: {len(found)} lines with __version__, not one")
+    return found[0]
+
+
+def prepare(root: Path, version: str, date: str) -> None:
+    """Writes a version and its dated section.
+
+    A section of that version that was never tagged is a draft: the entries join it.
+
+    Raises:
+        ReleaseError: The version or the date is malformed, the version is tagged already, or
+            nothing is unreleased.
+    """
+    if not _ALLOWED.fullmatch(version):
+        raise ReleaseError(f"{version!r} is not MAJOR.MINOR.PATCH, with a1, b1 or rc1 at most")
+    if not re.fullmatch(r"\d{4}-\d{2}-\d{2}", date):
+        raise ReleaseError(f"{date!r} is not YYYY-MM-DD")
+    if git(root, "tag", "--list", f"v{version}"):
+        raise ReleaseError(f"v{version} is tagged already")
+    text = (root / CHANGELOG).read_text(encoding="utf-8")
+    before, mark, after = text.partition(f"{UNRELEASED}\n")
+    if not mark or not re.search(r"^- \S", _HEADING.split(after)[0], re.MULTILINE):
+        raise ReleaseError(f"{CHANGELOG}: nothing is listed under {UNRELEASED!r}")
+    draft = re.compile(rf"^## \[{re.escape(version)}\].*\n\n?", re.MULTILINE)
+    dated = f"{before}{mark}\n## [{version}] - {date}\n{draft.sub('', after)}"
+    version_of(root)
+    source = (root / VERSION_FILE).read_text(encoding="utf-8")
+    citation = _CITED.sub("", (root / CITATION).read_text(encoding="utf-8")).rstrip("\n")
+    (root / CITATION).write_text(
+        f"{citation}\nversion: {version}\ndate-released: {date}\n", encoding="utf-8"
+    )
+    (root / CHANGELOG).write_text(dated, encoding="utf-8")
+    source = _VERSION.sub(f'__version__ = "{version}"', source)
+    (root / VERSION_FILE).write_text(source, encoding="utf-8")
+
+
+def check(root: Path, tag: str | None = None) -> str | None:
+    """Checks that the commit can be built.
+
+    Args:
+        root: The checkout.
+        tag: The tag that the commit must have; None: any that it has, or none.
+
+    Returns:
+        The tag, or None if the commit has none.
+
+    Raises:
+        ReleaseError: Something is not committed, or tag, version and changelog differ.
+    """
+    dirty = git(root, "status", "--porcelain").splitlines()
+    if dirty:
+        more = f" and {len(dirty) - 3} more" if len(dirty) > 3 else ""
+        names = ", ".join(line[3:] for line in dirty[:3])
+        raise ReleaseError(f"not committed: {names}{more}")
+    tags = [name for name in git(root, "tag", "--points-at", "HEAD").split() if name[0] == "v"]
+    if tag is not None and tag not in tags:
+        raise ReleaseError(
+            f"HEAD does not have the tag {tag} (it has: {', '.join(tags) or 'none'})"
+        )
+    found = tag or (tags[0] if tags else None)
+    if found is None:
+        return None
+    version = version_of(root)
+    if found != f"v{version}":
+        raise ReleaseError(f"the tag is {found}, {VERSION_FILE} has {version}")
+    if f"\nversion: {version}\n" not in (root / CITATION).read_text(encoding="utf-8"):
+        raise ReleaseError(f"{CITATION} does not have version: {version}")
+    headings = dict(_HEADING.findall((root / CHANGELOG).read_text(encoding="utf-8")))
+    if not headings.get(version):
+        raise ReleaseError(f"{CHANGELOG} has no dated heading '## [{version}] - YYYY-MM-DD'")
+    return found
+
+
+def git(root: Path, *arguments: str) -> str:
+    """What git prints."""
+    command = ["git", "-C", str(root), *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.rstrip("\n")
+
+
+def build(tree: Path, out: Path, epoch: int) -> list[Path]:
+    """Builds a tree of source files: the sdist, and the wheel from it.
+
+    Args:
+        tree: The files, as in a checkout; setuptools writes into it.
+        out: Where the distributions are put; replaces those of the same names.
+        epoch: Time of all files inside, in seconds since 1970.
+
+    Returns:
+        sdist, wheel and SHA256SUMS.
+
+    Raises:
+        ReleaseError: A build failed; with its output.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        _run_build("--sdist", tree, work, epoch)
+        (made,) = work.glob("*.tar.gz")
+        sdist = out / made.name
+        sdist.write_bytes(_normalized(made, epoch))
+        with tarfile.open(sdist) as archive:
+            archive.extractall(work / "source", filter="data")
+        (source,) = (work / "source").iterdir()
+        _run_build("--wheel", source, work / "wheel", epoch)
+        (made,) = (work / "wheel").glob("*.whl")
+        wheel = out / made.name
+        shutil.move(made, wheel)
+    sums = out / SUMS
+    lines = [f"{hashlib.sha256(p.read_bytes()).hexdigest()}  {p.name}" for p in (wheel, sdist)]
+    sums.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return [sdist, wheel, sums]
+
+
+def _run_build(what: str, source: Path, out: Path, epoch: int) -> None:
+    command = [sys.executable, "-m", "build", "--no-isolation", what, "--outdir", out, source]
+    environment = {**os.environ, "SOURCE_DATE_EPOCH": str(epoch)}
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, check=False, umask=0o022
+    )
+    if done.returncode:
+        raise ReleaseError(f"{what[2:]}: {done.stdout[-2000:]}{done.stderr[-2000:]}")
+
+
+def _normalized(sdist: Path, epoch: int) -> bytes:
+    """An sdist with sorted members, fixed owners and modes, and one time."""
+    packed = io.BytesIO()
+    with (
+        tarfile.open(sdist) as old,
+        gzip.GzipFile("", "wb", 9, packed, mtime=epoch) as zipped,
+        tarfile.open(fileobj=zipped, mode="w", format=tarfile.PAX_FORMAT) as new,
+    ):
+        for member in sorted(old.getmembers(), key=lambda member: member.name):
+            member.mtime, member.pax_headers = epoch, {}
+            member.uid = member.gid = 0
+            member.uname = member.gname = ""
+            member.mode = 0o755 if member.isdir() or member.mode & 0o100 else 0o644
+            new.addfile(member, old.extractfile(member) if member.isreg() else None)
+    return packed.getvalue()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    prepared = verbs.add_parser("prepare", help="write version and changelog")
+    prepared.add_argument("version")
+    prepared.add_argument("--date", default=f"{datetime.now(UTC):%Y-%m-%d}")
+    built = verbs.add_parser("build", help="sdist, wheel, checksums")
+    built.add_argument("--tag", help="the tag that the commit must have")
+    built.add_argument("--out", type=Path, default=ROOT / "dist")
+    for verb in (prepared, built):
+        verb.add_argument("--root", type=Path, default=ROOT, help="the checkout")
+    options = parser.parse_args(arguments)
+    root = options.root
+    try:
+        if options.verb == "prepare":
+            prepare(root, options.version, options.date)
+            print(f"{CHANGELOG}, {VERSION_FILE}, {CITATION}: {options.version}; now:")
+            print(f"  git commit -am 'release: {options.version}' && git tag v{options.version}")
+            return 0
+        tag = check(root, options.tag)
+        with tempfile.TemporaryDirectory() as folder:
+            tree = Path(folder, "tree")
+            archive = subprocess.run(
+                ["git", "-C", root, "archive", "HEAD"], check=True, capture_output=True
+            )
+            with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as files:
+                files.extractall(tree, filter="tar")
+            made = build(tree, options.out, int(git(root, "log", "-1", "--format=%ct")))
+    except ReleaseError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(f"{version_of(root)}, {tag or 'without a tag: not a release'}:")
+    print("\n".join(f"  {path}" for path in made))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
