@@ -58,6 +58,7 @@ def cluster(nodes: int) -> Iterator[str]:
     """A cluster of nodes with a core each; Ray's own niceness of workers is off."""
     os.environ |= {"RAY_worker_niceness": "0", "RAY_AUTH_MODE": "disabled"}
     os.environ |= {"RAY_memory_monitor_refresh_ms": "0"}
+    os.environ |= {"RAY_max_direct_call_object_size": "8000000"}  # as docs/scale.md advises
     import ray
     from ray.cluster_utils import Cluster
 

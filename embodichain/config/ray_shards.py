@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 __all__ = ["RayShards", "ShardBuilder", "make_sharded", "need_ray", "shard_config"]
 
 _log = logging.getLogger(__name__)
+_INLINE = 8_000_000
+"""Bytes of a result that Ray sends with the answer of a call. Its own 100 kB is less than a step of
+1,024 environments; what is larger goes through both nodes' object stores, which takes longer."""
 _WAIT = 10.0
 """Seconds between two messages while no node has room for a shard."""
 
@@ -284,6 +287,7 @@ def _connect(ray: Any, address: str | None, cores: int) -> None:
         if address is not None:
             ray.init(address=address, **quiet)
             return
+        os.environ.setdefault("RAY_max_direct_call_object_size", str(_INLINE))
         here = len(os.sched_getaffinity(0))
         if cores > here:
             _log.warning("%d cores of shards share the %d cores of this machine", cores, here)
