@@ -3,8 +3,9 @@
 #   make run       install what `run` needs, then run the main job
 #   make test      install the rest, then run every test  (PYTEST_ARGS="-m 'not slow'" leaves some out)
 #   make test-warp     every task on MuJoCo Warp (`make test` tries two)
+#   make docs      the documentation site, into build/site; DOCS_NOTEBOOKS=0 leaves out their execution
 #   make lint types imports     the other checks; `make check` is all of them
-#   make lerobot   have LeRobot's own package load a data set of ours (8 GB: its torch has CUDA)
+#   make lerobot   LeRobot loads a data set of ours, trains on it, evaluates in a task (8 GB: CUDA's torch)
 #   make dist      build wheel, sdist and SHA256SUMS of the commit  (TAG=v0.1.0 insists on the tag)
 #   make smoke     the same, then try the wheel alone on every Python from 3.11 to 3.13 that is found
 #   make test-oldest, make test-newest     a part of the tests with the lowest and highest versions
@@ -31,7 +32,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run venv test test-warp lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
+.PHONY: help run venv test test-warp docs lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
 
 help:
 	@sed -n 's/^#   /  /p' Makefile
@@ -71,6 +72,11 @@ test: venv
 test-warp: venv
 	EMBODICHAIN_TEST_WARP=all $(BIN)/python -m pytest -n 2 --dist worksteal --timeout 1800 tests/lab/sim/engine/test_warp_tasks.py
 
+# Warnings are errors: a link without a target, a page without a place, a docstring that cannot be read.
+# It is a folder of files: `python -m http.server -d build/site` serves it, and then its search works too.
+docs: venv
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict -f docs/site/mkdocs.yml -d $(CURDIR)/build/site
+
 lint: venv
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -82,15 +88,16 @@ imports: venv
 	$(BIN)/lint-imports
 
 # Not part of `check`: its torch is older than ours, and a CUDA build. It lives in a place of its own.
-$(LEROBOT)/.installed: Makefile
+$(LEROBOT)/.installed: Makefile pyproject.toml plugins/lerobot_env_embodichain/pyproject.toml
 	$(PYTHON) -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install lerobot==0.4.4
+	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install --no-compile \
+	    lerobot==0.4.4 -e '.[lerobot]' -e plugins/lerobot_env_embodichain
 	touch $@
 
 lerobot: venv $(LEROBOT)/.installed
 	LEROBOT_PYTHON=$(abspath $(LEROBOT))/bin/python \
 	    $(BIN)/python -m pytest tests/recording/export/test_lerobot.py \
-	    tests/recording/export/test_episodes.py
+	    tests/recording/export/test_episodes.py tests/end_to_end/test_lerobot_plugin.py
 
 check: test lint types imports
 

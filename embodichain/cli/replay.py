@@ -88,7 +88,11 @@ _ONLY_WITH = {
 )
 @click.option("--host", metavar="H", help="Address of --view web. Default: 127.0.0.1.")
 @click.option("--port", type=int, metavar="P", help="Its port. Default: a free one from 8080.")
-@click.option("--video", metavar="OUT", help="Write an MP4 of --env. Default: environment 0.")
+@click.option(
+    "--video",
+    metavar="OUT",
+    help="Write an MP4 or a GIF of --env. Default: environment 0.",
+)
 @click.option("--camera", metavar="NAME", help="Film with this camera of the scene.")
 @click.option("--size", metavar="WxH", help="Pixels of the film. Default: 640x480.")
 def command(**kwargs: Any) -> int:
@@ -184,7 +188,9 @@ def _verifiable(header: Header) -> str:
     if header.mujoco_version != mujoco.__version__:
         return f"not to the bit: this is MuJoCo {mujoco.__version__}; states can be played"
     if header.engine != MUJOCO:
-        return f"writes and resets to the bit, physics of {header.engine} within a tolerance"
+        first = "writes and resets to the bit, " if header.has_writes else ""
+        physics = f"{first}physics of {header.engine} within a tolerance"
+        return physics if first else f"{physics}; resets and events are not in the log"
     return "yes"
 
 

@@ -1,8 +1,12 @@
-"""Every Python and YAML block in README.md and docs/ works as it is written there."""
+"""Every Python and YAML block in README.md and docs/ works as it is written there.
+
+A Python block below ``<!-- from FILE -->`` is a part of that file, which another test runs.
+"""
 
 import re
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -13,7 +17,8 @@ from embodichain.config import resolve
 pytestmark = pytest.mark.unmeasured
 
 REPO = Path(__file__).parents[2]
-PAGES = [REPO / "README.md", *sorted((REPO / "docs").glob("*.md"))]
+PAGES = [REPO / "README.md", *sorted((REPO / "docs").rglob("*.md"))]
+EXCERPT = re.compile(r"^<!-- from (\S+) -->\n```python\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
 
 
 FILE = re.compile(
@@ -24,9 +29,9 @@ FILE = re.compile(
 def blocks(language, *, with_page=False):
     pattern = re.compile(rf"^```{language}\n(.*?)^```", re.MULTILINE | re.DOTALL)
     return [
-        pytest.param(*((text, page) if with_page else (text,)), id=f"{page.name}-{i}")
+        pytest.param(*((text, page) if with_page else (text,)), id=f"{page.relative_to(REPO)}-{i}")
         for page in PAGES
-        for i, text in enumerate(pattern.findall(page.read_text(encoding="utf-8")))
+        for i, text in enumerate(pattern.findall(EXCERPT.sub("", page.read_text(encoding="utf-8"))))
     ]
 
 
@@ -54,3 +59,16 @@ def test_yaml_is_a_task(text, page, tmp_path, monkeypatch):
     (folder / "block.yaml").write_text(text, encoding="utf-8")
     resolved = resolve(["task=block"], "run", tmp_path / "mine")
     assert resolved.task_name == "block"
+
+
+def test_excerpts_are_in_their_files():
+    found = [
+        (page, *excerpt)
+        for page in PAGES
+        for excerpt in EXCERPT.findall(page.read_text(encoding="utf-8"))
+    ]
+    assert len(found) > 5
+    for page, name, code in found:
+        text = (REPO / name).read_text(encoding="utf-8")
+        depths = (textwrap.indent(code, " " * depth) for depth in (0, 4, 8))
+        assert any(part in text for part in depths), f"{page.name}: not in {name}:\n{code}"

@@ -46,7 +46,7 @@ def steps(page: Path) -> list[tuple[str, str]]:
 
 PAGES = [
     page
-    for page in (REPO / "README.md", *sorted((REPO / "docs").glob("*.md")))
+    for page in (REPO / "README.md", *sorted((REPO / "docs").rglob("*.md")))
     if any(not path for path, _ in steps(page))
 ]
 
@@ -67,7 +67,7 @@ def test_pages_have_commands() -> None:
     assert sum(len(steps(page)) for page in PAGES) > 15
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPO)))
 def test_commands_run(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copy(GYM_CONFIG, "gym_config.yaml")
     for path, text in steps(page):

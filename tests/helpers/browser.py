@@ -27,8 +27,12 @@ _FLAGS = [
 
 
 @contextmanager
-def chromium() -> Iterator[Callable[[str, int, int], Any]]:
-    """A function that opens an address in a new browser of some size; the end closes them all."""
+def chromium(watch: Callable[[Any], object] | None = None) -> Iterator[Callable[..., Any]]:
+    """A function that opens an address in a new browser of some size; the end closes them all.
+
+    Args:
+        watch: Called with each page before it is opened, to add handlers of events.
+    """
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -38,6 +42,8 @@ def chromium() -> Iterator[Callable[[str, int, int], Any]]:
             # Half as many pixels each way: they are drawn by the processor.
             size = {"width": width, "height": height}
             page = browser.new_page(viewport=size, device_scale_factor=0.5)
+            if watch is not None:
+                watch(page)
             page.goto(url)
             return page
 

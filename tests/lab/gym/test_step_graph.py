@@ -12,10 +12,13 @@ import pytest
 import torch
 
 import embodichain
+import embodichain.recording as recording
 from embodichain.lab.gym.envs import kept_arrays as walk
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.step_graph import StepGraph
 from embodichain.lab.sim.engine.device_array import DeviceArray
+from embodichain.lab.sim.engine.packed_arrays import ArrayPacker, HostBuffers
+from embodichain.recording import McapRecorder
 from tests.helpers.warp_scene import DEVICE
 
 pytestmark = pytest.mark.unmeasured
@@ -96,6 +99,38 @@ def test_recorded_steps_are_as_others(task):
         same(one.elapsed_steps, other.elapsed_steps)
 
 
+CAMERA = "sensor_type: camera, width: 24, height: 16, fovy: 60, extrinsics: {eye: [0, -3, 1], "
+PICTURES = (
+    f"+task.sensors.eye={{{CAMERA} target: [0, 0, 0.5]}}, data_types: [color, depth]}}",
+    f"+task.sensors.slow={{{CAMERA} target: [0, 0, 1]}}, rate: 20, observe: true}}",
+    "+task.observations.eye={func: camera_image, params: {sensor: eye}, delay: 1, noise: {std: 3}}",
+    "+task.observations.depth={func: camera_image, params: {sensor: eye, channels: depth}}",
+    "+task.events.eye={func: randomize_camera_pose, mode: reset, params: {camera: eye, "
+    "position_range: [[-1, 0, 0], [1, 0, 0]]}}",
+)
+
+
+def test_pictures_are_drawn_in_recorded_steps():
+    """A camera with a rate keeps its picture, one with a delay its last; a learner keeps all."""
+    pictures = (("eye",), ("depth",), ("sensor", "slow", "color"))
+    earlier = []
+    with made("cart_pole", *PICTURES) as (one, other, graph):
+        for action in actions(one, STEPS):
+            obs, obs2 = one.step(action)[0], other.step(action)[0]
+            for path in pictures:
+                same(obs[path].float(), obs2[path].float())
+            earlier.append((obs, {path: obs[path].clone() for path in pictures}))
+        assert graph.reason == "" and graph._graph is not None
+        for obs, images in earlier:
+            for path, image in images.items():
+                assert torch.equal(obs[path], image)
+        addresses = {obs["depth"].data_ptr() for obs, _ in earlier}
+        assert len(addresses) == STEPS
+        assert any("_readings" in path for path in graph._kept)
+        assert obs["depth"].shape == (N, 1, 16, 24) and (obs["depth"] > 0).any()
+        assert len({image.tobytes() for image in obs["depth"].cpu().numpy()}) == N
+
+
 def test_what_is_kept_stays_at_its_address():
     with made("cart_pole") as (one, _, graph):
         for action in actions(one, 4):
@@ -118,6 +153,44 @@ def test_what_is_kept_stays_at_its_address():
 
 def _tensor(value):
     return value.tensor if isinstance(value, DeviceArray) else value
+
+
+class Inside:
+    """Stands for `torch.cuda.graph`: knows whether a step is being recorded."""
+
+    on = False
+
+    def __enter__(self):
+        Inside.on = True
+
+    def __exit__(self, *error):
+        Inside.on = False
+
+
+def test_a_log_is_gathered_in_the_recorded_step_and_copied_after_it(tmp_path, monkeypatch):
+    packed, sent = [], []
+    for cls, name, into in ((ArrayPacker, "pack", packed), (HostBuffers, "send", sent)):
+        before = getattr(cls, name)
+        noted = lambda *args, b=before, i=into: (i.append(Inside.on), b(*args))[1]  # noqa: E731
+        monkeypatch.setattr(cls, name, noted)
+    if DEVICE == "cpu":
+        monkeypatch.setattr(torch.cuda, "graph", lambda *args, **kwargs: Inside())
+    with made("cart_pole") as (one, other, graph):
+        for env, name in ((one, "one"), (other, "other")):
+            env.add_observer(McapRecorder(tmp_path / f"{name}.mcap", env))
+            env.reset()
+        packed.clear()
+        sent.clear()
+        for action in actions(one, STEPS):
+            one.step(action)
+            other.step(action)
+        assert graph.reason == "" and graph._graph is not None
+        assert len(sent) == 2 * STEPS and not any(sent)
+        if DEVICE == "cpu":  # the fourth step of the first environment
+            assert packed == [False] * 6 + [True, False]
+    if DEVICE == "cpu":
+        assert recording.diff(tmp_path / "one.mcap", tmp_path / "other.mcap").same
+    assert recording.verify(tmp_path / "one.mcap").ok
 
 
 def test_other_weights_are_recorded_anew():
