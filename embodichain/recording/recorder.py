@@ -105,6 +105,7 @@ class McapRecorder(StepObserver):
         env = getattr(env, "observed", env)  # other classes have no device
         self._engine = env.sim.engine
         check_keyframes(options, self._engine)
+        self._catch_up: Callable[[], None] = getattr(env, "catch_up", lambda: None)
         self._path = Path(path)
         self._start_ns = time.time_ns() if place is None else place.start_ns
         mjb = model_bytes(self._engine.model)
@@ -117,15 +118,14 @@ class McapRecorder(StepObserver):
         self._max_bytes = (options.max_mb or 0.0) * 1e6
         self._view_envs = header.view_envs
         self._step = 0 if place is None else place.step
+        self._since_start = self._start_bytes = 0
         self._calls: list[Recorded] = []  # since the last control step
         self._steps: list[list[Recorded]] = []  # finished, not written yet
         self._first = 0  # number of the first of these
         self._begun = 0.0  # when it was added, on the monotonic clock
         self._most = 1  # number of steps that are written together
         self._kinds: dict[object, CallKind] = {}
-        self._since_start = self._start_bytes = 0
-        self._flushed = time.monotonic()
-        self._closed = False
+        self._flushed, self._closed = time.monotonic(), False
         images: list[str] = []
         if options.images is not None:
             from embodichain.recording.views.images import image_topics
@@ -354,6 +354,7 @@ class McapRecorder(StepObserver):
 
     def begin_part(self) -> LogPlace:
         """Between two steps: write everything, continue in a new file, and return its place."""
+        self._catch_up()
         with self._writing.writes():
             self._write_steps()
             self._roll()
@@ -406,6 +407,7 @@ class McapRecorder(StepObserver):
             LogWriteError: If the file could not be written.
         """
         if not self._closed:
+            self._catch_up()
             with self._writing.writes():
                 self._write_steps()
                 self._flush()
@@ -418,6 +420,7 @@ class McapRecorder(StepObserver):
         """
         if self._closed:
             return
+        self._catch_up()
         self._closed = True
         atexit.unregister(self._at_exit)
         self._writing.stop()

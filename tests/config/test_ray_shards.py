@@ -14,7 +14,7 @@ from embodichain.cli import main
 from embodichain.config import resolve
 from embodichain.learning.train import train
 from embodichain.utils.errors import ConfigError
-from tests.helpers.ray_cluster import Nodes, ray_nodes
+from tests.helpers.ray_cluster import ray_cluster
 
 pytestmark = [pytest.mark.unmeasured, pytest.mark.timeout(600)]
 
@@ -25,10 +25,29 @@ TRAINING = [
 SHARDS = ["sim.backend=ray", "sim.shards=3", "sim.ray.save_every=20"]
 
 
+class Nodes:
+    """Nodes of a cluster, which can be killed."""
+
+    def __init__(self, cluster: Any, nodes: list[Any]) -> None:
+        self.cluster, self._nodes = cluster, nodes
+
+    @property
+    def address(self) -> str:
+        return str(self.cluster.address)
+
+    def kill(self, name: str) -> None:
+        """Kill the node of a shard, with all of its processes, as a power cut does."""
+        identifier = name.rpartition("/")[2]
+        found = [node for node in self._nodes if node.node_id.startswith(identifier)]
+        self._nodes.remove(found[0])
+        self.cluster.remove_node(found[0], allow_graceful=False)
+
+
 @pytest.fixture(scope="module")
 def nodes() -> Iterator[Nodes]:
-    with ray_nodes(3, cpus=3) as found:
-        yield found
+    pytest.importorskip("ray")
+    with ray_cluster(3, cpus=3) as found:
+        yield Nodes(*found)
 
 
 def trained(folder: Path, extra: list[str], on_step: Any = None) -> tuple[dict[str, Any], Any]:
