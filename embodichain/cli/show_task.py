@@ -203,7 +203,9 @@ def _limit(value: float) -> float | str:
 def _surroundings(env: BaseEnv) -> Rows:
     """Ground, sky, furniture and file of the section ``scene``."""
     cfg = env.sim.sim_config
-    parts = {name: getattr(cfg.scene, name) for name in ("fpath", "sky", "pedestal", "table", "terrain")}
+    parts = {
+        name: getattr(cfg.scene, name) for name in ("fpath", "sky", "pedestal", "table", "terrain")
+    }
     ground = cfg.scene.ground
     parts["ground"] = (ground or {"type": "checker"}) if cfg.has_ground else "none"
     return [

@@ -7,12 +7,14 @@ rays by a factor of about 20.
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
 
 from embodichain.lab.sim.compiler.names import GROUND
 from embodichain.utils.arrays import is_host
+from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
 
 __all__ = ["GroundHeights"]
+
+_KNOWN: WeakKeyDictionary[Engine, GroundHeights] = WeakKeyDictionary()
 
 
 class GroundHeights:
@@ -49,6 +53,20 @@ class GroundHeights:
         self._scale = (columns - 1) / (2.0 * half_x), (rows - 1) / (2.0 * half_y)
 
     @classmethod
+    def of(cls, engine: Engine) -> GroundHeights:
+        """The heights of an engine's scene: one object for all that read them.
+
+        Raises:
+            ConfigError: If arrays are on a device.
+        """
+        found = _KNOWN.get(engine)
+        if found is None:
+            if not is_host(engine.state("mocap_pos")):
+                raise ConfigError("heights of a terrain need arrays on the host: warp.arrays=host")
+            found = _KNOWN[engine] = cls(engine)
+        return found
+
+    @classmethod
     def hit_alone(cls, engine: Engine, geoms: NDArray[np.bool_]) -> GroundHeights | None:
         """The heights, if the ground is a terrain and the only one of these geoms; else None.
 
@@ -61,13 +79,15 @@ class GroundHeights:
             return None
         is_field = model.geom_type[chosen[0]] == mujoco.mjtGeom.mjGEOM_HFIELD
         there = is_field and model.body_mocapid[model.geom_bodyid[chosen[0]]] >= 0
-        return cls(engine) if there and is_host(engine.state("mocap_pos")) else None
+        return cls.of(engine) if there and is_host(engine.state("mocap_pos")) else None
 
     def offset(self, env_ids: EnvIndex | None = None) -> F64:
         """(n, 3) m: position of the terrain in environments; None is all. Do not write."""
         return self._positions[slice(None) if env_ids is None else env_ids, self.columns]
 
-    def read(self, x: F64, y: F64, env_ids: EnvIndex | None = None) -> tuple[F64, NDArray[np.bool_]]:
+    def read(
+        self, x: F64, y: F64, env_ids: EnvIndex | None = None
+    ) -> tuple[F64, NDArray[np.bool_]]:
         """Height of the ground at places, and whether there is ground.
 
         Args:

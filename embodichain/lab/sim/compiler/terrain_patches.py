@@ -55,7 +55,9 @@ class PatchGrid:
     @property
     def axis(self) -> F64:
         """(count,) m: coordinates of the nodes from the middle, the same along x and y."""
-        offsets: F64 = (np.arange(self.count) - 0.5 * (self.count - 1)) * self.resolution
+        offsets: F64 = (
+            np.arange(self.count, dtype=np.float64) - 0.5 * (self.count - 1)
+        ) * self.resolution
         return offsets
 
     @property
@@ -88,7 +90,7 @@ class _Numbers:
 def patch_heights(
     cfg: PatchCfg, grid: PatchGrid, difficulty: float, seed: int, name: str
 ) -> tuple[F64, float]:
-    """Return the heights of a patch, metres, (count, count) with y along the rows, and its middle's.
+    """Return the heights of a patch, (count, count) m with y along the rows, and its middle's.
 
     Args:
         cfg: The patch.

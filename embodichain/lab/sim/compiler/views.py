@@ -34,6 +34,7 @@ _ASPECT = 4.0 / 3.0
 _MARGIN = 1.2
 """Width of the picture over that of what it shows."""
 _HIDDEN_GROUP = 3
+_FIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
 _PLACES = ("eye", "direction", "camera")
 _FIXED, _TRACK = mujoco.mjtCamLight.mjCAMLIGHT_FIXED, mujoco.mjtCamLight.mjCAMLIGHT_TRACK
 _OPTICS = (
@@ -261,12 +262,12 @@ def scene_bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64, float
 def _shown(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
     """(n, 3) corners of the boxes around the drawn shapes of bodies above the ground.
 
-    Shapes of the world itself, such as grounds and walls, count only if there are no others. A
-    scene without any has a box of 60 cm at the origin.
+    Terrains and shapes of the world itself, such as grounds and walls, count only if there are no
+    others. A scene without any has a box of 60 cm at the origin.
     """
     drawn = (model.geom_rbound > 0) & (model.geom_group < _HIDDEN_GROUP)
     drawn &= model.geom_rgba[:, 3] > 0
-    of_bodies = drawn & (model.geom_bodyid > 0)
+    of_bodies = drawn & (model.geom_bodyid > 0) & (model.geom_type != _FIELD)
     geoms = np.flatnonzero(of_bodies if of_bodies.any() else drawn)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
     if not len(geoms):

@@ -177,6 +177,11 @@ class HeightScanSensor(RayCaster):
         missing = np.inf if cfg.no_hit == "inf" else cfg.max_range - cfg.start_height
         return np.where(near, height, missing)
 
+    def destroy(self) -> None:
+        """Drop the references to the engine."""
+        super().destroy()
+        self.__dict__.pop("_ground", None)
+
     def read_height(self) -> F64:
         """(N, R) m; negative where the surface is above the sensor.
 

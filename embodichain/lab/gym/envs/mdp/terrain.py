@@ -53,7 +53,7 @@ def _heights(env: TermContext) -> GroundHeights:
     from embodichain.lab.sim.height_field import GroundHeights
 
     _terrain(env)
-    return GroundHeights(env.sim.engine)
+    return GroundHeights.of(env.sim.engine)
 
 
 @register_term("event", name="place_terrain")

@@ -48,8 +48,9 @@ def feet_gait(
     """(N,) mean over feet, 0 to 1, of how well each keeps to its phase of a gait.
 
     With s = sin(2 pi (t / period + offset)), t the episode's time as in `phase`: while s > 0 a foot
-    swings, and has exp(-((h - height s) / width)^2) for its height h above `rest_height`; else it
-    stands, and has 1 if it is in contact. Where the command is small, all feet stand.
+    swings, and has exp(-((h - height s) / width)^2) for its height h above `rest_height` and the
+    ground, which may be a terrain; else it stands, and has 1 if it is in contact. Where the command
+    is small, all feet stand.
 
     Args:
         sensor: A contact sensor on the feet.
@@ -76,6 +77,12 @@ def feet_gait(
         walks = norm(command_name()) > min_command
         swing = np.where(walks[:, None], swing, 0.0)
     origins = env.sim.engine.derived("xpos")[:, sensor.body_ids]
-    error = (origins[..., 2] - rest_height - height * swing) / width
+    above = origins[..., 2]
+    if env.sim.scene.terrain is not None:
+        from embodichain.lab.sim.height_field import GroundHeights  # few scenes have a terrain
+
+        ground = GroundHeights.of(env.sim.engine)
+        above = above - ground.read(origins[..., 0], origins[..., 1])[0]
+    error = (above - rest_height - height * swing) / width
     touched = squares(sensor.read_force()) > force_threshold * force_threshold
     return mean(np.where(swing > _EDGE, np.exp(-error * error), np.where(touched, 1.0, 0.0)))

@@ -1,0 +1,214 @@
+"""Terms of a terrain: patches of environments, levels, heights; in logs and for any N."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.cfg import (
+    CurriculumCfg,
+    EnvCfg,
+    EventCfg,
+    ObservationCfg,
+    TerminationCfg,
+)
+from embodichain.lab.sim.cfg import RigidObjectCfg
+from embodichain.lab.sim.scene_cfg import (
+    RoughPatchCfg,
+    SceneCfg,
+    SlopePatchCfg,
+    StairsPatchCfg,
+    TerrainCfg,
+)
+from embodichain.lab.sim.sensors import (
+    ContactSensorCfg,
+    HeightScanSensorCfg,
+    LinksCfg,
+    RayGridCfg,
+    RayPatternCfg,
+)
+from embodichain.lab.sim.shapes import SphereCfg
+from embodichain.recording import verify
+from embodichain.recording.recorder import McapRecorder
+from embodichain.utils.errors import ConfigError
+
+BALL = {"of": {"uid": "ball"}}
+LINK = LinksCfg(uid="ball")
+
+
+def scan(tilt: float = 0.0, **changes: Any) -> HeightScanSensorCfg:
+    grid = RayGridCfg(size=(1.2, 0.6), resolution=0.15, direction=(0.0, tilt, -1.0))
+    return HeightScanSensorCfg(entity_cfg=LINK, pattern=RayPatternCfg(grid=grid), **changes)
+
+
+def task(num_envs: int, **changes: Any) -> EnvCfg:
+    """A ball on three kinds of ground at three levels: patches of 4 m."""
+    terrain = TerrainCfg(
+        patches={
+            "rough": RoughPatchCfg(),
+            "hill": SlopePatchCfg(slope=(0.2, 0.4), direction="down"),
+            "stairs": StairsPatchCfg(),
+        },
+        levels=3,
+        size=4.0,
+        border=1.0,
+    )
+    terms: dict[str, Any] = {
+        "events": {"ground": EventCfg("place_terrain", {"max_init_level": 1})},
+        "observations": {
+            "height": ObservationCfg("height_above_ground", BALL),
+            "level": ObservationCfg("terrain_level"),
+            "edge": ObservationCfg("terrain_edge_distance", BALL),
+        },
+        "sensors": {"scan": scan(), "touch": ContactSensorCfg(entity_cfg=LINK)},
+        "max_episode_steps": 20,
+        **changes,
+    }
+    ball = RigidObjectCfg(shape=SphereCfg(radius=0.1), init_pos=(0, 0, 0.2))
+    return EnvCfg(
+        num_envs=num_envs,
+        seed=3,
+        scene=SceneCfg(terrain=terrain),
+        objects={"ball": ball},
+        **terms,
+    )
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[BaseEnv]:
+    rays = {"scan": scan(), "rays": scan(1e-12), "touch": ContactSensorCfg(entity_cfg=LINK)}
+    built = BaseEnv(task(7, sensors=rays))
+    yield built
+    built.close()
+
+
+def put(env: BaseEnv, *places: tuple[float, float, float]) -> None:
+    """Place the ball in the first environments, at rest."""
+    ball = env.sim.get_rigid_object("ball")
+    if ball is None:
+        raise RuntimeError("no ball")
+    ids = np.arange(len(places))
+    ball.write_pose(np.array(places, np.float64), None, ids)
+
+
+def idle(env: BaseEnv) -> Any:
+    return env.step(torch.zeros(env.num_envs, 0))
+
+
+def test_environments_share_the_patches_evenly(env: BaseEnv) -> None:
+    obs, _ = env.reset(seed=1)
+    # Three columns: environments 0 to 2 at level 0, 3 to 5 at level 1, then at level 0 again.
+    assert obs["level"].reshape(-1).tolist() == [0, 0, 0, 1, 1, 1, 0]
+    assert obs["height"].reshape(-1).numpy() == pytest.approx(0.2, abs=1e-6)
+    # 3 x 4 m along x and along y, 1 m of border, less half a cell at each end.
+    assert obs["edge"].reshape(-1).numpy() == pytest.approx(
+        [2.95, 2.95, 2.95, 2.95, 6.95, 2.95, 2.95]
+    )
+
+
+def test_heights_are_those_of_the_ground_below(env: BaseEnv) -> None:
+    env.reset(seed=1)
+    # Environment 1 is on a hill of slope 0.2, with a flat top of 1.5 m; 4 is on one of slope 0.3.
+    put(env, (0, 0, 1), (1.25, 0.2, 1), (0, 0, 1), (0, 0, 1), (0.1, -1.25, 1))
+    heights = env.observation_manager.terms["height"].instance()
+    assert heights[[1, 4]] == pytest.approx([1 + 0.2 * 0.5, 1 + 0.3 * 0.5], abs=1e-6)
+
+
+def test_a_scan_of_terrain_alone_equals_rays(env: BaseEnv) -> None:
+    """The reference is the sensor with rays, tilted by a billionth of a degree."""
+    env.reset(seed=1)
+    draws = np.random.default_rng(0)
+    for _ in range(3):
+        put(env, *(tuple(p) for p in draws.uniform([-7, -7, 0.6], [7, 7, 1], (7, 3))))
+        found, cast = (env.sensors[name].read_height() for name in ("scan", "rays"))
+        assert found.shape == (7, 45)
+        assert found == pytest.approx(cast, abs=1e-9)
+        assert found.max() - found.min() > 0.2
+
+
+def test_the_ball_lands_on_the_ground_and_touches_it(env: BaseEnv) -> None:
+    env.reset(seed=1)
+    obs = [idle(env)[0] for _ in range(19)][-1]
+    # 0.1 m of radius, less what its weight presses it in.
+    assert obs["height"].reshape(-1).numpy() == pytest.approx(0.1, abs=2e-3)
+    assert env.sensors["touch"].read_found().all()
+
+
+def levels(**params: Any) -> dict[str, CurriculumCfg]:
+    return {"level": CurriculumCfg("terrain_levels", {**BALL, "promote": 1.0, **params})}
+
+
+def reset_at(env: BaseEnv, *distances: float) -> tuple[list[float], dict[str, float]]:
+    """Reset after a step that ends with balls so far away; return levels and values."""
+    idle(env)
+    put(env, *((d, 0.0, 1.0) for d in distances))
+    obs, _ = env.reset()
+    return obs["level"].reshape(-1).tolist(), dict(env.curriculum_manager.values)
+
+
+def test_levels_rise_with_distance_and_fall_without() -> None:
+    env = BaseEnv(task(6, curriculum=levels()))
+    obs, _ = env.reset(seed=1)
+    assert obs["level"].reshape(-1).tolist() == [0, 0, 0, 1, 1, 1]  # no episode has ended
+    found, values = reset_at(env, 1.5, 0.7, 0.1, 1.5, 0.7, 0.1)
+    assert found == [1, 0, 0, 2, 1, 0]
+    assert values == {
+        "level/mean": pytest.approx(4 / 6),
+        "level/rough": 1.5,
+        "level/hill": 0.5,
+        "level/stairs": 0.0,
+    }
+    saved = env.state_dict()
+    # Environment 3 is at the highest level: it goes on at one that is drawn.
+    later = [reset_at(env, *[1.5] * 6)[0] for _ in range(6)]
+    assert [found[1] for found in later[:2]] == [1, 2]
+    assert len({found[3] for found in later}) > 1
+    assert {level for found in later for level in found} == {0, 1, 2}
+    env.load_state_dict(saved)
+    assert [reset_at(env, *[1.5] * 6)[0] for _ in range(6)] == later
+    env.close()
+
+
+def test_an_environment_is_the_same_among_others_and_in_its_log(tmp_path: Path) -> None:
+    """Environment i does the same for N = 4 and N = 7, and the log replays to the bit."""
+    rows = {}
+    for count in (4, 7):
+        below = TerminationCfg("terrain_edge_distance", BALL, shape={"below": 1.0}, kind="time_out")
+        cfg = task(count, curriculum=levels(), max_episode_steps=5, terminations={"edge": below})
+        env = BaseEnv(cfg)
+        if count == 7:
+            env.add_observer(McapRecorder(tmp_path / "log.mcap", env))
+        env.reset(seed=5)
+        put(env, *((0.3 * i, 0.1, 1.0) for i in range(4)))
+        steps = [idle(env)[0] for _ in range(12)]
+        rows[count] = [
+            [step[name][:4].numpy().tobytes() for name in ("height", "level", "edge")]
+            + [step["sensor"]["scan"]["height"][:4].numpy().tobytes()]
+            for step in steps
+        ]
+        env.close()
+    assert rows[4] == rows[7]
+    assert verify(tmp_path / "log.mcap").identical
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"events": {}, "curriculum": levels()}, "one event place_terrain, there are 0"),
+        ({"events": {"g": EventCfg("place_terrain", {"max_init_level": 3})}}, "levels are 0 to 2"),
+    ],
+)
+def test_what_does_not_fit_is_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        BaseEnv(task(2, **changes))
+
+
+def test_terms_need_a_terrain() -> None:
+    cfg = task(2)
+    cfg.scene = SceneCfg()
+    with pytest.raises(ConfigError, match=r"no scene\.terrain"):
+        BaseEnv(cfg)
