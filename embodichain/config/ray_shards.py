@@ -62,8 +62,9 @@ def shard_config(resolved: Resolved, first: int, count: int) -> Resolved:
     mine["first_env"] = sim["first_env"] + first
     viewer = {**thaw(resolved.tree["viewer"]), "name": "none"}
     record = thaw(resolved.tree["record"])
-    record["view_envs"] = numbers_in_shard(record["view_envs"], first, count)
-    if (images := record["images"]) is not None:
+    if "view_envs" in record:  # not with record=none
+        record["view_envs"] = numbers_in_shard(record["view_envs"], first, count)
+    if (images := record.get("images")) is not None:
         images["envs"] = numbers_in_shard(images["envs"], first, count)
         record["images"] = images if images["envs"] else None
     changed = {"sim": {**sim, **mine}, "record": record, "viewer": viewer}
