@@ -184,7 +184,9 @@ def _verifiable(header: Header) -> str:
     if header.mujoco_version != mujoco.__version__:
         return f"not to the bit: this is MuJoCo {mujoco.__version__}; states can be played"
     if header.engine != MUJOCO:
-        return f"writes and resets to the bit, physics of {header.engine} within a tolerance"
+        first = "writes and resets to the bit, " if header.has_writes else ""
+        physics = f"{first}physics of {header.engine} within a tolerance"
+        return physics if first else f"{physics}; resets and events are not in the log"
     return "yes"
 
 

@@ -33,6 +33,8 @@ __all__ = ["rerun"]
 _LONGER = 10
 _NEVER = 2**31 - 1
 _MOST_ROWS = 20
+_ROUNDING = 1e-5
+"""Largest difference of first states where the recorded ones were computed in float32."""
 _STATE = ("qpos", "qvel", "mocap_pos", "mocap_quat")
 
 
@@ -60,12 +62,13 @@ def rerun(path: Path, options: SimpleNamespace) -> int:
     with Log(path) as log:
         wanted = _wanted(log, options)
         resolved = config_of(log)
+        rounding = 0.0 if log.header.has_writes else _ROUNDING
         names = [name for name in _STATE if name in log.columns]
         starts = {name: log.read(name, start=0, stop=1)[name][0] for name in names}
         warnings = list(log.warnings)
     env = make_env(resolved)
     try:
-        pairs, same = _play(env, target.policy, resolved, wanted, starts, options)
+        pairs, same = _play(env, target.policy, resolved, wanted, (starts, rounding), options)
     finally:
         env.close()
     if not same:
@@ -108,15 +111,27 @@ def _play(
     policy_name: str,
     resolved: Resolved,
     wanted: dict[tuple[int, int], LogEpisode],
-    starts: dict[str, NDArray[np.float64]],
+    recorded: tuple[dict[str, NDArray[np.float64]], float],
     options: SimpleNamespace,
 ) -> tuple[list[_Pair], bool]:
-    """The episodes, and whether all environments began in the recorded state."""
+    """The episodes, and whether all environments began in the recorded state.
+
+    Args:
+        env: The environment.
+        policy_name: The policy.
+        resolved: The config of the log.
+        wanted: The episodes that are repeated.
+        recorded: Components of the first states, and by how much they may differ.
+        options: Those of the command line.
+    """
+    starts, rounding = recorded
     allowed = resolved.changed(allow_changed=bool(options.allow_changed))
     policy = policy_of(allowed.root, env, policy_name)
     obs, _ = env.reset()
     state = env.sim.engine.state
-    same = all(np.array_equal(state(name), values) for name, values in starts.items())
+    same = all(
+        np.allclose(state(name), values, rtol=0.0, atol=rounding) for name, values in starts.items()
+    )
     returns, steps = np.zeros(env.num_envs), np.zeros(env.num_envs, np.int64)
     pairs: dict[tuple[int, int], _Pair] = {}
     cut = {key for key, e in wanted.items() if not (e.terminated or e.truncated)}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from types import SimpleNamespace
@@ -31,6 +32,8 @@ __all__ = ["command", "summary_rows", "train_job"]
 MAY_CHANGE = ("total_timesteps", "dataset", "checkpoint", "eval", "video", "wandb")
 """Keys (and what is below them) that may differ from those of the run that is resumed, besides
 those that may always."""
+
+_log = logging.getLogger(__name__)
 
 
 @verb(
@@ -58,13 +61,11 @@ def command(**kwargs: Any) -> None:
 
 def train_job(job: Job) -> float | None:
     """Train, evaluate the policy and print the results of both."""
-    from embodichain.config.host_arrays import with_arrays
-
     episodes, seed = job.root.eval.episodes, job.root.seed
     asked = evaluated = None
     if episodes and seed is not None:  # as `embodichain eval RUN`; checked before training
         asked = Asked(episodes, seed)
-        evaluated = evaluation_config(with_arrays(job.resolved, "auto"), asked)
+        evaluated = evaluation_config(job.resolved, asked)
     summary = _learn(job)
     if asked is not None and evaluated is not None and summary["status"] == "finished":
         summary |= _evaluate(job, evaluated, asked)
@@ -111,11 +112,16 @@ def _learn(job: Job) -> dict[str, Any]:
 
 def _evaluate(job: Job, evaluated: Resolved, asked: Asked) -> dict[str, Any]:
     """Evaluate the final checkpoint; returns the summary with the results."""
+    from embodichain.config.host_arrays import why_host, with_arrays
     from embodichain.config.run_folder import CHECKPOINT
     from embodichain.learning.train import add_evaluation
 
-    policy = str((job.folder / CHECKPOINT).resolve())
-    found = evaluate_job(dataclasses.replace(job, resolved=evaluated.changed(policy=policy)), asked)
+    evaluated = evaluated.changed(policy=str((job.folder / CHECKPOINT).resolve()))
+    reasons = why_host(evaluated.root, "run")
+    if reasons and evaluated.root.sim.warp.arrays == "device":
+        evaluated = with_arrays(evaluated, "host")
+        _log.warning("the evaluation has arrays on the host, because %s", "; ".join(reasons))
+    found = evaluate_job(dataclasses.replace(job, resolved=evaluated), asked)
     return add_evaluation(job.folder, found) | job.film(found["log"])
 
 

@@ -180,7 +180,8 @@ def with_warp_values(
     reasons = (why_host if chosen == "auto" else why_not_device)(resolved.root, verb)
     if not reasons:
         try:
-            _try_device(resolved, kwargs or {})
+            logged = verb not in (None, "train") and resolved.root.record.format != "none"
+            _try_device(resolved, kwargs or {}, logged)
         except (ConfigError, IndexError, RuntimeError, TypeError, ValueError) as error:
             if chosen == "device" and not isinstance(error, TypeError):
                 raise
@@ -198,8 +199,9 @@ def with_warp_values(
     return dataclasses.replace(with_arrays(resolved, "host"), notes=(*resolved.notes, note))
 
 
-def _try_device(resolved: Resolved, kwargs: Mapping[str, Any]) -> None:
-    """Step a few environments with arrays on the device."""
+def _try_device(resolved: Resolved, kwargs: Mapping[str, Any], logged: bool) -> None:
+    """Step a few environments with arrays on the device; with copies for a log if there is one."""
+    from embodichain.lab.gym.envs.observers import StepObserver
     from embodichain.lab.gym.policies import resolve_policy
     from embodichain.lab.sim.prepared_scene import PreparedScene
 
@@ -208,6 +210,10 @@ def _try_device(resolved: Resolved, kwargs: Mapping[str, Any]) -> None:
     tried = dataclasses.replace(tried, prepared=PreparedScene())
     given = {key: value for key, value in kwargs.items() if key != "run_dir"}
     with closing(make_env(tried, **given)) as env:
+        if logged:
+            observer = StepObserver()
+            observer.may_lag = True
+            env.add_observer(observer)
         policy = resolve_policy("zero")
         obs, _ = env.reset()
         for _ in range(_TRIED_STEPS):

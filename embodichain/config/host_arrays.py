@@ -28,15 +28,17 @@ def why_not_device(root: RootCfg, verb: Verb | None) -> list[str]:
         found.append(f"viewer={root.viewer.name} shows arrays of the host")
     if verb in (None, "train"):
         return found
-    if root.record.format != "none":
-        found.append(f"record.format={root.record.format}: the log is of arrays of the host")
+    if verb == "collect":
+        found.append("collect chooses episodes by arrays of the host")
+    if root.record.format != "none" and root.record.images is not None:
+        found.append("record.images: pictures are drawn on the host")
     if (name := _policy(root)) in _PLANNED:
         found.append(f"policy={name} plans with arrays of the host")
     return found
 
 
 def why_host(root: RootCfg, verb: Verb | None) -> list[str]:
-    """Return `why_not_device`, and what may read arrays of the host: learned policies, users' own.
+    """Return `why_not_device`, and what may read arrays of the host: functions of users.
 
     Args:
         root: The config.
@@ -44,7 +46,7 @@ def why_host(root: RootCfg, verb: Verb | None) -> list[str]:
     """
     found = why_not_device(root, verb)
     name = _policy(root)
-    if verb not in (None, "train") and name not in POLICIES:
+    if verb not in (None, "train") and name not in POLICIES and ":" in name:
         found.append(f"policy={name} may read arrays of the host")
     return found
 

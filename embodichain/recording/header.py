@@ -76,6 +76,8 @@ class Header:
         policy: The source of the actions: name or path of a policy, ``teleop`` for a person; empty
             if it is not known.
         engine: What computed physics: ``mujoco``, or another engine with its version.
+        writes: ``all``, or ``none``: instead of each write the log has what differs between states
+            before and after physics and after resets (arrays on a device).
     """
 
     task: str
@@ -101,6 +103,7 @@ class Header:
     call_steps: int = 0
     policy: str = ""
     engine: str = MUJOCO
+    writes: str = "all"
 
     def to_metadata(self) -> dict[str, str]:
         """Return the fields as strings: text as it is, everything else as JSON."""
@@ -123,7 +126,7 @@ class Header:
                 f"the log has format version {version or 'none'!r}; this reads {FORMAT_VERSION}"
             )
         text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id"}
-        text |= {"policy", "engine"}
+        text |= {"policy", "engine", "writes"}
         # Fields with a default were added later and may be missing in older logs.
         names = [f.name for f in fields(cls) if f.default is MISSING or f.name in values]
         try:
@@ -165,6 +168,8 @@ class Header:
             wrong.append("start_ns")
         if (self.state == "keyframes") != (self.keyframe_every > 0):
             wrong.append("keyframe_every")
+        if self.writes not in ("all", "none"):
+            wrong.append("writes")
         if wrong:
             raise ValueError(f"impossible values of {', '.join(dict.fromkeys(wrong))}")
 
@@ -196,6 +201,11 @@ class Header:
         """What simulated the run, with versions."""
         mujoco = f"MuJoCo {self.mujoco_version}"
         return mujoco if self.engine == MUJOCO else f"{self.engine}, {mujoco}"
+
+    @property
+    def has_writes(self) -> bool:
+        """Whether resets and events can be carried out again."""
+        return self.writes == "all"
 
     @property
     def every_note(self) -> str:
@@ -291,6 +301,7 @@ def header_of(
         call_steps=int(env.physics_steps_per_call),
         policy=policy,
         engine=env.sim.engine.name,
+        writes="all" if env.sim.engine.reports_writes else "none",
     )
 
 

@@ -67,7 +67,8 @@ class McapRecorder(StepObserver):
     """Records an environment; attach it with `env.add_observer` right after it is built.
 
     Build it before the first `env.reset()`. The current state of the simulation, including
-    randomized model fields, is written first, so a log that starts later can be verified too.
+    randomized model fields, is written first, so a log that starts later can be verified too. With
+    arrays on a device the log has states instead of writes (`Header.writes`).
 
     Args:
         path: A new file in an existing folder; ``foxglove_layout.json`` is written next to it.
@@ -83,6 +84,8 @@ class McapRecorder(StepObserver):
         FileExistsError: If `path` exists.
     """
 
+    may_lag = True
+
     def __init__(
         self,
         path: str | Path,
@@ -95,6 +98,7 @@ class McapRecorder(StepObserver):
     ) -> None:
         options = RecordOptions() if options is None else options
         check_options(options, env.num_envs)
+        env = getattr(env, "observed", env)  # other classes have no device
         self._engine = env.sim.engine
         check_keyframes(options, self._engine)
         self._path = Path(path)
@@ -106,7 +110,7 @@ class McapRecorder(StepObserver):
         self._call_steps = header.call_steps or header.substeps
         self._keeps_state = options.state != "none"
         self._gate = _EpisodeGate(options.every, next(iter(options.view_envs), 0))
-        self._max_bytes = 0.0 if options.max_mb is None else options.max_mb * 1e6
+        self._max_bytes = (options.max_mb or 0.0) * 1e6
         self._view_envs = header.view_envs
         self._step = 0
         self._calls: list[Recorded] = []  # since the last control step

@@ -18,6 +18,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from embodichain.config.host_arrays import with_arrays
 from embodichain.config.resolved import Resolved, resolve_tree
 from embodichain.lab.gym.envs.observation import Observation
 from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver
@@ -44,6 +45,8 @@ _log = logging.getLogger(__name__)
 def config_of(log: RecordedLog) -> Resolved:
     """The log's config without recording and viewer; no module that it names is imported.
 
+    Arrays are on the host, where states can be compared with the recorded ones.
+
     Raises:
         ConfigError: If the log contains no config, or the config has mistakes.
     """
@@ -53,7 +56,8 @@ def config_of(log: RecordedLog) -> Resolved:
     own = {"seed": log.seed, "num_envs": log.num_envs, "policy": None}
     here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
     changed = {**tree, **own, **{name: value for name, value in here.items() if name in tree}}
-    return resolve_tree(changed, f"{log.path}: config.yaml", "run", task_name=log.task)
+    found = resolve_tree(changed, f"{log.path}: config.yaml", "run", task_name=log.task)
+    return with_arrays(found, "host")
 
 
 class Step(NamedTuple):
@@ -239,6 +243,8 @@ class Reenactment:
     def _warn(self, steps: int) -> None:
         header = self._log.header
         why = "it was recorded on another kind of processor, or terms were changed"
+        if not header.has_writes:
+            why = "it has states of a device, in float32; these were computed on the host"
         if header.mujoco_version != mujoco.__version__:
             why = f"it was recorded with MuJoCo {header.mujoco_version}, not {mujoco.__version__}"
         _log.warning(

@@ -174,7 +174,9 @@ class Simulation(Rows):
             engine.set_const(local)
         elif mode == "reset":
             engine.reset(local)
-            if values is not None:
+            if values is not None and not self.header.has_writes:
+                engine.write("row", values, local)  # after the reset's events, too
+            elif values is not None:
                 self._settle(step, local, values, slice(None), self._exact)
         else:
             put = engine.write_model if mode == "model" else engine.write

@@ -61,6 +61,7 @@ class VerifyReport:
         measured: Approximate mode: number of results of physics compared.
         outside: Number of these that differ by more than `TOLERANCE`.
         engine: What computed the recorded physics.
+        has_writes: Whether the log has writes and resets; else only the states that they left.
         notes: Remarks that are not errors: where a recovered log ends, how this machine differs
             from the one that recorded the log.
     """
@@ -76,6 +77,7 @@ class VerifyReport:
     measured: int = 0
     outside: int = 0
     engine: str = MUJOCO
+    has_writes: bool = True
 
     def __str__(self) -> str:
         """Return the result, and every reason on its own line."""
@@ -101,8 +103,10 @@ class VerifyReport:
         """How close recorded results of physics are to MuJoCo's."""
         errors = ", ".join(f"{k} {v:.3g}" for k, v in self.largest_error.items())
         bounds = ", ".join(f"{k} {v:g}" for k, v in TOLERANCE.items())
+        checked = "writes and resets are identical to the bit"
+        unchecked = "the log has states, not writes: resets and events are not checked"
         return [
-            "writes and resets are identical to the bit",
+            checked if self.has_writes else unchecked,
             f"of {self.measured} results of physics, {self.outside} differ from MuJoCo's by more "
             f"than {bounds} (largest: {errors or 'none'})",
         ]
@@ -142,7 +146,11 @@ def verify(
                 f"pictures of {header.engine} are not compared: its poses are float32"
             )
         selected = _select(header, env)
-        report = VerifyReport(reader.path, False, 0, len(selected), engine=header.engine)
+        report = VerifyReport(
+            *(reader.path, False, 0, len(selected)),
+            engine=header.engine,
+            has_writes=header.has_writes,
+        )
         if header.unverifiable:
             return replace(report, problems=[header.unverifiable])
         model, exact, problems = _model(reader)

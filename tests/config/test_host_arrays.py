@@ -31,8 +31,8 @@ def chosen(*lines, verb="run", **kwargs):
 
 
 def test_a_task_that_runs_on_device_arrays_gets_them():
-    assert chosen(*ALONE) == ("device", [])
-    assert chosen(verb="train") == ("device", [])  # the log of its evaluation is not its own
+    assert chosen(*ALONE) == chosen() == ("device", [])  # with a log, too
+    assert chosen(verb="train") == ("device", [])
 
 
 READS_HOST = """
@@ -62,7 +62,10 @@ def test_a_term_that_reads_the_host_is_named(tmp_path, monkeypatch):
 
 
 NEEDS = {
-    "record": ({}, "record.format=mcap: the log is of arrays of the host"),
+    "images": (
+        {"record": {"images": {"cameras": ["default"]}}},
+        "record.images: pictures are drawn on the host",
+    ),
     "viewer": (
         {"record": {"format": "none"}, "viewer": {"name": "web"}},
         "viewer=web shows arrays of the host",
@@ -90,11 +93,18 @@ def test_what_needs_the_host_is_said_before_the_run(what):
 
 def test_jobs_need_what_their_verb_uses():
     logged = resolved().root
-    assert why_not_device(logged, "collect") and why_not_device(logged, "run")
-    assert why_not_device(logged, "train") == why_not_device(logged, None) == []
+    assert why_not_device(logged, "collect") == ["collect chooses episodes by arrays of the host"]
+    assert all(why_not_device(logged, verb) == [] for verb in ("run", "train", None))
+    pictures = {"images": {"cameras": ["default"]}}
+    for record in (pictures, {"format": "none", **pictures}):
+        filmed = resolved().changed(record=record).root
+        assert bool(why_not_device(filmed, "run")) == ("format" not in record)
+        assert why_not_device(filmed, "train") == []
     own = resolved(*ALONE).changed(policy="my_policies:act").root
     assert why_not_device(own, "run") == why_host(own, "train") == []
     assert why_host(own, "run") == ["policy=my_policies:act may read arrays of the host"]
+    learned = resolved().changed(policy="outputs/latest/checkpoints/final.zip").root
+    assert why_host(learned, "run") == []
     seen = resolved("task.sensors.side.observe=true", task="reach_vision").root
     reason = "task.sensors.side.observe: pictures are drawn on the host"
     assert why_not_device(seen, None) == [reason]
@@ -145,17 +155,18 @@ def test_gymnasiums_arrays_are_on_the_host():
 
 
 def test_validate_says_the_same(capsys):
-    lines = ("task=cart_pole", *WARP)
+    lines = ("task=cart_pole", *WARP, "viewer=web")
     assert main(["validate", *lines, "--json"]) == 0
     notes = json.loads(capsys.readouterr().out)["notes"]
-    reason = "record.format=mcap: the log is of arrays of the host"
+    reason = "viewer=web shows arrays of the host"
     assert [(n["path"], n["message"]) for n in notes] == [
         ("sim.warp.arrays", f"host, because {reason}")
     ]
     assert main(["validate", *lines, "sim.warp.arrays=device", "--json"]) == 2
     (mistake,) = json.loads(capsys.readouterr().out)["mistakes"]
     assert (mistake["path"], mistake["message"]) == ("sim.warp.arrays", f"device: {reason}")
-    assert main(["validate", "--train", *lines, "sim.warp.arrays=device"]) == 0
+    assert main(["validate", *lines[:-1], "sim.warp.arrays=device", "--json"]) == 0
+    assert "notes" not in json.loads(capsys.readouterr().out)
 
 
 FAILS = """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import Engine
 
-__all__ = ["DEVICE", "SCENE", "N", "close", "scatter"]
+__all__ = ["DEVICE", "RANDOMIZED", "SCENE", "N", "close", "scatter"]
 
 SCENE = """
 <mujoco>
@@ -49,6 +49,17 @@ SCENE = """
 """
 N = 4
 DEVICE = os.environ.get("EMBODICHAIN_TEST_WARP_DEVICE", "cpu")
+OF = "params: {of: {uid: cart_pole}"
+RANDOMIZED = (
+    *(f"device={DEVICE}", "sim.engine=warp", "sim.num_threads=1", "seed=3"),
+    *("sim.warp.nconmax=16", "sim.warp.njmax=16", "task.max_episode_steps=7"),
+    "+task.events.mass={func: randomize, mode: reset, "
+    f"{OF}, mass: [0.8, 1.2], operation: scale}}}}",
+    "+task.events.fall={func: randomize, mode: reset, params: {gravity: [[0, 0, -1], [0, 0, 1]]}}",
+    "+task.events.damping={func: randomize, mode: interval, interval_step: 5, "
+    f"{OF}, joint_damping: [0.1, 0.4]}}}}",
+)
+"""Lines of a `cart_pole` whose model fields are drawn at resets and at intervals."""
 
 
 def scatter(*engines: Engine, seed: int = 0) -> None:

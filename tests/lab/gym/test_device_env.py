@@ -112,7 +112,7 @@ def test_episodes_can_be_cut_off(env):
 
 
 REFUSED = {
-    "observers": lambda env: env.add_observer(StepObserver()),
+    "observers that may not be called late": lambda env: env.add_observer(StepObserver()),
     "recorded states": lambda env: env.restore(object.__new__(Snapshot)),
     "actions that are mappings": lambda env: env.step({"qpos": torch.zeros(N, 1)}),
     "results that are arrays of numpy": lambda env: NumpyVectorEnv(env),

@@ -12,10 +12,13 @@ import pytest
 import torch
 
 import embodichain
+import embodichain.recording as recording
 from embodichain.lab.gym.envs import kept_arrays as walk
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.step_graph import StepGraph
 from embodichain.lab.sim.engine.device_array import DeviceArray
+from embodichain.lab.sim.engine.packed_arrays import ArrayPacker, HostBuffers
+from embodichain.recording import McapRecorder
 from tests.helpers.warp_scene import DEVICE
 
 pytestmark = pytest.mark.unmeasured
@@ -118,6 +121,44 @@ def test_what_is_kept_stays_at_its_address():
 
 def _tensor(value):
     return value.tensor if isinstance(value, DeviceArray) else value
+
+
+class Inside:
+    """Stands for `torch.cuda.graph`: knows whether a step is being recorded."""
+
+    on = False
+
+    def __enter__(self):
+        Inside.on = True
+
+    def __exit__(self, *error):
+        Inside.on = False
+
+
+def test_a_log_is_gathered_in_the_recorded_step_and_copied_after_it(tmp_path, monkeypatch):
+    packed, sent = [], []
+    for cls, name, into in ((ArrayPacker, "pack", packed), (HostBuffers, "send", sent)):
+        before = getattr(cls, name)
+        noted = lambda *args, b=before, i=into: (i.append(Inside.on), b(*args))[1]  # noqa: E731
+        monkeypatch.setattr(cls, name, noted)
+    if DEVICE == "cpu":
+        monkeypatch.setattr(torch.cuda, "graph", lambda *args, **kwargs: Inside())
+    with made("cart_pole") as (one, other, graph):
+        for env, name in ((one, "one"), (other, "other")):
+            env.add_observer(McapRecorder(tmp_path / f"{name}.mcap", env))
+            env.reset()
+        packed.clear()
+        sent.clear()
+        for action in actions(one, STEPS):
+            one.step(action)
+            other.step(action)
+        assert graph.reason == "" and graph._graph is not None
+        assert len(sent) == 2 * STEPS and not any(sent)
+        if DEVICE == "cpu":  # the fourth step of the first environment
+            assert packed == [False] * 6 + [True, False]
+    if DEVICE == "cpu":
+        assert recording.diff(tmp_path / "one.mcap", tmp_path / "other.mcap").same
+    assert recording.verify(tmp_path / "one.mcap").ok
 
 
 def test_other_weights_are_recorded_anew():

@@ -7,7 +7,7 @@ moments), `StateDump` (environments that diverged), and the managers of terms.
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -325,9 +325,10 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             raise gym.error.ResetNeeded("call reset() before the first step()")
         self.curriculum_manager.before_step()
         checked, given = self._check_action(action)
-        if self._graph is None or kwargs or not isinstance(checked, torch.Tensor):
-            return self._step(checked, given, kwargs)
-        return self._graph.step(lambda a: self._step(*self._check_action(a), {}), checked)
+        with self.copies or nullcontext():
+            if self._graph is None or kwargs or not isinstance(checked, torch.Tensor):
+                return self._step(checked, given, kwargs)
+            return self._graph.step(lambda a: self._step(*self._check_action(a), {}), checked)
 
     def _step(self, action: EnvAction, given: F64, kwargs: dict[str, Any]) -> Step:
         """Take a step by a checked action and its numbers (N, A)."""
@@ -438,9 +439,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
     ) -> tuple[EnvObs, Info]:
         """Continue from a recorded moment: restore its state, model fields and counters.
 
-        The recorded actions then reproduce the recorded states bit for bit until a random draw:
-        a log does not contain the counters of random streams and the states of terms. They begin
-        as at a reset; ``info["not_restored"]`` names them.
+        The recorded actions then reproduce the recorded states bit for bit until a random draw.
+        Random streams and states of terms (``info["not_restored"]``) begin as at a reset.
 
         Args:
             log: An open log (`embodichain.recording.open`), or a snapshot taken from one.

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
         TerminationManager,
     )
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
+    from embodichain.lab.gym.envs.observers import ObservedEnv
+    from embodichain.lab.gym.envs.step_copies import StepCopies
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.utils.arrays import Arrays
@@ -69,6 +71,8 @@ class EnvReads:
     termination_manager: TerminationManager
     overridden: frozenset[str]
     _detached_uids: list[str]
+    copies: StepCopies | None = None
+    """Copies what observers see of each step, with arrays on a device; None without observers."""
 
     # -- size and clock ------------------------------------------------------------------------
 
@@ -91,7 +95,8 @@ class EnvReads:
     def revision(self) -> tuple[int, ...]:
         """Numbers that change when a step is computed in another way: limit, terms, model."""
         managers = (manager.revision for manager in self.managers.values())
-        return self.episodes.limit, getattr(self.sim.engine, "revision", 0), *managers
+        watched = len(self.observers)
+        return self.episodes.limit, getattr(self.sim.engine, "revision", 0), watched, *managers
 
     @property
     def physics_dt(self) -> float:
@@ -256,16 +261,46 @@ class EnvReads:
         """Attach an observer; it is called after those attached before.
 
         Raises:
-            ConfigError: If arrays are on the device.
+            ConfigError: If arrays are on the device, and it may not be called late.
         """
-        self.arrays.require_host("observers")
+        if self.arrays.on_device:
+            if not observer.may_lag:
+                self.arrays.require_host("observers that may not be called late")
+            self._copied().observers.append(observer)
+            return
+        self._attach(observer)
+
+    def _attach(self, observer: StepObserver) -> None:
         if not self.observers:
             self.sim.engine.listeners.append(EngineRelay(self))
         self.observers.append(observer)
 
+    @property
+    def observed(self) -> ObservedEnv:
+        """What observers are called with: the environment, or with arrays on a device its copy.
+
+        A `CopiedEnv` is made when it is first asked for; from then on each step is copied.
+        """
+        return self._copied() if self.arrays.on_device else self
+
+    def _copied(self) -> Any:
+        if self.copies is None:
+            from embodichain.lab.gym.envs.step_copies import StepCopies
+
+            self.copies = StepCopies(self)
+            self._attach(self.copies)
+        return self.copies.host
+
     def remove_observer(self, observer: StepObserver) -> None:
         """Detach an observer; ValueError if it is not attached."""
-        self.observers.remove(observer)
+        found: StepObserver = observer
+        if self.copies is not None:
+            self.copies.flush()
+            self.copies.host.observers.remove(observer)
+            if self.copies.host.observers:
+                return
+            found, self.copies = self.copies, None
+        self.observers.remove(found)
         if not self.observers:
             self.sim.engine.listeners.remove(EngineRelay(self))
 

@@ -162,7 +162,13 @@ class StepObserver:
     """Base class of observers; the default of every method does nothing.
 
     An observer must not change the environment. Attach it with `BaseEnv.add_observer`.
+
+    Attributes:
+        may_lag: Whether it may be called late: with arrays on a device only such observers can be
+            attached, and are called one or two control steps later, with a `CopiedEnv`.
     """
+
+    may_lag: bool = False
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Called after environments were reset, explicitly or automatically.

@@ -18,10 +18,12 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import torch
 
 from embodichain.lab.gym.envs.kept_arrays import HostValue, Path, Place, kept_arrays
+from embodichain.lab.gym.envs.observers import StepObserver
 from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observation import Observation
+    from embodichain.lab.gym.envs.step_copies import StepCopies
     from embodichain.lab.sim.engine.device import DeviceEngine
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvObs
@@ -46,6 +48,7 @@ class RecordedEnv(Protocol):
 
     control_step: int
     arrays_moved: bool
+    copies: StepCopies | None
 
     @property
     def sim(self) -> SimulationManager:
@@ -139,7 +142,7 @@ class StepGraph:
         return result
 
     def _places(self) -> tuple[dict[Path, Place], dict[Path, HostValue]]:
-        return kept_arrays(self._env, (StepGraph, EnvMask))
+        return kept_arrays(self._env, (StepGraph, EnvMask, StepObserver))
 
     def _unwatch(self) -> None:
         """Replace what still watches, such as arrays in new containers."""
@@ -182,6 +185,8 @@ class StepGraph:
         except (TypeError, ValueError, RuntimeError) as error:
             # Nothing of the recorded step was computed: undo what Python did.
             torch.cuda.synchronize()
+            if env.copies is not None:
+                env.copies.restart()
             env.control_step = control_step
             now = self._places()[0]
             for path, value in saved.items():

@@ -46,6 +46,7 @@ class Write(NamedTuple):
         env_ids: (n,) int64, or None for all N.
         columns: Columns within the flattened field.
         values: (n, k) float64, or None. It may be a live view of the engine: copy it to store it.
+            None for all ops with arrays on a device, where `env_ids` is a mask.
     """
 
     op: WriteOp
@@ -62,7 +63,8 @@ class PhysicsEvent(NamedTuple):
         phase: ``before`` or ``after``.
         nstep: Physics steps of this call.
         env_ids: (n,) environments that step, or None for all.
-        rows: (N, nstate) **live** integration-state rows: copy them to store them.
+        rows: (N, nstate) **live** integration-state rows: copy them to store them. Empty with
+            arrays on a device.
         failed: (m,) environments in which MuJoCo raised and the previous row was kept; set in
             phase ``after``.
     """
@@ -114,6 +116,8 @@ class Engine(Protocol):
     model: mujoco.MjModel
     num_envs: int
     listeners: list[EngineListener]
+    reports_writes: bool = True
+    """Whether listeners are told of every write; else of what differs between two copies."""
 
     @property
     def versions(self) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ import torch
 import warp as wp
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import ALL, F64, Columns, RayHits
+from embodichain.lab.sim.engine.api import ALL, F64, Columns, PhysicsEvent, RayHits, Write
 from embodichain.lab.sim.engine.cpu import KINEMATIC_STAGES, entries
 from embodichain.lab.sim.engine.device_array import (
     DeviceArray,
@@ -65,6 +65,8 @@ def _check(
     seen[i] = seen[i] | bits
 
 
+_NO_ROWS = np.empty((0, 0))
+"""Rows that listeners get: they read components of the state instead."""
 _OF_ACTUATORS = frozenset({"qfrc_actuator", "actuator_force"})
 _OF_CENTRES = frozenset({"subtree_com", "cdof"})
 _OF_VELOCITIES = frozenset({"cvel", "cdof_dot"})
@@ -133,6 +135,16 @@ class DeviceEngine(WarpEngine):
         return self._views_made + self.fields.revision
 
     # -- reads -------------------------------------------------------------------------------------
+
+    @property
+    def state_names(self) -> list[str]:
+        """Names of the state components."""
+        return list(self._layout)
+
+    @property
+    def constants_late(self) -> bool:
+        """Whether constants will be computed from model fields that were written."""
+        return self._fields.stale
 
     @property
     def rows(self) -> F64:
@@ -257,9 +269,13 @@ class DeviceEngine(WarpEngine):
             message = "physics steps of some environments have no form on a device"
             raise HostTransferError(f"{message}: use sim.warp.arrays=host")
         self._upload()
+        for listener in self.listeners:
+            listener.on_physics(PhysicsEvent("before", nstep, None, _NO_ROWS))
         with self._stream():
             self.worlds.step(nstep)
         self._time += nstep * self._timestep
+        for listener in self.listeners:
+            listener.on_physics(PhysicsEvent("after", nstep, None, _NO_ROWS))
         self._check_states()
         self._mark(None)
         self._late.clear()
@@ -309,6 +325,7 @@ class DeviceEngine(WarpEngine):
         self._write_row(state, env_ids, np.arange(len(state)))
         DeviceArray(self._wild)[ALL if env_ids is None else env_ids] = False
         self._mark(env_ids)
+        self._notify(Write("reset", "row", env_ids, ALL, None))
 
     # -- writes ------------------------------------------------------------------------------------
 
@@ -319,6 +336,8 @@ class DeviceEngine(WarpEngine):
         else:
             self._states[field][entries(env_ids, columns)] = values
         self._mark(env_ids)
+        if self.listeners:
+            self._notify(Write("state", field, env_ids, columns, None))
 
     def _write_row(self, values: Any, env_ids: Any, places: NDArray[np.int64]) -> None:
         """Set columns of state rows, from a number or an array (k,) or (N, k) of the host."""
@@ -342,6 +361,7 @@ class DeviceEngine(WarpEngine):
         self._constants_before(field)
         self.fields.write(field, values, env_ids, columns)
         self._mark(env_ids)
+        self._notify(Write("model", field, env_ids, columns, None))
 
     def model_field(self, field: str) -> Any:
         self._constants_before(field)
@@ -366,6 +386,7 @@ class DeviceEngine(WarpEngine):
         with self._stream():
             self.fields.set_const()
         self._mark(None)
+        self._notify(Write("set_const", "", None, ALL, None))
 
     def _mark(self, env_ids: Any) -> None:
         self.version += 1

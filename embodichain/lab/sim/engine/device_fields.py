@@ -86,6 +86,15 @@ class DeviceFields:
             self.revision += 1
         return found
 
+    @property
+    def written_names(self) -> list[str]:
+        """Names of the fields that were written or viewed."""
+        return list(self._views)
+
+    def written(self, name: str) -> DeviceArray | None:
+        """(N, size) values of a field that was written or viewed; None of another."""
+        return self._views.get(name)
+
     def values(self, name: str) -> Any:
         """(N, ...) values of a field that may differ, (1, ...) on the host of another."""
         compiled = compiled_field(self._model, name)

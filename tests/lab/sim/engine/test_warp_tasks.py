@@ -19,6 +19,7 @@ from embodichain.config.factory import with_warp_sizes
 from embodichain.config.resolved import resolve
 from embodichain.lab.sim.engine.device_array import HostTransferError
 from embodichain.recording import simulation, verify
+from embodichain.recording.reenactment import Reenactment
 from embodichain.utils.errors import ConfigError
 
 pytestmark = pytest.mark.unmeasured
@@ -166,12 +167,11 @@ def told(capsys, *words):
 def test_a_run_and_its_log(capsys, monkeypatch):
     """The states of a log are those of the engine; its physics is close to MuJoCo's."""
     lines = ("task=cart_pole", "sim.engine=warp", "num_envs=2", "max_steps=12", "seed=4")
+    lines += ("sim.warp.arrays=host", "episodes=9")
     told(capsys, "run", *lines, "task.max_episode_steps=5", "scene_png=false")
     folder = Path("outputs/latest")
     config = yaml.safe_load((folder / "config.yaml").read_text())
     assert config["sim"]["warp"] == {"nconmax": 16, "njmax": 16, "arrays": "host"}
-    note = "sim.warp.arrays: host, because record.format=mcap: the log is of arrays of the host"
-    assert note in (folder / "run.log").read_text()
     with recording.open(folder) as log:
         assert log.header.engine.startswith("mujoco_warp 4.")
         model, data = log.model, log.read(["qpos"])["qpos"]
@@ -192,7 +192,7 @@ def test_a_run_and_its_log(capsys, monkeypatch):
 
 
 def test_a_training_with_arrays_on_the_device_and_its_evaluation(capsys):
-    """An evaluation is logged: its arrays are on the host. Resuming continues on the device."""
+    """An evaluation is logged from the device, too. Resuming continues there."""
     sizes = ("sim.warp.nconmax=16", "sim.warp.njmax=16", "num_envs=2", "algo.n_steps=32")
     lines = (*sizes, "task.max_episode_steps=9", "eval.episodes=2", "seed=4", "algo.batch_size=32")
     told(capsys, "train", "task=cart_pole", "sim.engine=warp", *lines, "total_timesteps=64")
@@ -204,16 +204,36 @@ def test_a_training_with_arrays_on_the_device_and_its_evaluation(capsys):
         assert config["sim"]["warp"]["arrays"] == "device"
         with recording.open(folder) as log:
             assert log.header.engine.startswith("mujoco_warp 4.")
+            assert (log.header.writes, len(log.episodes)) == ("none", 2)
     report = json.loads(told(capsys, "eval", "outputs/latest", "episodes=2", "--json"))
     assert report["episodes"] == 2
     config = yaml.safe_load(Path("outputs/latest/config.yaml").read_text())
-    assert config["sim"]["warp"]["arrays"] == "host"
+    assert config["sim"]["warp"]["arrays"] == "device"
 
 
-def test_a_run_with_arrays_on_the_device(capsys):
+def test_a_run_with_arrays_on_the_device_and_its_log(capsys):
+    """All that reads logs reads it; what draws again draws with arrays of the host."""
     lines = ("task=cart_pole", "sim.engine=warp", "num_envs=2", "episodes=2", "seed=4")
     sizes = ("sim.warp.nconmax=16", "sim.warp.njmax=16", "task.max_episode_steps=5")
-    report = json.loads(told(capsys, "run", *lines, *sizes, "record=none", "--json"))
+    report = json.loads(told(capsys, "run", *lines, *sizes, "scene_png=false", "--json"))
     assert (report["status"], report["episodes"]) == ("finished", 4)
-    config = yaml.safe_load(Path("outputs/latest/config.yaml").read_text())
+    folder = str(Path("outputs/latest").resolve())
+    config = yaml.safe_load(Path(folder, "config.yaml").read_text())
     assert config["sim"]["warp"]["arrays"] == "device"
+    listed = " ".join(told(capsys, "replay", folder).split())
+    assert "within a tolerance; resets and events are not in the log" in listed
+    assert "verified: 10 steps of 2 environments" in told(capsys, "replay", folder, "--verify")
+    told(capsys, "export", folder, "--format", "csv", "-o", "log.csv")
+    assert len(Path("log.csv").read_text().splitlines()) == 1 + 10 * 2
+    told(capsys, "recover", str(Path(folder, "rollout.mcap")), "again.mcap")
+    assert "the same: 10 control steps" in told(capsys, "diff", folder, "again.mcap")
+    again = json.loads(told(capsys, "replay", folder, "--policy", "zero", "--json"))
+    assert again["same_start"] and again["episodes"] == 4
+    with recording.open(folder) as log, Reenactment(log) as play:
+        actions = log.read(["actions"])["actions"]
+        steps = list(play.steps())
+        assert not play.env.arrays.on_device and len(steps) == 10
+        for step in steps:
+            np.testing.assert_array_equal(step.action, actions[step.number])
+            found = step.seen["robot"]["qpos"].numpy()
+            assert np.isfinite(found).all() and found.shape == (2, 2)

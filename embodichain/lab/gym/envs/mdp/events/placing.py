@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
-from embodichain.utils.arrays import contiguous
+from embodichain.utils.arrays import contiguous, is_host
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_conjugate, quat_multiply, quat_rotate
 
@@ -248,7 +248,7 @@ class RandomizePose(Term):
 
     def _is_turned_so(self, wanted: F64, env_ids: EnvIndex | None) -> bool:
         """Whether the orientations are already set: a write would only enlarge the log."""
-        if self._stop is not None or not self._asset.engine.listeners:
+        if self._stop is not None or not self._asset.engine.listeners or not is_host(wanted):
             return False
         now = self._asset.read_pose()[1]
         return bool(((now if env_ids is None else now[env_ids]) == wanted).all())
