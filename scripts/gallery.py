@@ -15,6 +15,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from xml.etree import ElementTree
 
 from PIL import Image, ImageDraw, ImageFont
 
@@ -45,14 +46,19 @@ def sheet(tasks: Sequence[str], size: tuple[int, int] = SIZE) -> Image.Image:
 
 
 def robots() -> dict[str, str]:
-    """Return label -> name to write in a task, of the robots that the picture has."""
+    """Return label -> name to write in a task, of the robots that the picture has.
+
+    Of a folder, the first file that can be read and has a joint that moves.
+    """
     found: dict[str, str] = {}
     for robot in list_robots():
         folder = Path(robot.name).parts[0]
         label = folder.removesuffix("_description").removesuffix("_data")
-        if robot.source in ("bundled", "example-robot-data") and not fault_of(robot.path):
-            if robot.source != "bundled" or "UR10" in robot.name:
-                found.setdefault("UR10" if "UR10" in robot.name else label, robot.name)
+        ours = robot.name == "UniversalRobots/UR10/UR10.urdf"
+        if (ours or robot.source == "example-robot-data") and not fault_of(robot.path):
+            joints = ElementTree.fromstring(robot.path.read_bytes()).iter("joint")
+            if any(joint.get("type", "fixed") != "fixed" for joint in joints):
+                found.setdefault("UR10" if ours else label, robot.name)
     return dict(sorted(found.items(), key=lambda item: item[0].lower()))
 
 
