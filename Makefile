@@ -5,7 +5,7 @@
 #   make test-warp     every task on MuJoCo Warp (`make test` tries two)
 #   make docs      the documentation site, into build/site; DOCS_NOTEBOOKS=0 leaves out their execution
 #   make lint types imports     the other checks; `make check` is all of them
-#   make lerobot   have LeRobot's own package load a data set of ours (8 GB: its torch has CUDA)
+#   make lerobot   LeRobot loads a data set of ours, trains on it, evaluates in a task (8 GB: CUDA's torch)
 #   make dist      build wheel, sdist and SHA256SUMS of the commit  (TAG=v0.1.0 insists on the tag)
 #   make smoke     the same, then try the wheel alone on every Python from 3.11 to 3.13 that is found
 #   make test-oldest, make test-newest     a part of the tests with the lowest and highest versions
@@ -88,15 +88,16 @@ imports: venv
 	$(BIN)/lint-imports
 
 # Not part of `check`: its torch is older than ours, and a CUDA build. It lives in a place of its own.
-$(LEROBOT)/.installed: Makefile
+$(LEROBOT)/.installed: Makefile pyproject.toml plugins/lerobot_env_embodichain/pyproject.toml
 	$(PYTHON) -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install lerobot==0.4.4
+	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install --no-compile \
+	    lerobot==0.4.4 -e '.[lerobot]' -e plugins/lerobot_env_embodichain
 	touch $@
 
 lerobot: venv $(LEROBOT)/.installed
 	LEROBOT_PYTHON=$(abspath $(LEROBOT))/bin/python \
 	    $(BIN)/python -m pytest tests/recording/export/test_lerobot.py \
-	    tests/recording/export/test_episodes.py
+	    tests/recording/export/test_episodes.py tests/end_to_end/test_lerobot_plugin.py
 
 check: test lint types imports
 

@@ -42,6 +42,7 @@ MODULES = (
     "embodichain.lab.gym.envs.managers.param_types",
     "embodichain.lab.gym.envs.managers.scene_entity",
     "embodichain.lab.gym.envs.managers.term",
+    "embodichain.lab.gym.lerobot_env",
     "embodichain.lab.gym.policies",
     "embodichain.lab.gym.utils.registration",
     "embodichain.lab.sim.cfg",

@@ -41,6 +41,7 @@ __all__ = [
 ]
 
 VERBS = {
+    "demo": "Show a robot that solves a task, in the browser or as a film.",
     "run": "Run a task: simulate, show progress, write a log.",
     "train": "Train a policy with Stable-Baselines3.",
     "eval": "Play a policy for exactly N episodes; print results with confidence intervals.",
@@ -55,7 +56,7 @@ VERBS = {
     "recover": "Write a clean log from a broken one, up to where it can be read.",
     "diff": "Print the first step and field where two logs differ.",
     "bench": "Measure control steps/s beside the bare batch of the same model.",
-    "list": "List tasks, robots or terms.",
+    "list": "List tasks, robots, policies or terms.",
     "show": "Show a task: resolved config, scene, spaces, terms; or one term.",
     "render": "Write a picture of a task: one environment, or a grid of several.",
     "validate": "Check a task, build it as `run` does, and print every mistake.",

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.recording import ImageOptions, McapRecorder
     from embodichain.recording.film import Filmed
+    from embodichain.recording.viewers.web import WebView
 
 __all__ = [
     "FRESH",
@@ -50,7 +51,8 @@ __all__ = [
 ]
 
 LOG_FILE = "run.log"
-VIDEO = "rollout.mp4"
+VIDEO = "rollout"
+"""Name of the film in a run folder, without its suffix."""
 """File name of a run's video in its folder."""
 _SAY_AFTER = 1.0
 """Seconds after which a film says how long it takes."""
@@ -129,7 +131,7 @@ class Job:
         *,
         realtime: bool = True,
         resets: bool = True,
-    ) -> None:
+    ) -> WebView | None:
         """Attach the viewer that the config names; closing the environment closes it.
 
         Args:
@@ -137,9 +139,12 @@ class Job:
             policy: The policy that acts in it; a person who teleoperates does it at the viewer.
             realtime: Whether the run starts in real time while a viewer is connected.
             resets: Whether the viewer may end an episode.
+
+        Returns:
+            The page, if it is one.
         """
         cfg = self.root.viewer
-        teleop = None
+        teleop, page_view = None, None
         if policy_name(self.root) == "teleop":
             from embodichain.lab.gym.teleop import Teleop
 
@@ -162,19 +167,20 @@ class Job:
             from embodichain.recording.viewers.web import PageOptions, WebView
 
             page = PageOptions(cfg.host, cfg.port, cfg.env, realtime, resets)
-            view = WebView(env, page, stopped=self.stop.is_stopped, teleop=teleop)
-            env.add_observer(view)
-            url = where = view.url
+            page_view = WebView(env, page, stopped=self.stop.is_stopped, teleop=teleop)
+            env.add_observer(page_view)
+            url = where = page_view.url
         else:
             if teleop is not None and cfg.name == "native":
                 from embodichain.recording.viewers.native_operator import NativeOperator
 
                 teleop.operator = NativeOperator(env, teleop, self.stop.is_stopped)
-            return
+            return None
         _log.info("viewer: %s", where)
         if not self.quiet:
             sys.stderr.write(f"viewer: {where}\n")
         warn_if_public(cfg.host, url, controls=cfg.name == "web")
+        return page_view
 
     def film(self, log: str | Path | None) -> dict[str, str]:
         """Render the log to a video if `video` is set; call it after everything else is written.
@@ -195,7 +201,7 @@ class Job:
         from embodichain.recording.film import film_log
 
         cfg = self.root.video if isinstance(self.root.video, VideoCfg) else VideoCfg()
-        out = self.folder / VIDEO
+        out = self.folder / f"{VIDEO}.{cfg.format}"
         with ProgressDisplay("film", None, "pictures", quiet=self.quiet) as display:
             filmed = film_log(
                 log,
@@ -367,7 +373,7 @@ def check_extras(root: RootCfg) -> None:
     if root.video:
         from embodichain.utils.video import need_encoder
 
-        need_encoder()
+        need_encoder(f".{getattr(root.video, 'format', 'mp4')}")
     if images is not None and images.format == "h264":
         from embodichain.recording.views.encoders import need_h264
 

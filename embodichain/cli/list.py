@@ -1,4 +1,4 @@
-"""`embodichain list`: lists tasks, robots or terms. Imports neither MuJoCo nor torch."""
+"""`embodichain list`: lists tasks, robots, policies or terms. Imports neither MuJoCo nor torch."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ _FAULT = "cannot load"
     "list",
     ("list tasks", "every task that task=NAME finds"),
     ("list robots", "robot files that a task can name"),
+    ("list policies", "trained policies that ship, and how often they succeed"),
     ("list terms", "functions for events, observations, rewards, ..."),
     ("list terms --markdown", "the same as a page, with parameters and examples"),
     config_dir=True,
 )
-@click.argument("what", type=click.Choice(["tasks", "robots", "terms"]))
+@click.argument("what", type=click.Choice(["tasks", "robots", "policies", "terms"]))
 @click.option("--markdown", is_flag=True, help="Terms as the page docs/terms.md.")
 def command(what: str, markdown: bool, json: bool) -> None:
-    """List tasks, robots or terms, as a table or as JSON."""
+    """List tasks, robots, policies or terms, as a table or as JSON."""
     if markdown:
         if what != "terms" or json:
             raise ConfigError("--markdown goes with `list terms`, without --json")
@@ -39,7 +40,8 @@ def command(what: str, markdown: bool, json: bool) -> None:
 
         sys.stdout.write(catalogue())
         return
-    rows = {"tasks": _tasks, "robots": _robots, "terms": _terms}[what]()
+    made = {"tasks": _tasks, "robots": _robots, "policies": _policies, "terms": _terms}
+    rows = made[what]()
     if json:
         print_json({what: rows})
         return
@@ -87,6 +89,18 @@ def _robots() -> Rows:
         {"name": a.name, "format": a.format, "from": a.source, _FAULT: fault_of(a.path)}
         for a in list_robots()
     ]
+
+
+def _policies() -> Rows:
+    """The policies that ship; ``policy=pretrained`` is that of the task."""
+    from embodichain.data.pretrained import pretrained, pretrained_tasks
+
+    rows = []
+    for about in map(pretrained, pretrained_tasks()):
+        low, high = about.interval
+        success = f"{about.success:.1%}  [{low:.1%}, {high:.1%}] of {about.episodes}"
+        rows.append({"task": about.task, "success": success, "made by": about.command})
+    return rows
 
 
 def _absent_robots(rows: Rows) -> list[str]:

@@ -88,7 +88,11 @@ _ONLY_WITH = {
 )
 @click.option("--host", metavar="H", help="Address of --view web. Default: 127.0.0.1.")
 @click.option("--port", type=int, metavar="P", help="Its port. Default: a free one from 8080.")
-@click.option("--video", metavar="OUT", help="Write an MP4 of --env. Default: environment 0.")
+@click.option(
+    "--video",
+    metavar="OUT",
+    help="Write an MP4 or a GIF of --env. Default: environment 0.",
+)
 @click.option("--camera", metavar="NAME", help="Film with this camera of the scene.")
 @click.option("--size", metavar="WxH", help="Pixels of the film. Default: 640x480.")
 def command(**kwargs: Any) -> int:

@@ -55,6 +55,8 @@ class _Pair:
 def rerun(path: Path, options: SimpleNamespace) -> int:
     """Repeat recorded episodes with another policy, and compare returns."""
     from embodichain.config.factory import make_env
+    from embodichain.data.pretrained import pretrained
+    from embodichain.lab.gym.policies import PRETRAINED
     from embodichain.recording.api import Log
     from embodichain.recording.reenactment import config_of
 
@@ -66,9 +68,12 @@ def rerun(path: Path, options: SimpleNamespace) -> int:
         names = [name for name in _STATE if name in log.columns]
         starts = {name: log.read(name, start=0, stop=1)[name][0] for name in names}
         warnings = list(log.warnings)
+    policy = target.policy
+    if policy == PRETRAINED:
+        policy = str(pretrained(resolved.task_name).file)
     env = make_env(resolved)
     try:
-        pairs, same = _play(env, target.policy, resolved, wanted, (starts, rounding), options)
+        pairs, same = _play(env, policy, resolved, wanted, (starts, rounding), options)
     finally:
         env.close()
     if not same:

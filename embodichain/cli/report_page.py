@@ -138,15 +138,19 @@ def _data_url(path: Path, kind: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
+_FILMS = {".mp4": "video/mp4", ".gif": "image/gif"}
+"""Suffix -> type of a film."""
+
+
 def _films(folder: Path) -> tuple[list[tuple[str, str]], list[str]]:
     """Name and address of each film, and notes about films that are too large."""
     films, notes, total = [], [], 0
-    for path in sorted(folder.glob("*.mp4")):
+    for path in sorted(p for p in folder.iterdir() if p.suffix in _FILMS):
         total += path.stat().st_size
         if total > _LARGEST_FILM:
             notes.append(f"{path.name} is not in the page: films may have {_LARGEST_FILM:,} bytes")
         else:
-            films.append((path.name, _data_url(path, "video/mp4")))
+            films.append((path.name, _data_url(path, _FILMS[path.suffix])))
     return films, notes
 
 

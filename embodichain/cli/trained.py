@@ -53,7 +53,7 @@ class Target:
             raise ConfigError(
                 f"{self.policy} is not in the folder of a run: give the task, task=NAME"
             )
-        return resolved.changed(policy=self.policy)
+        return resolved if self.file is None else resolved.changed(policy=self.policy)
 
 
 def find_target(name: str, output_root: str = "outputs") -> Target:

@@ -23,6 +23,7 @@ from embodichain.config.run_folder import CONFIG, versions
 from embodichain.config.schema import RootCfg, Verb
 from embodichain.config.validation import Check, check, check_tree
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.policies import PRETRAINED
 from embodichain.lab.sim.cfg import SimulationManagerCfg, choose_engine
 from embodichain.lab.sim.compiler.names import exact_pattern
 from embodichain.lab.sim.prepared_scene import PreparedScene
@@ -128,7 +129,7 @@ def resolve(
     composed = config if isinstance(config, Composed) else compose(config, verb, config_dir)
     found = check(composed, verb)
     name = (composed.choices.get("task") or "task").rpartition("/")[2]
-    resolved = _resolved(found, verb, name, composed.source)
+    resolved = _with_pretrained(_resolved(found, verb, name, composed.source))
     notes = (*composed.notes, *resolved.notes)
     return replace(resolved, overrides=composed.overrides, notes=notes)
 
@@ -164,6 +165,19 @@ def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], 
         raise ConfigError(found.problems)
     tree, notes = _with_armature(_with_defaults(found.types.tree, verb), found.scene)
     return Resolved(freeze(tree), (), task_name, notes, source, found.scene)
+
+
+def _with_pretrained(resolved: Resolved) -> Resolved:
+    """The config with the file of the policy that ships for its task, where that is chosen."""
+    policy = resolved.tree["policy"]
+    named = isinstance(policy, Mapping)
+    if (policy["func"] if named else policy) != PRETRAINED:
+        return resolved
+    from embodichain.data.pretrained import pretrained
+
+    with resolved.locating():
+        file = str(pretrained(resolved.task_name).file)
+    return resolved.changed(policy={**policy, "func": file} if named else file)
 
 
 def _with_defaults(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:

@@ -133,6 +133,9 @@ class VideoCfg:
     a second."""
     max_seconds: Annotated[float, Field(gt=0)] | None = None
     """Length of the film; null is the whole log."""
+    format: Literal["mp4", "gif"] = "mp4"
+    """Kind of the file; mp4 needs the extra `video`, gif has 256 colours and at most 25 pictures a
+    second."""
 
 
 @configclass

@@ -32,7 +32,7 @@ from embodichain.config.schema import (
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.registry import SECTIONS, resolve_term
-from embodichain.lab.gym.policies import resolve_policy
+from embodichain.lab.gym.policies import PRETRAINED, resolve_policy
 from embodichain.lab.sim.cfg import WarpCfg, choose_engine
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
@@ -397,7 +397,7 @@ def _existing(root: RootCfg, path: Path) -> Any:
         if newest_run(root.output_dir, CHECKPOINT) is None:
             message = f"there is no finished training in {root.output_dir} (train first)"
             raise ConfigError([Problem("policy", message)])
-    elif not named_checkpoint(path).exists():
+    elif str(path) != PRETRAINED and not named_checkpoint(path).exists():
         raise ConfigError([Problem("policy", f"no such file or folder: {path}")])
     return lambda obs, env: None
 

@@ -105,7 +105,7 @@ def train(
     resolved: Resolved,
     run_dir: Path,
     progress: Progress | None = None,
-    attach: Callable[[BaseEnv], None] | None = None,
+    attach: Callable[[BaseEnv], object] | None = None,
     episodes: Callable[[BaseEnv], Iterable[Demonstration]] | None = None,
 ) -> TrainSummary:
     """Train a policy in this process.

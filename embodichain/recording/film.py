@@ -1,4 +1,4 @@
-"""`film_log`: renders a recorded environment to an MP4; needs the extra `video` and OpenGL (EGL).
+"""`film_log`: renders a recorded environment to a film; needs OpenGL (EGL), MP4 the extra `video`.
 
 It draws the recorded states; only states between keyframes are simulated.
 """
@@ -23,12 +23,14 @@ from embodichain.recording.frames import FilmCamera, frames
 from embodichain.recording.playback import Playback, Span, span_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
-from embodichain.utils.video import VideoFile, need_encoder
+from embodichain.utils.video import GIF, Film, film_file, need_encoder
 
 __all__ = ["FASTEST", "Filmed", "film_log"]
 
 FASTEST = 60.0
 """Largest frame rate (1/s) that is chosen; above it, control steps are skipped."""
+_FASTEST_GIF = 25.0
+"""The same of a GIF, whose pictures are hardly compressed."""
 _CAMERA = "default"
 _FRONT = (1.0, -0.8, 0.6)
 """Direction from the scene's centre to the eye if the scene has no camera."""
@@ -66,11 +68,11 @@ def film_log(
     every: int | None = None,
     max_seconds: float | None = None,
 ) -> Filmed:
-    """Render an environment of a log to an MP4 with one picture for each control step.
+    """Render an environment of a log to an MP4 or a GIF, one picture for each control step.
 
     Args:
         log: A log, its file, or the folder of a run.
-        out: A new file; it gets this name when it is complete.
+        out: A new file, ``.gif`` or MP4; it gets this name when it is complete.
         env: The environment.
         episode: One of its episodes; None is all.
         first: First control step, counted from the start of the log; None is the first.
@@ -81,7 +83,7 @@ def film_log(
         progress: Called after each picture.
         stop: Called before each picture; if it returns True, the film ends there and is saved.
         every: Draw every `every`-th control step. None is the least that gives at most `FASTEST`
-            pictures per second.
+            pictures per second, 25 in a GIF.
         max_seconds: Length of the film in seconds, at most; None is no limit.
 
     Returns:
@@ -93,12 +95,12 @@ def film_log(
         LogError: If the log has no states, or its model cannot be loaded.
         RenderError: If no OpenGL library works here.
     """
-    need_encoder()
+    out = Path(out)
+    need_encoder(out.suffix)
     if not isinstance(log, Log):
         with Log(log) as opened:
             part = opened, out, env, episode, first, last
             return film_log(*part, speed, size, camera, progress, stop, every, max_seconds)
-    out = Path(out)
     if os.path.lexists(out):
         raise ConfigError(f"{out} exists; it is never replaced")
     if not (math.isfinite(speed) and speed > 0):
@@ -109,7 +111,7 @@ def film_log(
     playback = Playback(log, env)
     cameras = [FilmCamera(_look(log.model, camera), size)]
     rate = speed / log.dt
-    every = every or max(1, math.ceil(rate / FASTEST - 1e-9))
+    every = every or max(1, math.ceil(rate / _fastest(out) - 1e-9))
     stopped = stop or (lambda: False)
     most = math.inf
     if max_seconds is not None:
@@ -123,17 +125,21 @@ def film_log(
     with ExitStack() as stack:
         renderer = stack.enter_context(closing(OffscreenRenderer(playback.engine.model)))
         drawn = islice(frames(renderer, playback, cameras, span, every), total)
-        video: VideoFile | None = None
+        video: Film | None = None
         for frame in drawn:
             if stopped():
                 return filmed
             if video is None:
-                video = stack.enter_context(VideoFile(out, size, rate / every))
+                video = stack.enter_context(film_file(out, size, rate / every))
             video.write(frame.pictures[0])
             filmed = replace(filmed, pictures=filmed.pictures + 1, step=frame.step)
             if progress is not None:
                 progress(filmed)
     return replace(filmed, whole=True)
+
+
+def _fastest(out: Path) -> float:
+    return _FASTEST_GIF if out.suffix == GIF else FASTEST
 
 
 def _count(

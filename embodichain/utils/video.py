@@ -1,39 +1,98 @@
-"""`VideoFile`: writes an MP4 frame by frame; needs the extra `video` (imageio-ffmpeg)."""
+"""`film_file`: an MP4 (`VideoFile`) or a GIF (`GifFile`), written frame by frame.
+
+MP4 needs the extra `video` (imageio-ffmpeg).
+"""
 
 from __future__ import annotations
 
 import importlib.util
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Generator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["VideoFile", "need_encoder"]
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+__all__ = ["GIF", "Film", "GifFile", "VideoFile", "film_file", "need_encoder"]
+
+GIF = ".gif"
 
 
-def need_encoder() -> None:
+def need_encoder(suffix: str = ".mp4") -> None:
     """Check that the encoder is installed.
+
+    Args:
+        suffix: Of the file; a GIF needs none.
 
     Raises:
         ConfigError: If it is not; names the extra.
     """
-    if importlib.util.find_spec("imageio_ffmpeg") is None:
+    if suffix != GIF and importlib.util.find_spec("imageio_ffmpeg") is None:
         hint = "pip install 'embodichain[video]'"
         raise ConfigError([Problem("", "videos need the package imageio-ffmpeg", hint)])
 
 
-class VideoFile:
-    """One MP4 (H.264, yuv420p), renamed to its path when complete.
+class Film(ABC):
+    """A film, renamed to its path when complete.
 
     As a context manager it is closed at exit, or discarded after an exception.
 
     Args:
         path: The file; a number is added to the name if it exists at closing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._path = path
+        self._part = path.with_name(f".{path.stem}.part{path.suffix}")
+
+    @abstractmethod
+    def write(self, picture: NDArray[np.uint8]) -> None:
+        """Append an RGB frame, (height, width, 3)."""
+
+    @abstractmethod
+    def _end(self) -> None:
+        """Write what is left."""
+
+    def close(self) -> Path:
+        """Finish the file and return its path."""
+        self._end()
+        path, number = self._path, 1
+        while os.path.lexists(path):
+            number += 1
+            path = self._path.with_name(f"{self._path.stem}_{number}{self._path.suffix}")
+        self._part.replace(path)
+        return path
+
+    def discard(self) -> None:
+        """Stop and remove the file."""
+        self._end()
+        self._part.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        """Return the file."""
+        return self
+
+    def __exit__(self, kind: object, *error: object) -> None:
+        """Close the file, or discard it after an exception."""
+        if kind is None:
+            self.close()
+        else:
+            self.discard()
+
+
+class VideoFile(Film):
+    """One MP4 (H.264, yuv420p).
+
+    Args:
+        path: As of `Film`.
         size: Width and height in pixels, both even.
         fps: Frames per second.
         options: Further command-line options of ffmpeg.
@@ -44,9 +103,7 @@ class VideoFile:
     ) -> None:
         import imageio_ffmpeg
 
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._path = path
-        self._part = path.with_name(f".{path.stem}.part{path.suffix}")
+        super().__init__(path)
         self._writer: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
             str(self._part),
             size,
@@ -61,28 +118,59 @@ class VideoFile:
         """Append an RGB frame, (height, width, 3)."""
         self._writer.send(np.ascontiguousarray(picture))
 
-    def close(self) -> Path:
-        """Finish the file and return its path."""
+    def _end(self) -> None:
         self._writer.close()
-        path, number = self._path, 1
-        while os.path.lexists(path):
-            number += 1
-            path = self._path.with_name(f"{self._path.stem}_{number}{self._path.suffix}")
-        self._part.replace(path)
-        return path
+
+
+class GifFile(Film):
+    """One GIF that repeats, with the 256 colours of its first picture.
+
+    All pictures are in memory until it is closed, a byte a pixel.
+
+    Args:
+        path: As of `Film`.
+        fps: Frames per second; a frame lasts a multiple of 10 ms.
+    """
+
+    def __init__(self, path: Path, fps: float) -> None:
+        super().__init__(path)
+        self._fps = fps
+        self._pictures: list[Image] = []
+
+    def write(self, picture: NDArray[np.uint8]) -> None:
+        """Append an RGB frame, (height, width, 3)."""
+        from PIL import Image
+
+        image = Image.fromarray(picture)
+        if self._pictures:
+            none = Image.Dither.NONE
+            self._pictures.append(image.quantize(palette=self._pictures[0], dither=none))
+        else:
+            self._pictures.append(image.quantize(256, method=Image.Quantize.MEDIANCUT))
 
     def discard(self) -> None:
-        """Stop and remove the file."""
-        self._writer.close()
-        self._part.unlink(missing_ok=True)
+        """Forget the pictures: nothing was written yet."""
+        self._pictures.clear()
 
-    def __enter__(self) -> VideoFile:
-        """Return the file."""
-        return self
+    def _end(self) -> None:
+        ends = np.round(np.arange(len(self._pictures) + 1) * 100.0 / self._fps) * 10.0
+        first, *others = self._pictures
+        with self._part.open("wb") as stream:
+            first.save(
+                *(stream, "GIF"),
+                save_all=True,
+                append_images=others,
+                duration=[int(d) for d in np.diff(ends)],
+                loop=0,
+            )
 
-    def __exit__(self, kind: object, *error: object) -> None:
-        """Close the file, or discard it after an exception."""
-        if kind is None:
-            self.close()
-        else:
-            self.discard()
+
+def film_file(path: Path, size: tuple[int, int], fps: float) -> Film:
+    """Return a new film: a GIF if the path ends in ``.gif``, else an MP4.
+
+    Args:
+        path: As of `Film`.
+        size: Width and height in pixels, both even.
+        fps: Frames per second.
+    """
+    return GifFile(path, fps) if path.suffix == GIF else VideoFile(path, size, fps)

@@ -47,17 +47,17 @@ def test_keys_that_help_names_exist() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["ru"], "no such verb: 'ru'. Did you mean 'run'? There are: run, train, "),
-        (["zzz"], "no such verb: 'zzz'. There are: run, train, "),
+        (["ru"], "no such verb: 'ru'. Did you mean 'run'? There are: demo, run, train, "),
+        (["zzz"], "no such verb: 'zzz'. There are: demo, run, train, "),
         (["--verbose"], "No such option '--verbose'. Did you mean '--version'?"),
         (["task=reach", "seed=1"], "a verb comes first: embodichain run task=reach seed=1"),
         (["-m", "seed=1,2"], "a verb comes first: embodichain run -m seed=1,2"),
         (["run", "--qiet"], "No such option '--qiet'. Did you mean '--quiet'?"),
         (["list", "tasks", "--jsn"], "No such option '--jsn'. Did you mean '--json'?"),
-        (["list"], "Missing argument '{tasks|robots|terms}'. Choose from:"),
+        (["list"], "Missing argument '{tasks|robots|policies|terms}'. Choose from:"),
         (
             ["list", "task"],
-            "Invalid value for '{tasks|robots|terms}': 'task' is not one of 'tasks', 'robots', ",
+            "Invalid value for '{tasks|robots|policies|terms}': 'task' is not one of 'tasks', ",
         ),
         (["list", "tasks", "robots"], "Got unexpected extra argument (robots)"),
         (["run", "one", "two"], "one task at a time: one, two."),

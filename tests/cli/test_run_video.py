@@ -30,6 +30,17 @@ def test_a_run_is_filmed_as_it_says(tmp_path: Path, capsys, monkeypatch) -> None
     assert not (path.parent / "scene.png").exists()
 
 
+def test_a_gif_is_a_film_too_and_is_in_the_report(tmp_path: Path, capsys) -> None:
+    film = ["video.format=gif", "video.size=[48,32]"]
+    assert main(["run", *TINY, *film, "max_steps=9", f"output_dir={tmp_path}", "--quiet"]) == 0
+    folder = (tmp_path / "latest").resolve()
+    with Image.open(folder / "rollout.gif") as gif:  # 50 steps a second: every second one
+        assert (gif.size, gif.n_frames, gif.info["duration"]) == ((48, 32), 5, 40)
+    assert main(["report", str(folder), "--quiet"]) == 0
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert '<img src="data:image/gif;base64,' in page and "<video" not in page
+
+
 @pytest.mark.parametrize(
     ("lines", "expected"),
     [

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "POLICIES",
+    "PRETRAINED",
     "PlannedPolicy",
     "Policy",
     "hold",
@@ -140,7 +141,8 @@ def resolve_policy(
         policy: A name, ``{func: NAME, params: {...}}``, ``package.module:function``, a path, or
             (Python only) a callable. A class is constructed with the params and then called.
         load_file: Reads a learned policy from a file or a run's folder; a string that names an
-            existing path, has a "/" or ends in ``.zip`` is given to it, and so is ``last``.
+            existing path, has a "/" or ends in ``.zip`` is given to it, and so are ``last`` and
+            ``pretrained``.
 
     Returns:
         A policy with `__call__` and `reset`.
@@ -169,10 +171,16 @@ def resolve_policy(
     return _bound(func, params)
 
 
+PRETRAINED = "pretrained"
+"""The name of the trained policy that ships for a task (`embodichain.data.pretrained`)."""
+_LEARNED = ("last", PRETRAINED)
+"""Names of files: of the newest training, and of the shipped policy."""
+
+
 def _is_path(text: str) -> bool:
     if text in POLICIES or ":" in text:
         return False
-    return text == "last" or "/" in text or text.endswith(".zip") or Path(text).exists()
+    return text in _LEARNED or "/" in text or text.endswith(".zip") or Path(text).exists()
 
 
 def _named(name: str) -> Any:
@@ -184,9 +192,10 @@ def _named(name: str) -> Any:
             return import_object(found)
         except ConfigError as error:
             raise ConfigError([Problem("policy", str(error))]) from error
-    allowed = ", ".join(POLICIES)
+    known = (*POLICIES, *_LEARNED)
+    allowed = ", ".join(known)
     message = f"unknown policy {name!r}; allowed: {allowed}, package.module:function, or a path"
-    raise ConfigError([Problem("policy", message, did_you_mean(name, POLICIES).strip())])
+    raise ConfigError([Problem("policy", message, did_you_mean(name, known).strip())])
 
 
 def _bound(func: Callable[..., Any], params: dict[str, Any]) -> Policy:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -66,34 +66,6 @@ class DataSet:
         """Names of the columns of an entry: ``to_cube[0]``, or its own if there is one."""
         width = self.vector(self.first, name).shape[1]
         return [name] if width == 1 else [f"{name}[{i}]" for i in range(width)]
-
-    def is_of_scene(self, log: RecordedLog, name: str) -> bool:
-        """Whether an entry is about the scene, not the robot alone.
-
-        It is if the term's parameters name an object, an articulation or a command.
-
-        Args:
-            log: The log, for its config.
-            name: The entry.
-        """
-        task: Any = log.config["task"]
-        others = {uid for kind in _SCENE for uid in task.get(kind) or {}}
-        terms: Mapping[str, Any] = task.get("observations") or {}
-        found = (t for key, t in terms.items() if (t.get("name") or key) == name)
-        return any(_mentions(term.get("params"), others) for term in found)
-
-
-_SCENE = ("objects", "articulations", "commands")
-"""Sections of a task with what observations are of, besides robots."""
-
-
-def _mentions(value: Any, names: set[str]) -> bool:
-    """Whether one of these names is a string within nested maps and lists."""
-    if isinstance(value, Mapping):
-        return any(_mentions(item, names) for item in value.values())
-    if isinstance(value, (list, tuple)):
-        return any(_mentions(item, names) for item in value)
-    return isinstance(value, str) and value in names
 
 
 def export_episodes(

@@ -10,10 +10,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.lerobot_env import image_key, lerobot_parts
 from embodichain.recording.demonstrations import Episode
 from embodichain.recording.export.episodes import DataSet
 from embodichain.recording.export.lerobot import about_task
@@ -22,7 +24,6 @@ from embodichain.utils.errors import ConfigError
 
 __all__ = ["write_episodes"]
 
-_STATE, _SCENE = "observation.state", "observation.environment_state"
 _log = logging.getLogger(__name__)
 
 
@@ -36,10 +37,8 @@ def write_episodes(data: DataSet, path: Path) -> None:
     """
     with data.log() as log:
         fps, (sentence, robot) = whole_fps(log.dt), about_task(log)
-        parts: dict[str, list[str]] = {_STATE: [], _SCENE: []}
-        for name in data.vectors:
-            parts[_SCENE if data.is_of_scene(log, name) else _STATE].append(name)
-    parts = {key: names for key, names in parts.items() if names}
+        task: Any = log.config["task"]
+    parts = lerobot_parts(task, data.vectors)
     features = {
         key: Feature("float32", [column for name in names for column in data.columns(name)])
         for key, names in parts.items()
@@ -76,7 +75,7 @@ def _films(data: DataSet) -> Iterator[tuple[str, str]]:
     for name in data.images:
         values = data.pictures(data.first, name)
         if values.dtype == np.uint8 and values.shape[-1] in (1, 3):
-            yield name, f"observation.images.{name.replace('/', '_')}"
+            yield name, f"observation.images.{image_key(name)}"
         else:
             what = f"{values.shape[-1]} channels of {values.dtype}"
             _log.warning("%s is left out: a video has 1 or 3 channels of uint8, not %s", name, what)

@@ -1,0 +1,62 @@
+"""`GifFile`: pictures, their durations, and what is left where writing stops."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.video import GifFile, VideoFile, film_file, need_encoder
+
+SIZE = (24, 16)
+
+
+def plain(red: int) -> np.ndarray:
+    return np.full((16, 24, 3), (red, 40, 90), np.uint8)
+
+
+def ramp() -> np.ndarray:
+    """(16, 24, 3) all levels of red that the other pictures have."""
+    red = np.linspace(0, 255, 24).astype(np.uint8)
+    return np.stack([np.tile(red, (16, 1)), *np.full((2, 16, 24), 60, np.uint8)], axis=-1)
+
+
+def test_a_gif_has_the_pictures_for_as_long_as_they_last(tmp_path):
+    path = tmp_path / "new" / "film.gif"
+    with film_file(path, SIZE, 30.0) as film:
+        assert isinstance(film, GifFile)
+        for red in range(0, 180, 30):
+            film.write(ramp() if red == 0 else np.roll(ramp(), red, axis=1))
+        assert not path.exists()
+    with Image.open(path) as gif:
+        assert (gif.n_frames, gif.size, gif.info["loop"]) == (6, SIZE, 0)
+        seconds = 0.0
+        for k in range(gif.n_frames):
+            gif.seek(k)
+            seconds += gif.info["duration"] / 1000
+            expected = np.roll(ramp(), 30 * k, axis=1).astype(int)
+            assert np.abs(np.asarray(gif.convert("RGB")).astype(int) - expected).max() < 12
+    assert seconds == pytest.approx(6 / 30, abs=0.005)  # 30, 40, 30 ms, ...
+    assert [p.name for p in path.parent.iterdir()] == ["film.gif"]
+
+
+def test_no_file_is_replaced_and_nothing_is_left_of_one_that_failed(tmp_path):
+    path = tmp_path / "film.gif"
+    path.write_bytes(b"mine")
+    with film_file(path, SIZE, 10.0) as film:
+        film.write(plain(3))
+    assert path.read_bytes() == b"mine" and (tmp_path / "film_2.gif").stat().st_size > 20
+    with pytest.raises(ValueError, match="mine"), film_file(tmp_path / "b.gif", SIZE, 10.0) as film:
+        film.write(plain(3))
+        raise ValueError("mine")
+    assert sorted(p.name for p in tmp_path.glob("*.*")) == ["film.gif", "film_2.gif"]
+
+
+def test_only_an_mp4_needs_the_encoder(tmp_path, monkeypatch):
+    assert isinstance(film := film_file(tmp_path / "film.mp4", SIZE, 10.0), VideoFile)
+    film.discard()
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    need_encoder(".gif")
+    with pytest.raises(ConfigError, match=r"imageio-ffmpeg.*embodichain\[video\]"):
+        need_encoder()
