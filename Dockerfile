@@ -17,7 +17,7 @@ RUN /build/bin/python -m build --no-isolation --wheel --outdir /dist
 FROM debian:12-slim
 ARG TORCH_INDEX=
 ARG EXTRAS=robots,video
-RUN apt-get update && apt-get install -y --no-install-recommends python3 python3-venv libegl1 libgl1-mesa-dri && rm -rf /var/lib/apt/lists/*
+RUN apt-get update && apt-get install -y --no-install-recommends python3 python3-venv libegl1 libgl1-mesa-dri libopengl0 && rm -rf /var/lib/apt/lists/*
 RUN python3 -m venv /opt/embodichain && useradd --create-home --uid 1000 embodichain && install -d -o embodichain /data
 COPY constraints.txt /pins/constraints.txt
 RUN /opt/embodichain/bin/pip install --no-cache-dir -c /pins/constraints.txt ${TORCH_INDEX:+--index-url "$TORCH_INDEX"} torch

@@ -1,5 +1,7 @@
 """Everything at once: `python -m benchmarks` measures, and writes docs/performance.md anew.
 
+It also adds the figures to the history (`benchmarks.history`).
+
 With `--page` only the page is written, from the figures in `benchmarks/results/`.
 """
 
@@ -14,6 +16,7 @@ from typing import Any
 
 from benchmarks import (
     action_cost,
+    history,
     log_cost,
     memory,
     randomization,
@@ -50,6 +53,7 @@ def main() -> None:
         for name in REPORTS:
             out = ["--out", str(RESULTS / f"{name}.json")]
             subprocess.run([sys.executable, "-m", f"benchmarks.{name}", *out], check=True, cwd=ROOT)
+        history.main(["--record", *REPORTS])
     found = {name: json.loads((RESULTS / f"{name}.json").read_text()) for name in REPORTS}
     text = PAGE.read_text(encoding="utf-8")
     text = filled(text, "machine", machine_line(found["step_speed"]["machine"]))

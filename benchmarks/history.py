@@ -40,7 +40,7 @@ class Row:
     """A benchmark at a commit.
 
     Attributes:
-        commit: Abbreviated hash.
+        commit: Abbreviated hash; with ``+`` if the package had changes that were not committed.
         date: Of the measurement, ``YYYY-MM-DD``.
         benchmark: Its module.
         machine: As in the result file, without the date.
@@ -247,6 +247,11 @@ def rows_of_git(root: Path = ROOT) -> Iterator[Row]:
             yield row_of(commit, benchmark, json.loads(shown.stdout))
 
 
+def _head(root: Path) -> str:
+    changed = _git(root, "status", "--porcelain", "--", "embodichain", "conf", "tasks")
+    return _git(root, "rev-parse", "--short", "HEAD") + "+" * bool(changed)
+
+
 def _git(root: Path, *arguments: str) -> str:
     command = ["git", "-C", str(root), *arguments]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
@@ -364,7 +369,7 @@ def main(arguments: list[str] | None = None) -> None:
     if options.from_git:
         rows += rows_of_git()
     if options.record:
-        commit = options.commit or _git(ROOT, "rev-parse", "--short", "HEAD")
+        commit = options.commit or _head(ROOT)
         for name in options.record:
             facts = json.loads((ROOT / RESULTS / f"{name}.json").read_text(encoding="utf-8"))
             rows.append(row_of(commit, name, facts))

@@ -56,6 +56,7 @@ def main() -> None:
     parser.add_argument("--device", help="measure MuJoCo Warp there: cuda, cuda:N, cpu")
     parser.add_argument("--tasks", nargs="+", default=list(warp_speed.TASKS), help="on a device")
     parser.add_argument("--set", nargs="+", default=[], help="config on a device: a.b=value")
+    parser.add_argument("--log", action="store_true", help="on a device: also with a log")
     parser.add_argument("--out", type=Path, help="JSON file for the raw figures")
     options = parser.parse_args()
     if options.device:
@@ -71,7 +72,9 @@ def measured_on_device(options: argparse.Namespace) -> tuple[dict[str, Any], str
     """Figures of MuJoCo Warp, and their table."""
     sizes = options.sizes or warp_speed.SIZES
     turns = options.rounds, options.seconds, options.episode
-    found = warp_speed.measured(options.device, options.tasks, sizes, options.set, *turns)
+    found = warp_speed.measured(
+        options.device, options.tasks, sizes, options.set, *turns, options.log
+    )
     return {"rounds": options.rounds, **found}, warp_speed.report(found)
 
 

@@ -6,8 +6,10 @@ control step are captured as one graph and replayed. Both take turns in one proc
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
+from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +34,7 @@ def measured(
     rounds: int,
     seconds: float,
     episode: int,
+    log: bool = False,
 ) -> dict[str, Any]:
     """Measure every task and size, one after the other.
 
@@ -43,6 +46,7 @@ def measured(
         rounds: How often each arm has its turn.
         seconds: About how long a turn is.
         episode: Control steps that a turn is a multiple of.
+        log: Whether to measure environments with a log, too.
 
     Raises:
         SystemExit: If there is no such device.
@@ -58,6 +62,13 @@ def measured(
                 env = arms.make(task, size, *lines, seed=arms.SEED)
                 built = [arms.environment(env, task, _floor(task), _wait), bare(task, env)]
                 stack.callback(env.close)
+                if log:
+                    logged = arms.make(task, size, *lines, seed=arms.SEED)
+                    temporary = tempfile.TemporaryDirectory(prefix="warp_speed-")
+                    folder = Path(stack.enter_context(temporary))
+                    stack.callback(logged.close)
+                    name = f"{task} + MCAP"
+                    built.append(arms.recorded(logged, name, _floor(task), folder))
                 results += [r.facts() for r in measure(built, rounds, seconds, episode)]
     return {"device": start_warp().get_device(device).name, "results": results}
 

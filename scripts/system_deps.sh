@@ -2,7 +2,8 @@
 # Installs what the system must provide, when something is missing and we are root; otherwise
 # names it with the command to type. Usage: system_deps.sh [PYTHON [chromium]]
 #
-#   libegl1, libgl1-mesa-dri   rendering without a display; missing: warned, nothing else fails
+#   libegl1, libgl1-mesa-dri,
+#   libopengl0                 rendering without a display; missing: warned, nothing else fails
 #   chromium                   only if named: tests of the web viewer; missing: they are skipped
 #   pythonX.Y-venv             Debian keeps venv's pip apart; missing: nothing can go on (exit 1)
 set -eu
@@ -26,7 +27,7 @@ if ! command -v dpkg-query >/dev/null; then
     exit $blocked
 fi
 
-for package in libegl1 libgl1-mesa-dri $more; do
+for package in libegl1 libgl1-mesa-dri libopengl0 $more; do
     status=$(dpkg-query --show --showformat='${db:Status-Status}' "$package" 2>/dev/null) || true
     [ "$status" = installed ] || packages="$packages $package"
 done
@@ -45,5 +46,5 @@ else
     echo "system packages missing: $packages. To install them: sudo $command" >&2
 fi
 [ $blocked -eq 0 ] || exit 1
-echo "warning: without libegl1 and libgl1-mesa-dri there are no pictures without a display," >&2
+echo "warning: without libegl1, libgl1-mesa-dri, libopengl0 there are no pictures without a display," >&2
 [ -z "$more" ] || echo "         without chromium the web viewer's tests are skipped" >&2

@@ -59,7 +59,9 @@ _CORE = (
 )
 _LOW_DISK_GB = 2.0
 _BALL = "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1'/></worldbody></mujoco>"
-_NO_PICTURE = "apt-get install libegl1 libgl1-mesa-dri, or set MUJOCO_GL to what works here"
+_NO_PICTURE = (
+    "apt-get install libegl1 libgl1-mesa-dri libopengl0, or set MUJOCO_GL to what works here"
+)
 _RENDER = "from embodichain.cli.doctor import render_once; render_once()"
 
 

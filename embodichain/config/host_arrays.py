@@ -9,7 +9,6 @@ from embodichain.lab.gym.policies import POLICIES
 __all__ = ["why_host", "why_not_device", "with_arrays"]
 
 _PLANNED = ("expert", "teleop")
-_CAMERAS = ("camera", "stereo_camera", "Camera", "StereoCamera")
 
 
 def why_not_device(root: RootCfg, verb: Verb | None) -> list[str]:
@@ -19,11 +18,7 @@ def why_not_device(root: RootCfg, verb: Verb | None) -> list[str]:
         root: The config.
         verb: The verb of the job; None is an environment without a log, a viewer or a policy.
     """
-    found = [
-        f"task.sensors.{uid}.observe: pictures are drawn on the host"
-        for uid, sensor in root.task.sensors.items()
-        if sensor.observe and sensor.sensor_type in _CAMERAS
-    ]
+    found: list[str] = []
     if root.viewer.name == "native" or (verb is not None and root.viewer.name != "none"):
         found.append(f"viewer={root.viewer.name} shows arrays of the host")
     if verb in (None, "train"):

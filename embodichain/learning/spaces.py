@@ -20,6 +20,8 @@ from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
+    import torch
+
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
 __all__ = [
@@ -166,6 +168,22 @@ class LearnerView:
             return flat_observation(self._env, obs, self._group)
         found = named_obs(obs, self._named)
         return found[self._image] if self._image else found
+
+    def tensors(self, obs: Any) -> dict[Any, torch.Tensor]:
+        """Return the entries of an observation by name, (N, ...); the name of a vector is "".
+
+        They may share memory with the observation.
+        """
+        if self._named is None:
+            return {"": self._env.observation_manager.flatten(obs, self._group)}
+        return {name: obs[tuple(name.split("/"))] for name in self._named}
+
+    def named(self, arrays: Mapping[Any, Any]) -> NDArray[Any] | dict[str, NDArray[Any]]:
+        """Return the observation of entries as `tensors` names them."""
+        if self._named is None or self._image:
+            found: NDArray[Any] = arrays[self._image]
+            return found
+        return {name: arrays[name] for name in self._named}
 
     def recorded(self, entries: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Return recorded observations as the learner would have received them.

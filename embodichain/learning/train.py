@@ -214,6 +214,10 @@ def _vec_env(env: BaseEnv, algorithm: AnyAlgorithm) -> SB3VecEnv | TensorEnv:
     """The environment as the algorithm's policy takes it."""
     manager = env.observation_manager
     images = manager.image_terms(GROUP) if GROUP in manager.groups else ()
+    if images and isinstance(algorithm, TensorAlgorithm):
+        message = f"its networks take vectors, and {', '.join(images)} in group {GROUP!r} "
+        message += "is an image" if len(images) == 1 else "are images"
+        raise ConfigError([Problem("algo", f"{message}: use algo=ppo")])
     if algorithm.flat and images and len(manager.group_terms(GROUP)) > 1:
         message = f"{no_vector(GROUP, images)}: use MultiInputPolicy"
         raise ConfigError([Problem("algo.policy", message)])

@@ -19,6 +19,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.judging import none_set
+from embodichain.lab.gym.envs.observation import on_host
 from embodichain.learning.episode_statistics import as_array
 from embodichain.learning.spaces import (
     ActionScale,
@@ -104,9 +105,7 @@ class SB3VecEnv(VecEnv):
         self._start = time.time()
         self._returns = np.zeros(num_envs)
         self._action: torch.Tensor | None = None
-        space: Any = self.observation_space
-        vector = flatten and len(space.shape) == 1
-        self._packs = vector and self.base.device.type != "cpu"
+        self._packs = self.base.device.type != "cpu"
         self.step_seconds = 0.0
         """Wall time spent in `step` so far."""
 
@@ -168,13 +167,11 @@ class SB3VecEnv(VecEnv):
     def _on_host(
         self, obs: Any, reward: Any, terminated: Any, truncated: Any
     ) -> tuple[Observed, F32, Bool, Bool]:
-        """Return the tensors of a step as arrays; vectors on another device by one copy."""
+        """Return the tensors of a step as arrays; those on another device by one copy."""
         if self._packs:
-            vectors = self.base.observation_manager.flatten(obs, self.group)
-            others = torch.stack([reward, terminated, truncated], dim=1).to(vectors.dtype)
-            table: F32 = torch.cat([vectors, others], dim=1).numpy(force=True)
-            flags = table[:, -2:] > 0
-            return table[:, :-3].copy(), table[:, -3].copy(), flags[:, 0], flags[:, 1]
+            others: dict[Any, torch.Tensor] = dict(enumerate((reward, terminated, truncated)))
+            found = on_host(self._observed.tensors(obs) | others)
+            return self._observed.named(found), found[0], found[1], found[2]
         # A copy: learners add bootstrapped values to the rewards in place.
         rewards: F32 = as_array(reward).copy()
         return self._observed(obs), rewards, as_array(terminated), as_array(truncated)

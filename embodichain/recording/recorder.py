@@ -101,8 +101,8 @@ class McapRecorder(StepObserver):
         env = getattr(env, "observed", env)  # other classes have no device
         self._engine = env.sim.engine
         check_keyframes(options, self._engine)
-        self._path = Path(path)
-        self._start_ns = time.time_ns()
+        self._catch_up: Callable[[], None] = getattr(env, "catch_up", lambda: None)
+        self._path, self._start_ns = Path(path), time.time_ns()
         mjb = model_bytes(self._engine.model)
         header = header_of(env, options, model_digest(mjb), task, policy, self._start_ns)
         self._moved, self._period_ns = Moved(header.moved), header.period_ns
@@ -112,16 +112,14 @@ class McapRecorder(StepObserver):
         self._gate = _EpisodeGate(options.every, next(iter(options.view_envs), 0))
         self._max_bytes = (options.max_mb or 0.0) * 1e6
         self._view_envs = header.view_envs
-        self._step = 0
+        self._step = self._since_start = self._start_bytes = 0
         self._calls: list[Recorded] = []  # since the last control step
         self._steps: list[list[Recorded]] = []  # finished, not written yet
         self._first = 0  # number of the first of these
         self._begun = 0.0  # when it was added, on the monotonic clock
         self._most = 1  # number of steps that are written together
         self._kinds: dict[object, CallKind] = {}
-        self._since_start = self._start_bytes = 0
-        self._flushed = time.monotonic()
-        self._closed = False
+        self._flushed, self._closed = time.monotonic(), False
         images: list[str] = []
         if options.images is not None:
             from embodichain.recording.views.images import image_topics
@@ -392,6 +390,7 @@ class McapRecorder(StepObserver):
             LogWriteError: If the file could not be written.
         """
         if not self._closed:
+            self._catch_up()
             with self._writing.writes():
                 self._write_steps()
                 self._flush()
@@ -404,6 +403,7 @@ class McapRecorder(StepObserver):
         """
         if self._closed:
             return
+        self._catch_up()
         self._closed = True
         atexit.unregister(self._at_exit)
         self._writing.stop()

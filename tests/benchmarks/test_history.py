@@ -1,6 +1,7 @@
 """The history of performance: rows from result files, and the page that draws them."""
 
 import json
+import subprocess
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -95,6 +96,30 @@ def test_the_command_writes_rows_and_page(
     assert "random_reach, N=1024" in out.read_text()
     with pytest.raises(SystemExit):
         history.main(files)
+
+
+def test_figures_of_a_changed_package_are_marked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    who = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
+    root = tmp_path / "checkout"
+    results = root / history.RESULTS
+    results.mkdir(parents=True)
+    (results / "startup.json").write_text(json.dumps(startup(1.0)))
+    (results / "log_fuzz.json").write_text("{}")  # no figures
+    for command in (["init", "-q"], ["add", "-A"], [*who, "commit", "-q", "-m", "a"]):
+        subprocess.run(["git", "-C", root, *command], check=True)
+    (row,) = history.rows_of_git(root)
+    assert row.figures == {"embodichain --help, CPU s": (1.0, "CPU s")}
+
+    monkeypatch.setattr(history, "ROOT", root)
+    rows = tmp_path / "rows.jsonl"
+    for step in ("clean", "changed"):
+        files = ["--rows", str(rows), "--out", str(tmp_path / "page.html")]
+        history.main(["--record", "startup", *files])
+        (root / "embodichain").mkdir(exist_ok=True)
+        (root / "embodichain" / f"{step}.py").touch()
+    assert [r.commit for r in history.read(rows)] == [row.commit, f"{row.commit}+"]
 
 
 def test_every_commits_results_are_kept() -> None:

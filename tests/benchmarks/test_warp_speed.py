@@ -15,6 +15,7 @@ from embodichain.lab.sim.engine.warp_support import cuda_devices
 pytestmark = pytest.mark.unmeasured
 
 REPO = Path(__file__).parents[2]
+NAMES = ["cart_pole", "cart_pole, bare", "cart_pole + MCAP"]
 SMALL = ["--rounds=1", "--sizes", "2", "--seconds=0", "--episode=3", "--tasks", "cart_pole"]
 
 
@@ -26,10 +27,10 @@ def step_speed(*arguments):
 def test_a_task_beside_its_bare_physics(tmp_path):
     out = tmp_path / "raw.json"
     sizes = ["--set", "sim.warp.nconmax=16", "sim.warp.njmax=16"]
-    done = step_speed("--device", "cpu", *sizes, "--out", str(out))
+    done = step_speed("--device", "cpu", *sizes, "--log", "--out", str(out))
     assert done.returncode == 0, done.stderr
     facts = json.loads(out.read_text())
-    assert [r["name"] for r in facts["results"]] == ["cart_pole", "cart_pole, bare"]
+    assert [r["name"] for r in facts["results"]] == NAMES
     assert all(r["num_envs"] == 2 and r["speeds"][0] > 0 for r in facts["results"])
     assert "| cart_pole | 2 |" in done.stdout and facts["device"] in done.stdout
 

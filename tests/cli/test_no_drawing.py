@@ -15,7 +15,7 @@ sensors:
   front: {sensor_type: camera, width: 16, height: 12, observe: true, data_types: [depth, mask]}
 """
 COLOR = DEPTH.replace("[depth, mask]", "[color]")
-PACKAGES = "apt-get install libegl1 libgl1-mesa-dri"
+PACKAGES = "apt-get install libegl1 libgl1-mesa-dri libopengl0"
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 import yaml
 from gymnasium import spaces
 from stable_baselines3 import PPO
@@ -71,6 +72,34 @@ def test_a_dict_of_image_and_numbers(env):
     assert all((a != b).any() for a, b in zip(before, after, strict=True))
 
 
+def test_entries_on_another_device_are_copied_once(env, monkeypatch):
+    """Packed into one tensor, entries are as those copied one by one, and are the caller's."""
+    env.reset()
+    obs, *others, _ = env.step(torch.ones(4, 6))
+    numpy, copies = torch.Tensor.numpy, []
+
+    def counted(tensor, **kwargs):
+        copies.append(tensor.numel())
+        return numpy(tensor, **kwargs)
+
+    for vec_env in (SB3VecEnv(env, flatten=False), SB3VecEnv(env, "alone")):
+        wanted = vec_env._on_host(obs, *others[:3])
+        vec_env._packs = True
+        copies.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(torch.Tensor, "numpy", counted)
+            found = vec_env._on_host(obs, *others[:3])
+        assert sum(map(bool, copies)) == 1
+        entries = [part if isinstance(part, dict) else {"": part} for part in (wanted[0], found[0])]
+        for a, b in zip(entries[0].values(), entries[1].values(), strict=True):
+            assert a.dtype == b.dtype and a.flags.aligned and b.flags.aligned
+            np.testing.assert_array_equal(a, b)
+            b[:] = 0
+        for a, b in zip(wanted[1:], found[1:], strict=True):
+            np.testing.assert_array_equal(a, b)
+    assert obs["front"].any()
+
+
 def test_an_image_alone_is_for_a_cnn_policy(env):
     vec_env = SB3VecEnv(env, "alone")
     assert is_image_space(vec_env.observation_space)
@@ -101,6 +130,11 @@ def test_the_checker_of_gymnasium_environments(folder):
     env = embodichain.make("seen", 1, ["seed=1"])
     check_env(SingleEnv(env), warn=False)
     env.close()
+
+
+def test_networks_that_take_vectors_are_refused(folder):
+    with pytest.raises(ConfigError, match="algo: its networks take vectors, and front in group "):
+        train(resolve(["task=seen", "algo=rsl_rl_ppo", "total_timesteps=16"], "train"), folder)
 
 
 ALGO = ["algo.n_steps=4", "algo.batch_size=8", "algo.n_epochs=1", "num_envs=4", "eval.episodes=0"]

@@ -55,7 +55,7 @@ def test_root_installs_what_is_missing(machine: Machine) -> None:
     assert machine.setup().returncode == 0
     assert machine.calls.read_text().splitlines() == [
         "apt-get update",
-        "apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri",
+        "apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri libopengl0",
     ]
 
 
@@ -63,7 +63,7 @@ def test_tests_want_a_browser_too(machine: Machine) -> None:
     machine.tool("dpkg-query", MISSING)
     machine.tool("id", "#!/bin/sh\necho 0\n")
     assert machine.setup(sys.executable, "chromium").returncode == 0
-    assert machine.calls.read_text().splitlines()[-1].endswith(" libgl1-mesa-dri chromium")
+    assert machine.calls.read_text().splitlines()[-1].endswith(" libopengl0 chromium")
 
 
 def test_others_are_told_the_command(machine: Machine) -> None:
@@ -71,7 +71,7 @@ def test_others_are_told_the_command(machine: Machine) -> None:
     machine.tool("id", "#!/bin/sh\necho 1000\n")
     done = machine.setup()
     assert done.returncode == 0  # everything but pictures works without
-    by_hand = "sudo apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri"
+    by_hand = "sudo apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri libopengl0"
     assert by_hand in done.stderr
     assert machine.calls.read_text() == ""
 
@@ -82,7 +82,7 @@ def test_failed_installation_is_said(machine: Machine) -> None:
     machine.tool("apt-get", MISSING)
     done = machine.setup()
     assert done.returncode == 0
-    found = "could not install: libegl1 libgl1-mesa-dri. By hand: apt-get install"
+    found = "could not install: libegl1 libgl1-mesa-dri libopengl0. By hand: apt-get install"
     assert found in done.stderr
 
 

@@ -45,6 +45,26 @@ def host(tmp_path_factory):
     return recorded(tmp_path_factory.mktemp("host") / "log.mcap", "host")
 
 
+def test_what_is_flushed_and_closed_has_every_step(tmp_path):
+    """Also the steps whose copies are on their way."""
+    path = tmp_path / "log.mcap"
+    lines = [line for line in RANDOMIZED if not line.startswith("+")]
+    with embodichain.make("cart_pole", N, [*lines, "sim.warp.arrays=device"]) as env:
+        recorder = McapRecorder(path, env)
+        env.add_observer(recorder)
+        env.reset()
+        zero = torch.zeros(N, 1, device=env.device)
+        for count in (5, 6):
+            while recorder.stats.steps < count:
+                env.step(zero)
+                recorder.flush()
+            with recording.open(path) as log:
+                assert len(log.read(["qpos"])) == count
+        env.step(zero)
+        recorder.close()
+        assert verify(path).steps == env.control_step == 7
+
+
 def test_it_reads_as_a_log_of_the_host(device, host):
     with recording.open(device) as a, recording.open(host) as b:
         assert (a.header.writes, b.header.writes) == ("none", "all")

@@ -134,10 +134,21 @@ def env():
         yield env
 
 
-def test_what_may_not_lag_is_refused(env):
+def test_what_needs_the_device_is_refused(env):
     with pytest.raises(ConfigError, match="observers that may not be called late have no form"):
         env.add_observer(StepObserver())
     assert env.copies is None
+    engine = env.observed.sim.engine
+    for use in (
+        lambda: engine.step(1),
+        lambda: engine.forward(),
+        lambda: engine.derived("xpos"),
+        lambda: engine.acceleration("qfrc_actuator"),
+        lambda: engine.cast_rays(np.zeros((1, 1, 3)), np.ones((1, 1, 3)), np.ones(1, bool)),
+    ):
+        with pytest.raises(HostTransferError, match="a copy of states has not"):
+            use()
+    assert env.observed.sim.sensors == {} and env.observed.step_dt == env.step_dt
 
 
 def test_a_step_that_fails_is_not_told(env, monkeypatch):
@@ -188,20 +199,6 @@ def test_observers_can_come_and_go(env):
     assert [entry[:2] for entry in third.found if entry[0] == "step"] == [("step", 4)]
     with pytest.raises(ValueError):
         env.remove_observer(first)
-
-
-def test_a_copy_computes_nothing(env):
-    engine = env.observed.sim.engine
-    for use in (
-        lambda: engine.step(1),
-        lambda: engine.forward(),
-        lambda: engine.derived("xpos"),
-        lambda: engine.acceleration("qfrc_actuator"),
-        lambda: engine.cast_rays(np.zeros((1, 1, 3)), np.ones((1, 1, 3)), np.ones(1, bool)),
-    ):
-        with pytest.raises(HostTransferError, match="a copy of states has not"):
-            use()
-    assert env.observed.sim.sensors == {} and env.observed.step_dt == env.step_dt
 
 
 def test_commands_are_copied():

@@ -99,6 +99,38 @@ def test_recorded_steps_are_as_others(task):
         same(one.elapsed_steps, other.elapsed_steps)
 
 
+CAMERA = "sensor_type: camera, width: 24, height: 16, fovy: 60, extrinsics: {eye: [0, -3, 1], "
+PICTURES = (
+    f"+task.sensors.eye={{{CAMERA} target: [0, 0, 0.5]}}, data_types: [color, depth]}}",
+    f"+task.sensors.slow={{{CAMERA} target: [0, 0, 1]}}, rate: 20, observe: true}}",
+    "+task.observations.eye={func: camera_image, params: {sensor: eye}, delay: 1, noise: {std: 3}}",
+    "+task.observations.depth={func: camera_image, params: {sensor: eye, channels: depth}}",
+    "+task.events.eye={func: randomize_camera_pose, mode: reset, params: {camera: eye, "
+    "position_range: [[-1, 0, 0], [1, 0, 0]]}}",
+)
+
+
+def test_pictures_are_drawn_in_recorded_steps():
+    """A camera with a rate keeps its picture, one with a delay its last; a learner keeps all."""
+    pictures = (("eye",), ("depth",), ("sensor", "slow", "color"))
+    earlier = []
+    with made("cart_pole", *PICTURES) as (one, other, graph):
+        for action in actions(one, STEPS):
+            obs, obs2 = one.step(action)[0], other.step(action)[0]
+            for path in pictures:
+                same(obs[path].float(), obs2[path].float())
+            earlier.append((obs, {path: obs[path].clone() for path in pictures}))
+        assert graph.reason == "" and graph._graph is not None
+        for obs, images in earlier:
+            for path, image in images.items():
+                assert torch.equal(obs[path], image)
+        addresses = {obs["depth"].data_ptr() for obs, _ in earlier}
+        assert len(addresses) == STEPS
+        assert any("_readings" in path for path in graph._kept)
+        assert obs["depth"].shape == (N, 1, 16, 24) and (obs["depth"] > 0).any()
+        assert len({image.tobytes() for image in obs["depth"].cpu().numpy()}) == N
+
+
 def test_what_is_kept_stays_at_its_address():
     with made("cart_pole") as (one, _, graph):
         for action in actions(one, 4):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +46,7 @@ class CopiedEnv(_Changed):
 
     Args:
         env: The environment.
+        catch_up: Waits for the device, and reports everything up to now.
 
     Attributes:
         observers: The observers.
@@ -58,7 +59,7 @@ class CopiedEnv(_Changed):
     num_envs: int
     control_step: int
 
-    def __init__(self, env: Any) -> None:
+    def __init__(self, env: Any, catch_up: Callable[[], None]) -> None:
         self.engine = CopiedEngine(env.sim.engine)
         self._commands: dict[str, NDArray[np.float64]] = {}
         terms = {}
@@ -72,6 +73,7 @@ class CopiedEnv(_Changed):
             reward_manager=_Changed(env.reward_manager),
             termination_manager=_Changed(env.termination_manager, values={}),
             control_step=int(env.control_step),
+            catch_up=catch_up,
             observers=list[StepObserver](),
         )
         self._seen: Any = self  # an `ObservedEnv`

@@ -6,8 +6,8 @@ point, are separate tensors outside the array. Functions at the end make spaces 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
-from typing import Any
+from collections.abc import Collection, Hashable, Iterable, Mapping
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -29,11 +29,13 @@ __all__ = [
     "new_tensor",
     "numpy_obs",
     "observation_space",
+    "on_host",
 ]
 
 F32 = NDArray[np.float32]
 Path = tuple[str, ...]
 Columns = slice | NDArray[np.int64]
+_Key = TypeVar("_Key", bound=Hashable)
 
 
 def as_array(value: Any) -> NDArray[Any]:
@@ -218,6 +220,12 @@ class Observation(TensorMapping):
         found.others.update(self.others)
         return found
 
+    def copy(self) -> Observation:
+        """Return an observation that shares no memory with this one."""
+        found = Observation(self.layout, self.rows.copy())
+        found.others.update({path: value.clone() for path, value in self.others.items()})
+        return found
+
     def set_other(self, path: Path, value: torch.Tensor) -> None:
         """Set an entry that is not in the array; terms may have read `others` already."""
         packed = self.packed
@@ -307,6 +315,25 @@ def named_obs(obs: Any, space: spaces.Dict) -> dict[str, NDArray[Any]]:
     """
     parts = {name: obs[tuple(name.split("/"))].numpy(force=True) for name in space}
     return {name: np.array(part, space[name].dtype) for name, part in parts.items()}
+
+
+def on_host(tensors: Mapping[_Key, torch.Tensor]) -> dict[_Key, NDArray[Any]]:
+    """Return copies of tensors as arrays; those of a device come to the host by one copy.
+
+    Args:
+        tensors: Key -> tensor; all on one device.
+    """
+    # Wide types are first, so that each array's address is a multiple of its type's size.
+    order = sorted(tensors, key=lambda key: -tensors[key].element_size())
+    parts = [tensors[key].reshape(-1).view(torch.uint8) for key in order]
+    whole = torch.cat(parts).numpy(force=True)
+    found, start = {}, 0
+    for key, part in zip(order, parts, strict=True):
+        stop = start + len(part)
+        kind = torch.empty(0, dtype=tensors[key].dtype).numpy().dtype
+        found[key] = whole[start:stop].view(kind).reshape(tuple(tensors[key].shape))
+        start = stop
+    return {key: found[key] for key in tensors}
 
 
 def numpy_obs(obs: Mapping[str, Any]) -> dict[str, Any]:

@@ -69,7 +69,7 @@ class StepCopies(StepObserver):
     """
 
     def __init__(self, env: Any) -> None:
-        self.host = CopiedEnv(env)
+        self.host = CopiedEnv(env, self.flush)
         self._env, engine = env, env.sim.engine
         self._engine: DeviceEngine = engine
         layout = {name: engine.component(name) for name in engine.state_names}

@@ -111,7 +111,7 @@ class StepGraph:
         obs, reward, terminated, truncated, info = self._result
         seen = cast("Observation", obs)
         copies = reward.clone(), terminated.clone(), truncated.clone()
-        return seen.with_rows(seen.rows.copy()), *copies, dict(info)
+        return seen.copy(), *copies, dict(info)
 
     def _observe(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
         """Take a step, and find the arrays that it reads and replaces."""

@@ -6,6 +6,7 @@ For OpenGL without layered rendering (macOS, old drivers).
 from __future__ import annotations
 
 import copy
+import ctypes
 from collections.abc import Sequence
 from typing import Any
 
@@ -164,9 +165,10 @@ def _about() -> str:
     """What OpenGL says of itself."""
     try:
         from OpenGL import GL
-    except (ImportError, AttributeError, OSError):  # MuJoCo needs it only for EGL and OSMesa
-        return "OpenGL"
-    name, version = (GL.glGetString(name).decode() for name in (GL.GL_RENDERER, GL.GL_VERSION))
+
+        name, version = (GL.glGetString(name).decode() for name in (GL.GL_RENDERER, GL.GL_VERSION))
+    except (ImportError, AttributeError, OSError, ctypes.ArgumentError):
+        return "OpenGL"  # MuJoCo needs the module only for EGL and OSMesa, the library never
     return f"{name}, OpenGL {version}"
 
 

@@ -25,7 +25,7 @@ __all__ = [
 
 VARIABLE = "EMBODICHAIN_RENDERER"
 """Environment variable that names the only renderer to try."""
-_EGL = "EGL: `apt-get install libegl1 libgl1-mesa-dri` (Debian, Ubuntu)"
+_EGL = "EGL: `apt-get install libegl1 libgl1-mesa-dri libopengl0` (Debian, Ubuntu)"
 _NEEDED = "GL_ARB_shader_viewport_layer_array"
 _VERSION = (4, 5)
 _WITHOUT_DISPLAY = ("egl", "osmesa")
@@ -51,10 +51,14 @@ class Context:
             from OpenGL import GL
         except (ImportError, AttributeError, OSError, RuntimeError) as error:
             raise RenderError(f"no picture can be made here ({error}); {hint()}") from error
-        self.vendor, self.renderer, self.version = (
-            _text(GL.glGetString(name) or b"unknown")
-            for name in (GL.GL_VENDOR, GL.GL_RENDERER, GL.GL_VERSION)
-        )
+        try:
+            self.vendor, self.renderer, self.version = (
+                _text(GL.glGetString(name) or b"unknown")
+                for name in (GL.GL_VENDOR, GL.GL_RENDERER, GL.GL_VERSION)
+            )
+        except ctypes.ArgumentError as error:  # EGL is installed, libOpenGL is not
+            self.close()
+            raise RenderError(f"no picture can be made here ({error}); {hint()}") from error
         version = tuple(
             int(GL.glGetIntegerv(n)) for n in (GL.GL_MAJOR_VERSION, GL.GL_MINOR_VERSION)
         )

@@ -6,7 +6,7 @@ the view of a camera of the scene, or of a `Viewpoint`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -27,6 +27,7 @@ __all__ = [
     "Viewpoint",
     "camera_id",
     "camera_size",
+    "lens_of",
     "view_of",
 ]
 
@@ -214,6 +215,38 @@ def camera_size(model: mujoco.MjModel, camera: int) -> tuple[int, int]:
     return (width, height) if min(width, height) > 1 else (640, 480)
 
 
+def lens_of(
+    model: mujoco.MjModel,
+    camera: int,
+    width: int,
+    height: int,
+    values: Callable[[str], NDArray[Any]] | None = None,
+) -> NDArray[np.float64]:
+    """(N or 1, 4) fx, fy, cx, cy in pixels of a camera of the scene, see `view_of`.
+
+    Args:
+        model: The compiled scene.
+        camera: Index of a camera.
+        width: Pixels.
+        height: Pixels.
+        values: Returns (N or 1, ...) values of a field of the model, where arrays are; None is
+            those compiled.
+    """
+    if values is None:
+        values = lambda name: np.asarray(getattr(model, name))[None]  # noqa: E731
+    pixels = np.array([width, height], np.float64)
+    sensor = np.asarray(model.cam_sensorsize[camera], np.float64)
+    if sensor.all():
+        intrinsic = values("cam_intrinsic")[:, camera].astype(np.float64)
+        focal, offset = intrinsic[:, :2] / sensor * pixels, intrinsic[:, 2:] / sensor * pixels
+        centre = 0.5 * pixels - offset
+    else:
+        fovy = values("cam_fovy")[:, camera].astype(np.float64)
+        focal = np.repeat(height / (2.0 * np.tan(np.radians(fovy) / 2.0))[:, None], 2, axis=1)
+        centre = np.broadcast_to(0.5 * pixels, focal.shape)
+    return np.concatenate([focal, centre], axis=1)
+
+
 def view_of(
     state: DrawnState,
     camera: str | int | Viewpoint,
@@ -253,16 +286,8 @@ def view_of(
     index = camera_id(model, camera)
     if model.cam_projection[index] != int(mujoco.mjtProjection.mjPROJ_PERSPECTIVE):
         raise ValueError(f"camera {camera!r} is orthographic: only pinhole cameras can be drawn")
-    pixels = np.array([width, height], np.float64)
-    sensor = np.asarray(model.cam_sensorsize[index], np.float64)
-    if sensor.all():
-        intrinsic = np.asarray(state.model_values("cam_intrinsic")[:, index], np.float64)
-        focal, offset = intrinsic[:, :2] / sensor * pixels, intrinsic[:, 2:] / sensor * pixels
-        centre = 0.5 * pixels - offset
-    else:
-        fovy = np.asarray(state.model_values("cam_fovy")[:, index], np.float64)
-        focal = np.repeat(height / (2.0 * np.tan(np.radians(fovy) / 2.0))[:, None], 2, axis=1)
-        centre = np.broadcast_to(0.5 * pixels, focal.shape)
+    lens = lens_of(model, index, width, height, state.model_values)
+    focal, centre = lens[:, :2], lens[:, 2:]
     first = (focal[0, 0], focal[0, 1]), (centre[0, 0], centre[0, 1])
     optics = Optics(width, height, *first, near, far)
     position = state.derived("cam_xpos")[:, index]

@@ -5,9 +5,10 @@ Importing this module imports Warp (extra ``gpu``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -35,6 +36,10 @@ from embodichain.lab.sim.engine.warp import (
     require_memory,
 )
 from embodichain.utils.arrays import tensor_of
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.drawing.views import Look, Optics, Output
+    from embodichain.lab.sim.engine.device_cameras import DeviceCameras, DevicePictures
 
 __all__ = ["DeviceEngine"]
 
@@ -261,6 +266,23 @@ class DeviceEngine(WarpEngine):
             found = self.worlds.cast(starts.contiguous(), ways.contiguous(), geoms)
         hits: list[Any] = [DeviceArray(part) for part in found]
         return RayHits(hits[0], hits[1], hits[2] if normal else None)
+
+    def pictures(
+        self, camera: int, optics: Optics, outputs: Sequence[Output], look: Look
+    ) -> DevicePictures:
+        """Draw a camera in all environments; see `DeviceCameras.draw`."""
+        lights = ("light_xpos", "light_xdir") if self.model.nlight else ()
+        for name in ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", *lights):
+            self.derived(name)  # poses of the current state
+        with self._stream():
+            return self._cameras.draw(camera, optics, outputs, look, self.version)
+
+    @cached_property
+    def _cameras(self) -> DeviceCameras:
+        from embodichain.lab.sim.engine.device_cameras import DeviceCameras
+
+        count, device = self.num_envs, str(self.device)
+        return DeviceCameras(self.worlds, self.model, count, device, self.fields.written)
 
     # -- physics -----------------------------------------------------------------------------------
 

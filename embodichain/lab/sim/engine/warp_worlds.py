@@ -35,7 +35,7 @@ __all__ = [
 _log = logging.getLogger(__name__)
 _AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 _LOOKS = ("mat_", "light_", "cam_", "geom_castshadow", "geom_group", "site_rgba", "site_matid")
-"""Beginnings of fields that only pictures read; they are drawn from the host's model."""
+"""Beginnings of fields that only pictures read; some of them only those drawn on the host."""
 PLACES = frozenset({"geom_pos", "geom_quat", "body_pos", "body_quat"})
 NO_LIMIT = 1e30
 """Force range of actuators without a limit, where others have one, N or Nm."""
@@ -304,6 +304,23 @@ class WarpWorlds:
             geom,
             torch.where(hit[..., None], normal, 0.0),
         )
+
+    # -- pictures ----------------------------------------------------------------------------------
+
+    def render_context(self, **options: Any) -> Any:
+        """Make what `mujoco_warp.render` needs of the scene, a `RenderContext`."""
+        with wp.ScopedDevice(self._device):
+            return mjw.create_render_context(self._compiled, self._count, **options)
+
+    def refit(self, context: Any) -> None:
+        """Move a context's boxes around geoms to their poses."""
+        with wp.ScopedDevice(self._device):
+            mjw.refit_bvh(self._model, self._data, context)
+
+    def render(self, context: Any) -> None:
+        """Draw the cameras of a context in all worlds, into its arrays."""
+        with wp.ScopedDevice(self._device):
+            mjw.render(self._model, self._data, context)
 
     # -- the model ---------------------------------------------------------------------------------
 

@@ -6,14 +6,14 @@ environments.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.cameras import pair_offset
-from embodichain.lab.sim.drawing.views import Output, View, view_of
+from embodichain.lab.sim.drawing.views import Optics, Output, View, lens_of, view_of
 from embodichain.lab.sim.sensors.cfg import CameraCfg, StereoCameraCfg
 from embodichain.lab.sim.sensors.depth_images import (
     disparities,
@@ -23,7 +23,15 @@ from embodichain.lab.sim.sensors.depth_images import (
     slopes,
 )
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
-from embodichain.utils.arrays import as_env_ids, as_rows, to_tensor
+from embodichain.utils.arrays import (
+    as_env_ids,
+    as_rows,
+    is_host,
+    rows_at,
+    tensor_of,
+    to_tensor,
+    zeros,
+)
 from embodichain.utils.errors import RenderError
 from embodichain.utils.math import (
     look_at,
@@ -39,6 +47,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.scene_sensors import CameraIndex
     from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.device import DeviceEngine
     from embodichain.lab.sim.host import Host
     from embodichain.lab.sim.sensors.sampling import Readings
 
@@ -112,7 +121,7 @@ class Camera(BaseSensor):
     def get_data(self) -> dict[str, torch.Tensor]:
         """Return all `reads` as tensors (N, H, W, ...), as in ``obs["sensor"][uid]`` (copies)."""
         return {
-            name: torch.from_numpy(image.copy())
+            name: tensor_of(image.copy())
             for name, image in zip(self.reads, self._readings(), strict=True)
         }
 
@@ -120,13 +129,12 @@ class Camera(BaseSensor):
         """No effect: images are drawn when they are read. EmbodiChain's name."""
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
-        self.host.arrays.require_host("images of cameras", f"sensors.{self.uid}")
         self.was_drawn = True
-        seen = self._draw(env_ids)
+        seen = self._draw_on_device() if self.host.arrays.on_device else self._draw(env_ids)
         return tuple(self._image(name, seen) for name in self.reads)
 
     def _draw(self, env_ids: EnvIndex | None) -> list[_Seen]:
-        views = [self._view(camera, self.outputs) for camera in self.index.ids]
+        views = [self._view(camera) for camera in self.index.ids]
         try:
             pictures = self.host.draw(views, env_ids)
         except RenderError as error:
@@ -140,7 +148,24 @@ class Camera(BaseSensor):
             for view, made in zip(views, pictures, strict=True)
         ]
 
-    def _view(self, camera: int, outputs: tuple[Output, ...] = ()) -> View:
+    def _draw_on_device(self) -> list[_Seen]:
+        """Draw all environments by MuJoCo Warp's renderer."""
+        engine = cast("DeviceEngine", self.engine)
+        found = []
+        for side, camera in enumerate(self.index.ids):
+            made = engine.pictures(camera, self._optics(camera), self.outputs, self.cfg.look)
+            eye = engine.derived("cam_xpos")[:, camera]
+            axes = engine.derived("cam_xmat")[:, camera].reshape(-1, 3, 3)
+            found.append(_Seen(eye, axes, self.read_intrinsics(side), made))
+        return found
+
+    def _optics(self, camera: int) -> Optics:
+        """The lens as compiled."""
+        cfg = self.cfg
+        fx, fy, cx, cy = lens_of(self.engine.model, camera, cfg.width, cfg.height)[0].tolist()
+        return Optics(cfg.width, cfg.height, (fx, fy), (cx, cy), cfg.near, cfg.far)
+
+    def _view(self, camera: int) -> View:
         cfg = self.cfg
         return view_of(
             self.engine,
@@ -149,7 +174,7 @@ class Camera(BaseSensor):
             cfg.height,
             near=cfg.near,
             far=cfg.far,
-            outputs=outputs,
+            outputs=self.outputs,
             look=cfg.look,
         )
 
@@ -159,8 +184,7 @@ class Camera(BaseSensor):
         if kind == "color":
             return pictures["color"]
         if kind == "mask":
-            found: NDArray[Any] = self.index.entity_of_geom[pictures["mask"]]
-            return found
+            return rows_at(self.index.entity_of_geom, pictures["mask"])
         depth: NDArray[np.float32] = pictures["depth"]
         if kind == "depth":
             return self._with_no_hit(depth, depth)
@@ -195,7 +219,7 @@ class Camera(BaseSensor):
         """Position (N, 3) and wxyz orientation (N, 4) in the frame of its link, if it has one."""
         camera, count = self.index.ids[0], self.num_instances
         pos, quat = (
-            np.asarray(self.engine.model_values(name)[:, camera], np.float64)
+            self._here(self.engine.model_values(name)[:, camera].astype(np.float64))
             for name in ("cam_pos", "cam_quat")
         )
         return np.broadcast_to(pos, (count, 3)).copy(), np.broadcast_to(quat, (count, 4)).copy()
@@ -261,8 +285,13 @@ class Camera(BaseSensor):
 
     def read_intrinsics(self, side: int = 0) -> F64:
         """(N, 4) fx, fy, cx, cy in pixels."""
-        lens = self.host.arrays.constant(self._view(self.index.ids[side]).lens)
+        size, values = (self.cfg.width, self.cfg.height), self.engine.model_values
+        lens = self._here(lens_of(self.engine.model, self.index.ids[side], *size, values))
         return np.broadcast_to(lens, (self.num_instances, 4)).copy()
+
+    def _here(self, values: F64) -> F64:
+        """Values of the model that are on the host if all environments share them."""
+        return self.host.arrays.constant(values) if is_host(values) else values
 
     def write_intrinsics(self, lens: F64, env_ids: EnvIndex | None, side: int = 0) -> None:
         """Set fx, fy, cx, cy (n, 4) in pixels from a checked array.
@@ -391,7 +420,7 @@ def _pose_tensor(pose: tuple[F64, F64], to_matrix: bool) -> torch.Tensor:
 
 
 def _matrices(lens: F64) -> torch.Tensor:
-    found = np.zeros((len(lens), 3, 3))
+    found = zeros((len(lens), 3, 3), lens)
     found[:, 0, 0], found[:, 1, 1] = lens[:, 0], lens[:, 1]
     found[:, 0, 2], found[:, 1, 2] = lens[:, 2], lens[:, 3]
     found[:, 2, 2] = 1.0

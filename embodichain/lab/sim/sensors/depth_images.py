@@ -49,9 +49,9 @@ def positions(
         eye: (N or 1, 3) position of the camera.
         axes: (N or 1, 3, 3) its axes: right, up and backwards are columns.
     """
-    to = np.asarray(axes, np.float32)[:, None, None]
+    to = axes.astype(np.float32)[:, None, None]
     ray = right[..., None] * to[..., 0] + up[..., None] * to[..., 1] - to[..., 2]
-    found = depth[..., None] * ray + np.asarray(eye, np.float32)[:, None, None]
+    found = depth[..., None] * ray + eye.astype(np.float32)[:, None, None]
     return np.where((depth > 0)[..., None], found, np.float32(0.0))
 
 
@@ -75,7 +75,7 @@ def normals(depth: F32, points: F32, eye: NDArray[np.float64]) -> F32:
         axis=-1,
     )
     size = np.sqrt((normal * normal).sum(axis=-1, keepdims=True))
-    seen = np.asarray(eye, np.float32)[:, None, None] - points
+    seen = eye.astype(np.float32)[:, None, None] - points
     away = (normal * seen).sum(axis=-1, keepdims=True) < 0
     unit = normal / np.where(size > 0, size, np.float32(1.0))
     unit = np.where(away, -unit, unit)
@@ -87,11 +87,14 @@ def _step(depth: F32, points: F32, axis: int) -> F32:
     if depth.shape[axis] < 2:
         return np.zeros_like(points)
 
+    def part(values: F32, start: int | None, stop: int | None) -> F32:
+        return values[(*[slice(None)] * axis, slice(start, stop))]
+
     def padded(values: F32, before: bool) -> F32:
-        difference = np.diff(values, axis=axis)
-        width = [(0, 0)] * values.ndim
-        width[axis] = (1, 0) if before else (0, 1)
-        return np.pad(difference, width, mode="edge")
+        difference = part(values, 1, None) - part(values, None, -1)
+        edge = part(difference, None, 1) if before else part(difference, -1, None)
+        parts = [edge, difference] if before else [difference, edge]
+        return np.concatenate(parts, axis=axis)
 
     back, ahead = padded(points, before=True), padded(points, before=False)
     closer = np.abs(padded(depth, before=True)) <= np.abs(padded(depth, before=False))

@@ -26,8 +26,12 @@ pytestmark = pytest.mark.unmeasured
 N, STEPS, WARM = 3, 8, 2
 REPEATED = (6, 7)
 """Steps that are taken once more in the end, from the saved state before them."""
-DRAWN = ("camera_image", "camera_mask", "camera_points")
-"""Terms that are refused: pictures are drawn on the host."""
+DRAWN = {
+    "camera_image": 16.0, "camera_mask": 0.0, "camera_points": 2e-3,
+    "camera_image depth": 2e-3, "camera_image bytes": 1.0, "camera_image mask": 0.0,
+}  # fmt: skip
+"""Terms of pictures, which another renderer draws on the host, and errors of most pixels: of 255,
+of metres, or of numbers of entities. Meshes are simplified on the host, and textures smoothed."""
 
 WITHOUT_LIMITS = "joints without limits"
 
@@ -125,6 +129,12 @@ def cases() -> dict[str, Case]:
         for reading in names:
             params = {"sensor": sensor, "reading": reading}
             found[f"{sensor} {reading}"] = case("observation", func="sensor_reading", params=params)
+    for name, params in {
+        "depth": {"sensor": "wrist", "channels": "depth"},
+        "bytes": {"sensor": "wrist", "channels": "depth", "max_depth": 3.0},
+        "mask": {"sensor": "front", "channels": "mask"},
+    }.items():
+        found[f"camera_image {name}"] = case("observation", func="camera_image", params=params)
     found[WITHOUT_LIMITS] = case(
         "observation", func="joint_velocity_excess", params={"of": {"uid": "go"}}
     )
@@ -174,10 +184,6 @@ def play(arrays: str, folder: Path) -> Played:
                 continue
             env.managers[f"tested {name}"] = manager  # which is reset with the environment
             terms[name] = manager.terms[name]
-        try:
-            env.get_sensor("front").get_data()
-        except ConfigError as error:
-            played.errors["get_data"] = str(error)
         env.reset()
         home = on_host(env.action_manager.home())
         draws = np.random.default_rng(0).uniform(-0.3, 0.3, (STEPS, N, home.shape[-1]))
@@ -251,22 +257,21 @@ def test_a_saved_state_continues(device: Played) -> None:
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_terms_of_pictures_are_refused(name: str, host: Played, device: Played) -> None:
+def test_pictures_are_close_to_those_drawn_on_the_host(
+    name: str, host: Played, device: Played
+) -> None:
     assert name not in host.errors, host.errors[name]
-    assert device.errors[name] == (
-        f"tested.{name}.params.sensor: images of cameras have no form with arrays on "
-        "a device: use sim.warp.arrays=host"
-    )
+    assert name not in device.errors, device.errors[name]
+    for a, b in zip(host.values[name], device.values[name], strict=True):
+        assert a.shape == b.shape
+        assert (np.abs(a - b) <= DRAWN[name]).mean() > 0.9
+    if name == "camera_image depth":  # of the moving arm
+        assert len({image.tobytes() for image in device.values[name]}) > 2
 
 
 def test_limits_are_checked(host: Played, device: Played) -> None:
     assert "none of the joints picked of 'go' has limits" in device.errors[WITHOUT_LIMITS]
     assert device.errors[WITHOUT_LIMITS] == host.errors[WITHOUT_LIMITS]
-
-
-def test_images_of_cameras_are_refused(host: Played, device: Played) -> None:
-    assert "get_data" not in host.errors
-    assert device.errors["get_data"].startswith("sensors.front: images of cameras have no form")
 
 
 def test_a_curriculum_changes_the_rewards_of_the_device(host: Played, device: Played) -> None:

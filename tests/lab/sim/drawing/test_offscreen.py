@@ -1,5 +1,6 @@
 """Which renderer draws, and that both draw the same; sizes in turn, memory, no OpenGL library."""
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -207,13 +208,30 @@ def test_rays_draw_depth_and_masks_only(engine, monkeypatch):
         renderer = OffscreenRenderer(engine.model)
         found.append(renderer.draw(engine, [lens(("depth", "mask"))])[0])
         if kind == "rays":
-            with pytest.raises(RenderError, match="colours need OpenGL.*libegl1 libgl1-mesa-dri"):
+            with pytest.raises(RenderError, match="colours need OpenGL.*libegl1 .*libopengl0"):
                 renderer.pictures(engine, "front", (64, 48))
         renderer.close()
     both = found[0]["mask"] == found[1]["mask"]
     assert both.mean() > 0.99
     flat = both & (found[0]["mask"] < BALL)
     assert np.abs(found[0]["depth"] - found[1]["depth"])[flat].max() < 2e-3
+
+
+def test_egl_without_libopengl_is_one_error(engine, monkeypatch):
+    """As on Debian with libegl1 and without libopengl0; MuJoCo itself links with neither."""
+
+    def without_a_library(name):
+        raise ctypes.ArgumentError("'NoneType' object has no attribute 'glGetError'")
+
+    OffscreenRenderer(engine.model).close()  # PyOpenGL's platform is chosen before its import
+    monkeypatch.setattr("OpenGL.GL.glGetString", without_a_library)
+    monkeypatch.setenv(VARIABLE, "layered")
+    with pytest.raises(RenderError, match=r"no picture can be made .*glGetError.* libopengl0"):
+        OffscreenRenderer(engine.model)
+    monkeypatch.setenv(VARIABLE, "classic")
+    renderer = OffscreenRenderer(engine.model)
+    assert renderer.about == "OpenGL"
+    renderer.close()
 
 
 @pytest.mark.parametrize("kind", ["", "layered", "classic"])
@@ -237,7 +255,7 @@ renderer.pictures(engine, "front", (64, 48))
     message = "no picture can be made here" if kind else "colours need OpenGL"
     assert done.returncode == 1 and f"RenderError: {message}" in last
     assert done.stdout == ("" if kind else "rays\n")
-    assert "libegl1 libgl1-mesa-dri" in last
+    assert "libegl1 libgl1-mesa-dri libopengl0" in last
     assert "ignored" not in done.stderr
 
 

@@ -162,7 +162,7 @@ class RandomizeCameraIntrinsics(Term):
         self._lenses = [sensor.read_intrinsics(side) for side in range(len(sensor.eyes))]
         for column, name in enumerate(("focal_x", "focal_y")):
             bounds = given[name]
-            least = min(float(lens[0, column]) for lens in self._lenses)
+            least = min(float(env.arrays.host(lens)[0, column]) for lens in self._lenses)
             if bounds is not None and least + bounds[0] <= 0:
                 message = f"the declared one is {least:g} pixels: it would not stay positive"
                 raise ConfigError([Problem(f"{name}_range", message)])

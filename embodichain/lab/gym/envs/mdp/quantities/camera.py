@@ -31,11 +31,7 @@ Side = Literal["left", "right"]
 
 
 def _named(sensor: Camera, kind: str, side: Side, key: str) -> str:
-    """The name of a camera's image; ConfigError for `key` if its config does not ask for it.
-
-    Also if arrays are on a device, where no pictures are drawn.
-    """
-    sensor.host.arrays.require_host("images of cameras", "sensor")
+    """The name of a camera's image; ConfigError for `key` if its config does not ask for it."""
     name = kind if side == "left" else f"{kind}_right"
     if name not in sensor.reads:
         message = (
@@ -116,7 +112,8 @@ class CameraMask(Term):
     def __call__(self) -> NDArray[np.uint8]:
         """(N, 1, H, W)."""
         seen = self._sensor.read(self._name) == self._number
-        return np.where(seen, np.uint8(255), np.uint8(0))[:, None]
+        found: NDArray[np.uint8] = seen.astype(np.uint8) * np.uint8(255)
+        return found[:, None]
 
 
 @quantity("observation", name="camera_points")
