@@ -61,7 +61,7 @@ system:
 	@sh scripts/system_deps.sh $(PYTHON)
 
 system-tests: system
-	@sh scripts/system_deps.sh $(PYTHON) chromium
+	@sh scripts/system_deps.sh $(PYTHON) chromium slurmctld slurmd slurm-client munge
 
 # worksteal: neighbours share a worker, so what a module builds once (a wheel, a log) is rarely built
 # twice, and no worker is idle while the other has a long module left.

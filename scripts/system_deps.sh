@@ -1,15 +1,17 @@
 #!/bin/sh
 # Installs what the system must provide, when something is missing and we are root; otherwise
-# names it with the command to type. Usage: system_deps.sh [PYTHON [chromium]]
+# names it with the command to type. Usage: system_deps.sh [PYTHON [PACKAGE...]]
 #
 #   libegl1, libgl1-mesa-dri,
 #   libopengl0                 rendering without a display; missing: warned, nothing else fails
 #   chromium                   only if named: tests of the web viewer; missing: they are skipped
+#   slurmctld, slurmd, slurm-client, munge   only if named: tests of sweeps on Slurm; likewise
 #   pythonX.Y-venv             Debian keeps venv's pip apart; missing: nothing can go on (exit 1)
 set -eu
 
 python=${1:-python3}
-more=${2:-}
+[ $# -eq 0 ] || shift
+more="$*"
 packages=""
 blocked=0
 
@@ -47,4 +49,4 @@ else
 fi
 [ $blocked -eq 0 ] || exit 1
 echo "warning: without libegl1, libgl1-mesa-dri, libopengl0 there are no pictures without a display," >&2
-[ -z "$more" ] || echo "         without chromium the web viewer's tests are skipped" >&2
+[ -z "$more" ] || echo "         without $more some tests are skipped" >&2

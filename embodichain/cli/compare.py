@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,9 +16,10 @@ from embodichain.config.run_folder import CHECKPOINT, newest_run
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
+    from embodichain.learning.comparison import Group
     from embodichain.learning.statistics import Estimate
 
-__all__ = ["command"]
+__all__ = ["command", "comparison_table"]
 
 _COLUMNS = {
     "success": "success_rate",
@@ -50,7 +51,7 @@ def command(runs: tuple[str, ...], output: str | None, json: bool) -> None:
         from embodichain.learning.plots import plot_curves
 
         plot_curves(groups, Path(output))
-    numbers = [{name: group.number(name) for name in _COLUMNS.values()} for group in groups]
+    numbers = [_numbers(group) for group in groups]
     if json:
         data = [
             {
@@ -63,20 +64,33 @@ def command(runs: tuple[str, ...], output: str | None, json: bool) -> None:
         ]
         print_json({"groups": data, "picture": output})
         return
+    print_table(*comparison_table(groups))
+    if output is not None:
+        sys.stdout.write(f"{output}\n")
+
+
+def comparison_table(groups: Sequence[Group]) -> tuple[str, list[dict[str, Any]]]:
+    """Return the title and the rows of a table of trainings, a row for each group."""
+    from embodichain.learning.comparison import short_labels
+
+    common, labels = short_labels(groups)
+    numbers = [_numbers(group) for group in groups]
     rows = [
         {
-            **{"runs": group.label, "seeds": len(group.runs)},
+            **{"runs": label, "seeds": len(group.runs)},
             **{
                 title: _cell(found[name], share="success" in title)
                 for title, name in _COLUMNS.items()
                 if any(other[name] for other in numbers)
             },
         }
-        for group, found in zip(groups, numbers, strict=True)
+        for group, label, found in zip(groups, labels, numbers, strict=True)
     ]
-    print_table("trainings: mean over seeds [95 % interval]", rows)
-    if output is not None:
-        sys.stdout.write(f"{output}\n")
+    return f"trainings{common and f' of {common}'}: mean over seeds [95 % interval]", rows
+
+
+def _numbers(group: Group) -> dict[str, Estimate | None]:
+    return {name: group.number(name) for name in _COLUMNS.values()}
 
 
 def _trainings(names: Sequence[str]) -> list[Path]:

@@ -22,7 +22,6 @@ from embodichain.cli.reporting import ProgressDisplay, log_to, warn_if_public
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils import platforms
-from embodichain.utils.errors import ConfigError
 from embodichain.utils.platforms import LIMITED
 
 if TYPE_CHECKING:
@@ -43,7 +42,6 @@ __all__ = [
     "execute",
     "film_progress",
     "job_options",
-    "pinned",
     "policy_name",
     "policy_of",
     "resolved_job",
@@ -248,8 +246,8 @@ def start(verb: Verb, body: Body, options: Any) -> None:
     def check(lines: Sequence[str]) -> Resolved:
         return resolved_job(compose(lines, verb), verb)
 
-    def do(resolved: Resolved, folder: Path | None = None) -> float | None:
-        return execute(resolved, body, line, folder, verb=verb)
+    def do(resolved: Resolved, folder: Path | None = None, goes_on: bool = False) -> float | None:
+        return execute(resolved, body, line, folder, verb=verb, goes_on=goes_on)
 
     hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
     prints = options.cfg is not None or options.info is not None
@@ -314,7 +312,7 @@ def execute(
     from embodichain.config.resolved import write_record
     from embodichain.config.run_folder import claim
 
-    resolved = pinned(resolved)
+    resolved = resolved.pinned()
     if resolved.tree["sim"]["engine"] == "warp":
         from embodichain.config.factory import with_warp_values
 
@@ -335,27 +333,10 @@ def execute(
             check_extras(job.root)
             value = body(job)
         if stop.stopped is not None:
-            raise Interrupted(f"interrupted ({stop.stopped}); {folder} is complete up to there")
+            message = f"interrupted ({stop.stopped}); {folder} is complete up to there"
+            raise Interrupted.by(stop.stopped, message)
         log.info("done")
         return value
-
-
-def pinned(resolved: Resolved) -> Resolved:
-    """Replace `last` and links by the folder they refer to now, since later runs change it."""
-    from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
-
-    data = resolved.tree.get("dataset")  # a run of an earlier version has none
-    if data is not None:
-        paths = [data] if isinstance(data, str) else data
-        resolved = resolved.changed(dataset=[str(Path(path).resolve()) for path in paths])
-    policy = resolved.tree["policy"]
-    last = policy == "last"
-    if not isinstance(policy, str) or not (last or named_checkpoint(policy).exists()):
-        return resolved
-    path = newest_run(resolved.tree["output_dir"], CHECKPOINT) if last else named_checkpoint(policy)
-    if path is None:
-        raise ConfigError("policy: there is no training for 'last' any more")
-    return resolved.changed(policy=str(path.resolve()))
 
 
 def check_extras(root: RootCfg) -> None:

@@ -57,7 +57,19 @@ class Interrupted(KeyboardInterrupt):
     """A signal ended the run after everything was closed.
 
     It is a KeyboardInterrupt, so that a sweep ends with the job.
+
+    Attributes:
+        signal: Its name (``SIGUSR2``), if known.
     """
+
+    signal: str | None = None
+
+    @classmethod
+    def by(cls, name: str | None, message: str) -> Interrupted:
+        """Return the exception for a signal."""
+        error = cls(message)
+        error.signal = name
+        return error
 
 
 def check_mujoco_gl() -> None:
@@ -136,7 +148,7 @@ def signals_raise() -> Iterator[None]:
         if not came:
             came.append(name)
             deliver(number, 10.0)
-            raise Interrupted(f"interrupted ({name})")
+            raise Interrupted.by(name, f"interrupted ({name})")
         if number == signal.SIGINT:
             raise KeyboardInterrupt(_TWICE)
 

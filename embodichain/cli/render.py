@@ -103,14 +103,14 @@ def _split(words: tuple[str, ...]) -> tuple[Path, list[str]]:
 
 def _advanced(lines: list[str], num_envs: int, steps: int) -> tuple[BaseEnv, dict[str, Any]]:
     """The environments after some control steps of the config's policy, and facts about them."""
-    from embodichain.cli.jobs import pinned, policy_of
+    from embodichain.cli.jobs import policy_of
     from embodichain.config.factory import make_env
     from embodichain.config.resolved import resolve
     from embodichain.learning.episode_statistics import EpisodeStatistics, play
 
     if any(line.partition("=")[0].lstrip("+~") == "num_envs" for line in lines):
         raise ConfigError("num_envs follows from --grid: leave it out")
-    resolved = pinned(resolve([*lines, f"num_envs={num_envs}"], "run"))
+    resolved = resolve([*lines, f"num_envs={num_envs}"], "run").pinned()
     env = make_env(resolved)
     try:
         with resolved.locating():

@@ -26,7 +26,7 @@ _PAGE = "report.html"
 @click.argument("run", metavar="RUN", shell_complete=complete_last)
 @click.option("--output", "-o", metavar="OUT", help="A new file. Default: RUN/report.html.")
 def command(run: str, output: str | None, quiet: bool, json: bool) -> None:
-    """Write a page about a run, a training or an evaluation: RUN is its folder, or `last`.
+    """Write a page about a run, a training, an evaluation or a sweep: RUN is its folder, or `last`.
 
     `report.html` of the run's folder is replaced, a file named by --output is not.
 
@@ -35,14 +35,16 @@ def command(run: str, output: str | None, quiet: bool, json: bool) -> None:
             written.
     """
     from embodichain.cli.report_page import page_of
-    from embodichain.config.run_folder import find_run
+    from embodichain.cli.sweep_report import page_of_sweep
+    from embodichain.config.run_folder import CONFIG, find_run
     from embodichain.utils.atomic import write_text
 
     folder = find_run(run)
     out = folder / _PAGE if output is None else Path(output)
     if output is not None and os.path.lexists(out):
         raise ConfigError(f"{out} exists; it is never replaced")
-    text = page_of(folder)
+    is_sweep = not (folder / CONFIG).is_file() and (folder / "multirun.yaml").is_file()
+    text = page_of_sweep(folder) if is_sweep else page_of(folder)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_text(out, text, new=output is not None)

@@ -20,10 +20,13 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override
-from hydra.experimental.callback import Callback
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
+from embodichain.cli.sweep_jobs import enter
+from embodichain.cli.sweep_plan import Plan, plan_sweep
+from embodichain.cli.sweep_progress import job_label
+from embodichain.cli.sweep_run import run_sweep
 from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra, relax
 from embodichain.config.hydra_loader import VERSION_BASE, config_loader
 from embodichain.config.resolved import Resolved, resolve
@@ -31,9 +34,8 @@ from embodichain.config.run_folder import adopt
 from embodichain.config.schema import Verb
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["BestPoint", "call_hydra", "points", "towards_scores"]
+__all__ = ["call_hydra", "points", "towards_scores"]
 
-RESULTS_FILE = "optimization_results.yaml"
 _DIRECTION = "hydra.sweeper.direction"
 _MOST_CHECKED_JOBS = 64
 _ONE_BY_ONE = "BasicLauncher"
@@ -41,8 +43,8 @@ _ONE_BY_ONE = "BasicLauncher"
 
 def call_hydra(
     verb: Verb,
-    check: Callable[[Sequence[str]], object],
-    do: Callable[[Resolved, Path | None], float | None],
+    check: Callable[[Sequence[str]], Resolved],
+    do: Callable[[Resolved, Path | None, bool], float | None],
     options: Any,
     overrides: Sequence[str],
 ) -> None:
@@ -51,14 +53,15 @@ def call_hydra(
     Args:
         verb: The verb, ``run`` or ``train``.
         check: Checks the config of one job.
-        do: Runs a job, in the given folder or a new one.
+        do: Runs a job, in the given folder or a new one; the last argument is whether it goes on
+            in this folder.
         options: `cfg`, `info`, `multirun`, `package`, `resolve`.
         overrides: As typed.
 
     Raises:
         ConfigError: Mistakes in the config of any job; no job was started.
     """
-    keys: list[str] = []
+    plan: Plan | None = None
     gym = any(line.lstrip("+").startswith("gym_config=") for line in overrides)
     if options.cfg is not None or options.info is not None:
         if options.cfg is not None and gym:
@@ -67,26 +70,38 @@ def call_hydra(
         if composed.problems:
             raise ConfigError(composed.problems)
     elif options.multirun:
-        keys = _swept(overrides)
-        for point in points(overrides, _MOST_CHECKED_JOBS):
-            check(point)
-        overrides = towards_scores(overrides)
+        checked = [check(point) for point in points(overrides, _MOST_CHECKED_JOBS)]
+        plan = plan_sweep(verb, towards_scores(overrides), checked[0])
+        overrides = plan.overrides
     else:
         check(overrides)
+    keys = plan.keys if plan is not None else ()
 
     # Pickled by value for the workers of a sweep, with its closure.
     @hydra.main(version_base=VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
     def job(composed: DictConfig) -> float | None:
-        resolved, folder = resolve(from_hydra(), verb), None
-        if HydraConfig.get().mode == RunMode.MULTIRUN or HydraConfig.get().run.dir != ".":
-            folder = adopt(HydraConfig.get().runtime.output_dir)
+        found = from_hydra()
+        resolved, folder = resolve(found, verb), HydraConfig.get().runtime.output_dir
         with _labelled_lines(_label(keys), json=resolved.root.json):
-            return do(resolved, folder)
+            if HydraConfig.get().mode == RunMode.MULTIRUN:
+                drawn = found.tree.get("seed") is None
+                with enter(Path(folder), resolved, verb, seed_is_drawn=drawn) as entered:
+                    if not entered.finished:
+                        return do(entered.resolved, Path(folder), entered.goes_on)
+                    if not resolved.root.quiet:
+                        sys.stderr.write(f"finished already: {folder}\n")
+                    return entered.objective
+            fixed = HydraConfig.get().run.dir != "."
+            return do(resolved, adopt(folder) if fixed else None, False)
 
     with config_loader() as loader:
         relaxed = relax(overrides, loader)
-    with _process(f"embodichain {verb}", [*_flags(options), *relaxed, *([WITHOUT_TASK] * gym)]):
-        job()
+    program = f"embodichain {verb}"
+    with _process(program, [*_flags(options), *relaxed, *([WITHOUT_TASK] * gym)]):
+        if plan is None:
+            job()
+        else:
+            run_sweep(plan, verb, job, quiet=options.quiet or options.json)
 
 
 def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
@@ -122,26 +137,6 @@ def towards_scores(overrides: Sequence[str]) -> list[str]:
     return [*overrides, *added]
 
 
-class BestPoint(Callback):
-    """Reports the best point of a search; called by Hydra, see `conf/common.yaml`."""
-
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Read the results of a search from the sweep's folder; other sweeps write none."""
-        path = Path(config.hydra.sweep.dir) / RESULTS_FILE
-        if config.quiet or config.json or not path.is_file():
-            return
-        found: Any = OmegaConf.to_container(OmegaConf.load(path))
-        point = " ".join(f"{k.lstrip('+')}={v}" for k, v in found.get("best_params", {}).items())
-        if point:
-            sys.stderr.write(f"best objective {found['best_value']:.4g}: {point}\n{path}\n")
-
-
-def _swept(overrides: Sequence[str]) -> list[str]:
-    """The keys with several values in a sweep."""
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
-    return [override.key_or_group for override in parsed if override.is_sweep_override()]
-
-
 def _searches(overrides: Sequence[str]) -> bool:
     return "hydra/sweeper=optuna" in overrides
 
@@ -167,9 +162,7 @@ def _label(keys: Sequence[str]) -> str | None:
         or threading.current_thread() is not threading.main_thread()
     ):
         return None
-    lines = [line.lstrip("+") for line in config.overrides.task]
-    point = [line for line in lines if line.partition("=")[0] in keys]
-    return f"[{' '.join([str(config.job.num), *point])}] "
+    return f"[{job_label(str(config.job.num), config.overrides.task, keys)}] "
 
 
 @contextmanager

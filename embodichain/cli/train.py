@@ -66,7 +66,7 @@ def train_job(job: Job) -> float | None:
     if episodes and seed is not None:  # as `embodichain eval RUN`; checked before training
         asked = Asked(episodes, seed)
         evaluated = evaluation_config(job.resolved, asked)
-    summary = _learn(job)
+    summary = _learned(job) or _learn(job)
     if asked is not None and evaluated is not None and summary["status"] == "finished":
         summary |= _evaluate(job, evaluated, asked)
     if job.root.json:
@@ -76,6 +76,14 @@ def train_job(job: Job) -> float | None:
         print_facts(str(summary["task"]), rows)
     objective: float | None = summary["objective"]
     return objective
+
+
+def _learned(job: Job) -> dict[str, Any] | None:
+    """The content of `summary.json` if the job learned to the end before it was started again."""
+    from embodichain.cli.sweep_jobs import read_summary
+
+    summary = read_summary(job.folder)
+    return {**summary, "folder": str(job.folder)} if summary.get("status") == "finished" else None
 
 
 def _learn(job: Job) -> dict[str, Any]:
@@ -105,7 +113,8 @@ def _learn(job: Job) -> dict[str, Any]:
                 lambda env: read_dataset(job, env),
             )
     if not (job.folder / SUMMARY).is_file():
-        raise Interrupted(f"interrupted ({job.stop.stopped}) before the first update")
+        message = f"interrupted ({job.stop.stopped}) before the first update"
+        raise Interrupted.by(job.stop.stopped, message)
     summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
     return {**summary, "folder": str(job.folder)}
 

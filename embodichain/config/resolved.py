@@ -19,7 +19,13 @@ import yaml
 
 from embodichain.config.check_types import check_types
 from embodichain.config.composed import Composed, compose
-from embodichain.config.run_folder import CONFIG, versions
+from embodichain.config.run_folder import (
+    CHECKPOINT,
+    CONFIG,
+    named_checkpoint,
+    newest_run,
+    versions,
+)
 from embodichain.config.schema import RootCfg, Verb
 from embodichain.config.validation import Check, check, check_tree
 from embodichain.lab.gym.envs.cfg import EnvCfg
@@ -91,6 +97,28 @@ class Resolved:
     def changed(self, **values: Any) -> Resolved:
         """Return a copy with other values for keys of the root."""
         return replace(self, tree=freeze({**self.tree, **values}))
+
+    def pinned(self) -> Resolved:
+        """Return a copy in which `last` and links are the folders that they refer to now.
+
+        Later runs change them.
+
+        Raises:
+            ConfigError: There is no such training any more.
+        """
+        changed, data = self, self.tree.get("dataset")  # a run of an earlier version has none
+        if data is not None:
+            paths = [data] if isinstance(data, str) else data
+            changed = changed.changed(dataset=[str(Path(path).resolve()) for path in paths])
+        policy = self.tree["policy"]
+        last = policy == "last"
+        if not isinstance(policy, str) or not (last or named_checkpoint(policy).exists()):
+            return changed
+        newest = newest_run(self.tree["output_dir"], CHECKPOINT) if last else None
+        path = newest if last else named_checkpoint(policy)
+        if path is None:
+            raise ConfigError("policy: there is no training for 'last' any more")
+        return changed.changed(policy=str(path.resolve()))
 
     @contextmanager
     def locating(self, section: str = "") -> Iterator[None]:

@@ -23,10 +23,12 @@ __all__ = [
     "Group",
     "TrainedRun",
     "band",
+    "best_group",
     "group_runs",
     "is_training",
     "read_curves",
     "read_run",
+    "short_labels",
     "trainings_in",
 ]
 
@@ -59,18 +61,23 @@ class TrainedRun:
 
     Attributes:
         folder: The run folder.
-        label: Task, algorithm and overrides without the seed.
+        parts: Task, algorithm and overrides without the seed.
         seed: The training's seed.
         numbers: ``success_rate``, ``mean_return``, ``env_steps_per_second``, ``train_seconds``,
-            ``env_steps``, ``eval_return``, ``eval_success``, as far as known.
+            ``env_steps``, ``objective``, ``eval_return``, ``eval_success``, as far as known.
         curves: Column of `progress.csv` -> curve; empty without that file.
     """
 
     folder: Path
-    label: str
+    parts: tuple[str, ...]
     seed: int | None
     numbers: dict[str, float]
     curves: dict[str, Curve]
+
+    @property
+    def label(self) -> str:
+        """The parts in one line."""
+        return " ".join(self.parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +122,10 @@ def read_run(folder: Path) -> TrainedRun:
     summary = _json(folder / SUMMARY)
     if summary is None or "train_seconds" not in summary:
         raise ConfigError(f"{folder} has no finished training: no summary.json of one")
-    names = ("success_rate", "mean_return", "env_steps_per_second", "train_seconds", "env_steps")
+    names = (
+        *("success_rate", "mean_return", "env_steps_per_second", "train_seconds", "env_steps"),
+        "objective",
+    )
     numbers = {n: float(summary[n]) for n in names if summary.get(n) is not None}
     evaluated = _evaluated(folder) or summary.get("eval") or {}
     for name, key, value in (("return", "returns", "mean"), ("success", "success", "rate")):
@@ -125,7 +135,7 @@ def read_run(folder: Path) -> TrainedRun:
     task, algo = str(summary.get("task")), str(summary.get("algo"))
     return TrainedRun(
         folder=folder,
-        label=" ".join([task, algo, *_overrides(folder)]),
+        parts=(task, algo, *_overrides(folder)),
         seed=summary.get("seed"),
         numbers=numbers,
         curves=read_curves(folder / PROGRESS),
@@ -150,6 +160,37 @@ def group_runs(runs: Iterable[TrainedRun]) -> list[Group]:
             )
         same.append(run)
     return [Group(label, tuple(same)) for label, same in found.items()]
+
+
+def best_group(groups: Sequence[Group], objective: float | None = None) -> Group | None:
+    """Return the group with the largest mean objective; None without any.
+
+    Args:
+        groups: The groups.
+        objective: The best value of a search, which may minimize; its group is returned.
+    """
+    means = {i: found.mean for i, g in enumerate(groups) if (found := g.number("objective"))}
+    if not means:
+        return None
+    if objective is not None:
+        return groups[min(means, key=lambda i: abs(means[i] - objective))]
+    return groups[max(means, key=means.__getitem__)]
+
+
+def short_labels(groups: Sequence[Group]) -> tuple[str, list[str]]:
+    """Return what all groups have in common, and each group's label without it.
+
+    Args:
+        groups: The groups; a single one keeps its whole label.
+    """
+    parts = [group.runs[0].parts for group in groups]
+    if len(parts) < 2:
+        return "", [group.label for group in groups]
+    common = [part for part in parts[0] if all(part in other for other in parts)]
+    labels = [" ".join(part for part in own if part not in common) for own in parts]
+    return " ".join(common), [
+        label or group.label for label, group in zip(labels, groups, strict=True)
+    ]
 
 
 def band(curves: Sequence[Curve], points: int = 200) -> tuple[F64, F64, F64, F64]:

@@ -72,7 +72,7 @@ class CheckpointKeeper:
         self._session = session
         self._note = note
         self._every, self._keep = every, keep
-        self._written: list[Path] = []
+        self._written = sorted(self._folder.glob("step_*.zip"))  # a job may go on in its folder
         self._next: int | None = None
 
     @property

@@ -7,6 +7,7 @@ import logging
 import os
 import textwrap
 from collections.abc import Iterable, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from embodichain.learning.comparison import (
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["CURVES_FILE", "draw_curves", "plot_curves", "set_axes"]
+__all__ = ["CURVES_FILE", "curves_svg", "draw_curves", "plot_curves", "set_axes"]
 
 CURVES_FILE = "curves.png"
 _TITLES = {
@@ -82,6 +83,41 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
     empty = [str(run.folder) for group in groups for run in group.runs if not run.curves]
     if empty:
         raise ConfigError(f"no curves in progress.csv of: {', '.join(empty)}")
+    figure = _figure(groups, [group.label for group in groups])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_file(path, new=True) as temporary:
+            figure.savefig(temporary, dpi=150)
+    except FileExistsError as error:
+        raise ConfigError(f"{path} exists; it is never replaced") from error
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cannot write {path}: {error}") from error
+
+
+def curves_svg(groups: Sequence[Group], labels: Sequence[str]) -> str:
+    """Return the same curves as text of an SVG picture, for a page; empty without any.
+
+    Args:
+        groups: The groups to compare.
+        labels: A label for each.
+
+    Raises:
+        ConfigError: If matplotlib is missing.
+    """
+    if not any(run.curves for group in groups for run in group.runs):
+        return ""
+    figure = _figure(groups, labels)
+    import matplotlib as mpl
+
+    stream = StringIO()
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "sweep"}):
+        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
+    text = stream.getvalue()
+    return text[text.index("<svg") :]
+
+
+def _figure(groups: Sequence[Group], labels: Sequence[str]) -> Any:
+    """Draw the curves of groups that have any; the groups' colours are in a legend below."""
     try:
         from matplotlib.figure import Figure
         from matplotlib.lines import Line2D
@@ -93,22 +129,18 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
         for n in (SUCCESS, RETURN)
         if any(n in run.curves for group in groups for run in group.runs)
     ]
-    labels = [_wrapped(f"{group.label}  (seeds: {len(group.runs)})") for group in groups]
-    lines = sum(label.count("\n") + 1 for label in labels)
+    texts = [
+        _wrapped(f"{label}  (seeds: {len(group.runs)})")
+        for group, label in zip(groups, labels, strict=True)
+    ]
+    lines = sum(text.count("\n") + 1 for text in texts)
     figure = Figure(figsize=(7.0, 3.0 * len(names) + 0.2 * lines), layout="constrained")
     for axes, name in zip(figure.subplots(len(names), squeeze=False)[:, 0], names, strict=True):
         _draw(axes, groups, name)
     # One legend, below the axes: labels of groups are as long as their overrides.
     colours = [Line2D([], [], color=f"C{i}") for i in range(len(groups))]
-    figure.legend(colours, labels, loc="outside lower left", fontsize="small", frameon=False)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path, new=True) as temporary:
-            figure.savefig(temporary, dpi=150)
-    except FileExistsError as error:
-        raise ConfigError(f"{path} exists; it is never replaced") from error
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"cannot write {path}: {error}") from error
+    figure.legend(colours, texts, loc="outside lower left", fontsize="small", frameon=False)
+    return figure
 
 
 def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:

@@ -137,7 +137,7 @@ class Session:
 
         judged = isinstance(model, BehaviorCloning)
         watch = _Watch(self.vec_env, self.statistics, progress, boundary, judged=judged)
-        logger = make_logger(self.run_dir, self.writers)
+        logger = make_logger(self.run_dir, self.writers, model.num_timesteps)
         model.set_logger(logger)
         interval, new = log_interval(model, total), self._restored is None
         if self._restored is not None:

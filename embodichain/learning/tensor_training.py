@@ -188,7 +188,7 @@ class TensorSession:
     ) -> tuple[KeyboardInterrupt | None, bool]:
         """Learn until all steps are taken or the training is stopped; see `Session.learn`."""
         statistics, split = self.statistics, TimeSplit()
-        logger = make_logger(self.run_dir, self.writers)
+        logger = make_logger(self.run_dir, self.writers, statistics.env_steps)
         rollout = self.learner.steps * self.vec_env.num_envs
         every = max(1, statistics.total_timesteps // rollout // MOST_ROWS)
         if self._generators is None:

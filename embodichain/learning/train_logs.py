@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import logging
 import os
@@ -20,8 +21,9 @@ from stable_baselines3.common.logger import (
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from embodichain.config.schema import WandbCfg
-from embodichain.learning.comparison import PROGRESS
+from embodichain.learning.comparison import PROGRESS, STEPS
 from embodichain.learning.vec_env import ENDS
+from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import EmbodichainError, Problem
 
 if TYPE_CHECKING:
@@ -44,19 +46,44 @@ MOST_ROWS = 200
 _log = logging.getLogger(__name__)
 
 
-def make_logger(run_dir: Path, writers: Sequence[KVWriter] = ()) -> Logger:
+def make_logger(run_dir: Path, writers: Sequence[KVWriter] = (), env_steps: int = 0) -> Logger:
     """Return a logger for a run's folder; event files need an installed `tensorboard`.
 
     Args:
         run_dir: The folder.
         writers: Further outputs of the same numbers.
+        env_steps: Environment steps that the training has taken already. If it goes on in its
+            folder, rows of `progress.csv` up to there are kept.
     """
-    formats: list[KVWriter] = [CSVOutputFormat(str(run_dir / PROGRESS))]
+    formats: list[KVWriter] = [_ContinuedCsv(run_dir / PROGRESS, env_steps)]
     if importlib.util.find_spec("tensorboard") is not None:
         formats.append(TensorBoardOutputFormat(str(run_dir / TENSORBOARD)))
     else:
         _log.info("no event files: pip install tensorboard")
     return Logger(folder=str(run_dir), output_formats=[*formats, *writers])
+
+
+class _ContinuedCsv(CSVOutputFormat):
+    """Stable-Baselines3's CSV file, with the rows that it has already up to a number of steps."""
+
+    def __init__(self, path: Path, env_steps: int) -> None:
+        super().__init__(os.devnull)  # it would empty the file
+        self.file.close()
+        lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        rows = list(csv.reader(lines))
+        if rows and STEPS in rows[0]:
+            self.keys, column = rows[0], rows[0].index(STEPS)
+            kept = [
+                line
+                for line, cells in zip(lines[1:], rows[1:], strict=False)
+                # A killed process may have written a part of the last row.
+                if len(cells) == len(self.keys) and 0 < float(cells[column] or 0) <= env_steps
+            ]
+            write_text(path, "\n".join([lines[0], *kept]) + "\n")
+        else:
+            write_text(path, "")
+        self.file = path.open("r+", encoding="utf-8")
+        self.file.seek(0, os.SEEK_END)
 
 
 def log_interval(model: BaseAlgorithm, total_timesteps: int) -> int:

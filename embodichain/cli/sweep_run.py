@@ -1,0 +1,128 @@
+"""Runs a planned sweep: its progress, its failures, and the comparison at its end."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+from hydra.core.plugins import Plugins
+from hydra.plugins.launcher import Launcher
+
+from embodichain.cli.process import Interrupted
+from embodichain.cli.sweep_jobs import is_finished, process_log
+from embodichain.cli.sweep_plan import CLUSTERS, Plan
+from embodichain.cli.sweep_progress import shown_progress
+from embodichain.config.run_folder import CONFIG
+from embodichain.config.schema import Verb
+from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
+
+__all__ = ["SweepError", "run_sweep"]
+
+_PACKAGES = {"slurm": "submitit", "ray": "ray"}
+_HYDRAS_NAME = "hydra_plugins.embodichain.{}"
+_TAIL = 12
+"""Lines of a log that are shown of a job that failed."""
+
+
+class SweepError(EmbodichainError):
+    """Jobs of a sweep failed."""
+
+
+def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) -> None:
+    """Run a sweep with Hydra, and compare its trainings.
+
+    Args:
+        plan: Its plan.
+        verb: The verb of its jobs.
+        job: Hydra's `main`.
+        quiet: Whether only errors and the jobs' results are written.
+
+    Raises:
+        SweepError: Jobs failed. They are shown with the last lines of their logs.
+        Exception: Any exception before the first job.
+    """
+    if plan.launcher in CLUSTERS:
+        _register(plan.launcher)
+    if plan.note and not quiet:
+        sys.stderr.write(f"{plan.note}\n{plan.folder}\n")
+    shown = plan.is_parallel and not quiet
+    try:
+        with shown_progress(plan.folder, plan.keys, plan.jobs) if shown else nullcontext():
+            job()
+    except KeyboardInterrupt as error:
+        if plan.folder.is_dir():
+            text = f"{str(error) or 'interrupted'}; {_summed_up(plan, verb)}"
+            raise Interrupted.by(getattr(error, "signal", None), text) from error
+        raise
+    except Exception as error:
+        failed = _unfinished(plan.folder, verb) if plan.folder.is_dir() else []
+        if not failed:
+            raise
+        sys.stderr.write(f"{error}\n")
+        for name in failed:
+            _show(plan.folder, name)
+        raise SweepError(_summed_up(plan, verb)) from error
+    if verb == "train":
+        from embodichain.cli.sweep_report import report_sweep
+
+        report_sweep(plan.folder, quiet=quiet)
+
+
+def _register(launcher: str) -> None:
+    """Make a launcher known to Hydra.
+
+    Hydra takes launchers from the namespace package `hydra_plugins` only, whose modules it imports
+    at every start. The class is registered under such a name instead.
+
+    Args:
+        launcher: ``slurm`` or ``ray``.
+
+    Raises:
+        ConfigError: Its package is not installed.
+    """
+    package = _PACKAGES[launcher]
+    if importlib.util.find_spec(package) is None:
+        message = f"{launcher!r} needs a package: pip install 'embodichain[{launcher}]'"
+        raise ConfigError([Problem("hydra/launcher", message)])
+    found: type[Launcher]
+    if launcher == "slurm":
+        from embodichain.cli.slurm_launcher import SlurmLauncher as found
+    else:
+        from embodichain.cli.ray_launcher import RayLauncher as found
+    Plugins.instance().class_name_to_class[_HYDRAS_NAME.format(found.__name__)] = found
+
+
+def _begun(sweep: Path) -> list[str]:
+    """The names of the folders of the jobs that have begun, in order."""
+    names = {path.parent.name for path in sweep.glob(f"*/{CONFIG}")}
+    names |= {path.stem for path in process_log(sweep, "0").parent.glob("*.log")}
+    return sorted((n for n in names if ".earlier-" not in n), key=lambda n: (len(n), n))
+
+
+def _unfinished(sweep: Path, verb: Verb) -> list[str]:
+    return [name for name in _begun(sweep) if not is_finished(sweep / name, verb)]
+
+
+def _summed_up(plan: Plan, verb: Verb) -> str:
+    begun, unfinished = _begun(plan.folder), _unfinished(plan.folder, verb)
+    done = [name for name in begun if name not in unfinished]
+    names = f": {', '.join(done)}" if done else ""
+    failed = f"; not done: {', '.join(unfinished)}" if unfinished else ""
+    again = f"the same command with hydra.sweep.dir={plan.folder} does the rest"
+    return f"{len(done)} of {plan.jobs} jobs are done{names}{failed}; {again}"
+
+
+def _show(sweep: Path, name: str) -> None:
+    """Write the last lines of a job's logs to stderr."""
+    for path in (sweep / name / "run.log", process_log(sweep, name)):
+        try:
+            lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError:
+            continue  # a job that did not begin has no run.log, one on this machine no other
+        if lines:
+            text = "".join(f"  {line}\n" for line in lines[-_TAIL:])
+            sys.stderr.write(f"job {name} failed, the end of {path}:\n{text}")
