@@ -34,9 +34,9 @@ BAR = 28
 ROBOT_COLUMNS = 7
 ROBOT_SIZE = 220, 176
 ROBOT_BAR = 20
-NO_TASK = ("pr2",)
-"""Robots for whose files `new task` writes a task that is refused: its fingers' limits exclude
-what they mimic."""
+LEFT_OUT = ("pr2", "simple_humanoid")
+"""Robots without a picture: of pr2 `new task` writes a task that is refused, because the limits of
+its fingers exclude what they mimic; simple_humanoid has no visual shapes."""
 
 
 def sheet(tasks: Sequence[str], size: tuple[int, int] = SIZE) -> Image.Image:
@@ -58,7 +58,7 @@ def robots() -> dict[str, str]:
         folder = Path(robot.name).parts[0]
         label = folder.removesuffix("_description").removesuffix("_data")
         ours = robot.name == "UniversalRobots/UR10/UR10.urdf"
-        wanted = ours or (robot.source == "example-robot-data" and label not in NO_TASK)
+        wanted = ours or (robot.source == "example-robot-data" and label not in LEFT_OUT)
         if wanted and not fault_of(robot.path):
             joints = ElementTree.fromstring(robot.path.read_bytes()).iter("joint")
             if any(joint.get("type", "fixed") != "fixed" for joint in joints):

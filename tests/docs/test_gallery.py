@@ -33,7 +33,7 @@ def test_tasks_are_drawn_below_their_names() -> None:
 
 def test_the_picture_of_robots_has_a_place_for_every_folder() -> None:
     robots = gallery.robots()
-    left_out = tuple(f"{label}_description/" for label in gallery.NO_TASK)
+    left_out = tuple(f"{label}_description/" for label in gallery.LEFT_OUT)
     moving = [name for name, joints in LOADABLE.items() if joints and not name.startswith(left_out)]
     folders = {name.partition("/")[0] for name in (*moving, "UniversalRobots/UR10/UR10.urdf")}
     assert {name.partition("/")[0] for name in robots.values()} == folders
