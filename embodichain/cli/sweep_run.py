@@ -60,7 +60,7 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
         raise
     except Exception as error:
         failed = _unfinished(plan.folder, verb) if plan.folder.is_dir() else []
-        if not failed:
+        if not failed or _is_about_hydra(error):
             raise
         sys.stderr.write(f"{error}\n")
         for name in failed:
@@ -70,6 +70,13 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
         from embodichain.cli.sweep_report import report_sweep
 
         report_sweep(plan.folder, quiet=quiet)
+
+
+def _is_about_hydra(error: Exception) -> bool:
+    """Whether keys of the sweep are wrong, such as its folder or the launcher's, and not a job."""
+    return isinstance(error, ConfigError) and all(
+        problem.path.startswith("hydra") for problem in error.problems
+    )
 
 
 def _register(launcher: str) -> None:

@@ -189,7 +189,12 @@ class _Labelled:
     """A text stream that prefixes each line with a label and writes it at once.
 
     It is not a terminal even if `stream` is: bars of several jobs would overwrite each other.
+
+    Attributes:
+        is_of_sweep: True: progress is not shown here, but in the sweep's table.
     """
+
+    is_of_sweep = True
 
     def __init__(self, stream: TextIO, label: str) -> None:
         self._stream, self._label, self._rest = stream, label, ""

@@ -137,6 +137,18 @@ def test_a_drawn_seed_is_kept(tmp_path: Path) -> None:
     assert (tmp_path / "s/1.earlier-1").is_dir()
 
 
+def test_runs_are_skipped_or_begin_again(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    keys = ["task=cart_pole", "num_envs=1", "max_steps=5", "record=none", "scene_png=false"]
+    where = [f"output_dir={tmp_path}", f"hydra.sweep.dir={tmp_path}/s", "hydra/launcher=basic"]
+    assert main(["run", "-m", "seed=0,1", *keys, *where, "--quiet"]) == 0
+    stopped = {**summary(tmp_path / "s/1"), "status": "interrupted"}
+    (tmp_path / "s/1/summary.json").write_text(json.dumps(stopped))
+    assert main(["run", "-m", "seed=0,1", *keys, *where]) == 0
+    assert capsys.readouterr().err.count("finished already") == 1
+    assert summary(tmp_path / "s/1")["status"] == "max_steps"
+    assert summary(tmp_path / "s/1.earlier-1")["status"] == "interrupted"
+
+
 def _column(path: Path, name: str) -> list[str]:
     lines = [line.split(",") for line in path.read_text().splitlines()]
     return [row[lines[0].index(name)] for row in lines[1:]]
