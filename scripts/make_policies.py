@@ -49,6 +49,7 @@ def make(task: str, seed: int, output: Path, keys: list[str], episodes: int, lea
         episodes: Episodes of the evaluation.
         least: The least success rate.
     """
+    state = commit()
     training = ["train", f"task={task}", f"seed={seed}", *keys]
     with tempfile.TemporaryDirectory() as folder:
         trained = verb([*training, "record=none", "eval.episodes=2", f"output_dir={folder}"])
@@ -58,7 +59,8 @@ def make(task: str, seed: int, output: Path, keys: list[str], episodes: int, lea
         plain.write_bytes(without_paths(script.read_bytes()))
         evaluation = ["eval", "FILE", f"task={task}", f"episodes={episodes}", "num_envs=50"]
         line = [str(plain) if word == "FILE" else word for word in evaluation]
-        result = verb([*line, "record=none", f"output_dir={folder}"])
+        changes = [key for key in keys if key.startswith("task.")]
+        result = verb([*line, *changes, "record=none", f"output_dir={folder}"])
         success = result["success"]
         shown = f"{task}: {success['count']} of {success['trials']} episodes succeeded"
         if success["rate"] < least:
@@ -67,7 +69,7 @@ def make(task: str, seed: int, output: Path, keys: list[str], episodes: int, lea
             task=task,
             algo=trained["algo"],
             command=shown_command(training),
-            commit=commit(),
+            commit=state,
             mujoco=metadata.version("mujoco"),
             torch=metadata.version("torch"),
             env_steps=trained["env_steps"],
@@ -107,7 +109,8 @@ def shown_command(arguments: list[str]) -> str:
 def without_paths(script: bytes) -> bytes:
     """Return a TorchScript file without the source paths of the machine that traced it.
 
-    They are in entries that only messages of errors use.
+    They are in entries that only messages of errors use. A serial number is left out too, so that
+    the same training makes the same bytes.
     """
     stream = io.BytesIO()
     with (
@@ -115,7 +118,7 @@ def without_paths(script: bytes) -> bytes:
         zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as new,
     ):
         for entry in old.infolist():
-            if not entry.filename.endswith(".debug_pkl"):
+            if not entry.filename.endswith((".debug_pkl", "/serialization_id")):
                 plain = zipfile.ZipInfo(entry.filename)  # without a time
                 plain.compress_type = zipfile.ZIP_DEFLATED
                 new.writestr(plain, old.read(entry))

@@ -28,7 +28,7 @@ __all__ = ["command"]
 _TASK = "pick_place"
 _SEED = "1"
 _PAGE = {"viewer": "web", "record": "none", "scene_png": "false", "episodes": "100"}
-_FILM = {"video.size": "[480,360]", "scene_png": "false", "episodes": "1"}
+_FILM = {"video.size": "[400,300]", "scene_png": "false", "episodes": "1"}
 _GONE = 5.0
 """Seconds without a browser after which the page is closed."""
 _NAP = 0.05

@@ -37,7 +37,7 @@ EXTRAS = {
         *("hydra-joblib-launcher", "hydra-optuna-sweeper", "alembic", "sqlalchemy"),
     ),
     "slurm": ("sweeps on Slurm: hydra/launcher=slurm", "submitit"),
-    "ray": ("sweeps on a Ray cluster: hydra/launcher=ray", "ray", "cloudpickle"),
+    "ray": ("many machines: sim.backend=ray, hydra/launcher=ray", "ray", "cloudpickle"),
     "export": ("policies as ONNX files", "onnx", "onnxruntime"),
     "video": ("films: video=true, replay --video", "imageio-ffmpeg"),
     "h264": ("videos of cameras in logs: record.images", "av"),

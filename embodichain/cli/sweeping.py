@@ -79,7 +79,7 @@ def call_hydra(
     keys = plan.keys if plan is not None else ()
 
     # Pickled by value for the workers of a sweep, with its closure.
-    @hydra.main(version_base=VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
+    @hydra.main(**VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
     def job(composed: DictConfig) -> float | None:
         found = from_hydra()
         resolved, folder = resolve(found, verb), HydraConfig.get().runtime.output_dir

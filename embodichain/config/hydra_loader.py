@@ -42,7 +42,9 @@ __all__ = [
     "user_configs",
 ]
 
-VERSION_BASE = "1.3"
+_BASE = "1.3"
+VERSION_BASE = {} if isinstance(version.getbase(), str) else {"version_base": _BASE}
+"""Argument of `hydra.main`: the behaviour of Hydra 1.3, which 1.4 has without being asked."""
 COMPOSING = (HydraException, yaml.YAMLError, UnicodeDecodeError, OSError)
 """Exceptions that composing may raise because of the user's files."""
 _SHOWN_BY = {"task": "embodichain list tasks"}
@@ -83,8 +85,9 @@ def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader
     Raises:
         ConfigError: `config_dir` does not exist.
     """
-    if not hasattr(version.getbase(), "major"):
-        version.setbase(VERSION_BASE)  # unset until a Hydra application starts
+    base = version.getbase()
+    if not (hasattr(base, "major") or isinstance(base, str)):  # a string: Hydra 1.4
+        version.setbase(_BASE)  # unset until a Hydra application starts
     with user_configs(config_dir):
         yield _Loader(create_config_search_path(f"pkg://{CONFIG_MODULE}"))
 

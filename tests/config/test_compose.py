@@ -138,6 +138,17 @@ def test_hydras_state_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         assert hydra_compose("app") == {"x": 1}
 
 
+def test_hydra_1_4_is_not_asked_for_a_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There the base is a string, and setting one warns of its removal in Hydra 1.5."""
+
+    def deprecated(base: str) -> None:
+        raise AssertionError(base)
+
+    monkeypatch.setattr("hydra.version.getbase", lambda: "1.4")
+    monkeypatch.setattr("hydra.version.setbase", deprecated)
+    assert "reach" in list_options("task")
+
+
 def test_relaxed_overrides_do_the_same_in_hydra() -> None:
     lines = ["task=reach", "num_envs=3", "task.physics.gravity=[0,0,0]", "~task.events", "a=1,2"]
     with config_loader() as loader:

@@ -37,6 +37,7 @@ def test_it_is_small_and_whole_and_says_how_it_was_made(task):
     with zipfile.ZipFile(about.file) as archive:  # no path of the machine that made it
         names = archive.namelist()
         assert not any(b"site-packages" in archive.read(name) for name in names)
+        assert not [name for name in names if "serialization_id" in name]  # made again, the same
     assert json.loads(about.to_json())["interval"] == [low, high]
 
 

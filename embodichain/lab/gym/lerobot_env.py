@@ -6,6 +6,7 @@ sorts the entries for both. `plugins/lerobot_env_embodichain` makes it known to 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,13 +22,13 @@ from embodichain.lab.gym.envs.observation import entry_spaces
 from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["SCENE", "STATE", "LeRobotVectorEnv", "image_key", "lerobot_parts"]
+__all__ = ["KEYS", "SCENE", "STATE", "LeRobotVectorEnv", "image_key", "lerobot_parts"]
 
 STATE, SCENE = "observation.state", "observation.environment_state"
 """Features of LeRobot: numbers about the robot, and about the rest of the scene."""
 _SECTIONS = ("objects", "articulations", "commands")
 """Sections of a task with what observations of the scene are of."""
-_KEYS = {STATE: "agent_pos", SCENE: "environment_state"}
+KEYS = {STATE: "agent_pos", SCENE: "environment_state"}
 """Feature -> key of a vector environment's observation, as LeRobot translates it."""
 _PIXELS = "pixels"
 _NEW_ROLLOUT = "lerobot_new_rollout"
@@ -102,7 +103,10 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         if "policy" not in manager.groups:
             raise ConfigError(f"{name}: LeRobot needs observations in the group policy")
         self._batch = NumpyVectorEnv(env, AutoresetMode.SAME_STEP, flatten=False)
-        self.metadata = self._batch.metadata
+        rate = float(self._batch.metadata["render_fps"])
+        whole = round(rate)  # PyAV, with which LeRobot 0.6 writes films, takes no float
+        fps = whole if math.isclose(rate, whole) else rate
+        self.metadata = {**self._batch.metadata, "render_fps": fps}
         self.render_mode = self._batch.render_mode
         self.num_envs = self._batch.num_envs
         self.single_action_space = self._batch.single_action_space
@@ -130,8 +134,8 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         boxes: dict[str, spaces.Space[Any]] = {}
         pictures: dict[str, spaces.Space[Any]] = {}
         for key, (_, shape) in self.features.items():
-            if key in _KEYS:
-                boxes[_KEYS[key]] = spaces.Box(-np.inf, np.inf, shape, np.float32)
+            if key in KEYS:
+                boxes[KEYS[key]] = spaces.Box(-np.inf, np.inf, shape, np.float32)
             else:
                 pictures[key.rpartition(".")[2]] = spaces.Box(0, 255, shape, np.uint8)
         if pictures:
@@ -175,7 +179,7 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         found: dict[str, Any] = {}
         for key, names in self._parts.items():
             columns = [_entry(obs, name).reshape(self.num_envs, -1) for name in names]
-            found[_KEYS[key]] = np.concatenate(columns, axis=1, dtype=np.float32)
+            found[KEYS[key]] = np.concatenate(columns, axis=1, dtype=np.float32)
         if self._images:
             found[_PIXELS] = {image_key(name): _pictures(obs, name) for name in self._images}
         return found

@@ -11,7 +11,7 @@ from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
 from embodichain.config import make_env, resolve
-from embodichain.lab.gym.lerobot_env import SCENE, STATE, LeRobotVectorEnv
+from embodichain.lab.gym.lerobot_env import KEYS, SCENE, STATE, LeRobotVectorEnv
 
 __all__ = ["EmbodiChainEnv"]
 
@@ -31,7 +31,7 @@ class EmbodiChainEnv(EnvConfig):
         render_mode: ``rgb_array``, or None for evaluations without videos.
         fps: Control steps a second. 0, the default, is the task's; another number is an error.
         features: Observations and actions. Empty, the default, are the task's.
-        features_map: Feature -> name in a policy; LeRobot's own names.
+        features_map: Feature -> its name in a policy and in data sets.
 
     Raises:
         ConfigError: If the config has mistakes, or the task cannot be an environment of LeRobot.
@@ -54,12 +54,14 @@ class EmbodiChainEnv(EnvConfig):
             self.fps = round(rate)
             if self.features:
                 return
-            for key, (_, shape) in env.features.items():
-                kind = _TYPES.get(key, FeatureType.VISUAL)
+            # Keyed as the observations are, where LeRobot 0.6 looks them up to record them.
+            for name, (_, shape) in env.features.items():
+                key, kind = KEYS.get(name, name), _TYPES.get(name, FeatureType.VISUAL)
                 self.features[key] = PolicyFeature(type=kind, shape=shape)
+                self.features_map[key] = name
             shape = env.single_action_space.shape
             self.features["action"] = PolicyFeature(type=FeatureType.ACTION, shape=shape)
-            self.features_map = {key: key for key in self.features}
+            self.features_map["action"] = "action"
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:

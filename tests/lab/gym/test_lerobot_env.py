@@ -96,7 +96,7 @@ def test_observations_success_and_attributes(vector):
     assert vector.get_attr("task_description") == ("Reach it.",) * 3
     assert vector.call("task") == ("small",) * 3
     assert vector.envs[0].render() is None and vector.call("render") == ()
-    assert vector.metadata["render_fps"] == pytest.approx(vector._batch.env.control_frequency)
+    assert type(vector.metadata["render_fps"]) is int  # PyAV takes no float
 
 
 def test_an_environment_that_lerobot_cannot_use_is_refused(make_env):

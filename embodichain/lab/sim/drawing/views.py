@@ -231,7 +231,13 @@ def lens_of(
         height: Pixels.
         values: Returns (N or 1, ...) values of a field of the model, where arrays are; None is
             those compiled.
+
+    Raises:
+        ValueError: If the camera is orthographic.
     """
+    if model.cam_projection[camera] != int(mujoco.mjtProjection.mjPROJ_PERSPECTIVE):
+        name = model.camera(camera).name
+        raise ValueError(f"camera {name!r} is orthographic: only pinhole cameras can be drawn")
     if values is None:
         values = lambda name: np.asarray(getattr(model, name))[None]  # noqa: E731
     pixels = np.array([width, height], np.float64)
@@ -284,8 +290,6 @@ def view_of(
         optics = Optics.of_fovy(width, height, camera.fovy, near, far)
         return View(optics, camera.position, camera.axes, None, outputs, look)
     index = camera_id(model, camera)
-    if model.cam_projection[index] != int(mujoco.mjtProjection.mjPROJ_PERSPECTIVE):
-        raise ValueError(f"camera {camera!r} is orthographic: only pinhole cameras can be drawn")
     lens = lens_of(model, index, width, height, state.model_values)
     focal, centre = lens[:, :2], lens[:, 2:]
     first = (focal[0, 0], focal[0, 1]), (centre[0, 0], centre[0, 1])
