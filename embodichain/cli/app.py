@@ -428,14 +428,16 @@ def log_of(name: str) -> Path:
     Raises:
         ConfigError: There is no log yet, or the folder has none.
     """
-    from embodichain.config.run_folder import LOG, newest_run
+    from embodichain.config.run_folder import LOG, SHARDS, newest_run
 
-    path = newest_run("outputs", LOG) if name == "last" else Path(name)
+    path = newest_run("outputs", LOG, SHARDS) if name == "last" else Path(name)
     if path is None:
         raise ConfigError("no run in outputs has a log yet: embodichain run task=NAME")
     if not path.is_dir():
         return path
     log = path.resolve() / LOG
+    if not log.exists() and (path / SHARDS).exists():
+        return path.resolve() / SHARDS
     if not log.exists():
         raise ConfigError(f"{path.resolve()} has no {LOG}: it was run with record=none")
     return log

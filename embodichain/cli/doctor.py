@@ -36,6 +36,7 @@ EXTRAS = {
         "sweeps in parallel, and searches with Optuna",
         *("hydra-joblib-launcher", "hydra-optuna-sweeper", "alembic", "sqlalchemy"),
     ),
+    "ray": ("one experiment on many machines: sim.backend=ray", "ray"),
     "export": ("policies as ONNX files", "onnx", "onnxruntime"),
     "video": ("films: video=true, replay --video", "imageio-ffmpeg"),
     "h264": ("videos of cameras in logs: record.images", "av"),

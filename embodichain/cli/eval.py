@@ -146,11 +146,11 @@ def evaluate_job(job: Job, asked: Asked) -> dict[str, Any]:
     Returns:
         The content of `eval.json`.
     """
-    from embodichain.config.factory import make_env
+    from embodichain.config.factory import make_batch
     from embodichain.learning.evaluation import evaluate
 
     task = job.resolved.task_name
-    env = make_env(job.resolved, run_dir=job.folder)
+    env = make_batch(job.resolved, run_dir=job.folder)
     try:
         policy = policy_of(job.root, env, deterministic=asked.deterministic)
         recorder = job.attach_log(env)

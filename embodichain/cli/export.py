@@ -197,7 +197,7 @@ def _write_policy(target: Target, overrides: list[str], out: Path, form: Format)
 
 
 def _export_log(options: SimpleNamespace) -> None:
-    from embodichain.recording.api import Log
+    from embodichain.recording import joining
     from embodichain.recording.export.formats import Part
 
     if options.episode is not None and options.env is None:
@@ -206,7 +206,7 @@ def _export_log(options: SimpleNamespace) -> None:
     size = None if options.size is None else pair("--size", options.size, form)
     cameras = options.cameras or None
     part = Part(options.env, options.episode, options.start or 0, options.stop, cameras, size)
-    with warnings_on_stderr(), Log(log_of(options.words[0]), simulate=True) as log:
+    with warnings_on_stderr(), joining.open(log_of(options.words[0]), simulate=True) as log:
         export = _film if options.form == "mp4" else _write
         path, ended = export(log, options, part)
         say_warnings(log.path, log.warnings)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.recording import ImageOptions, McapRecorder
     from embodichain.recording.film import Filmed
+    from embodichain.recording.shard_logs import ShardLogs
     from embodichain.recording.viewers.web import WebView
 
 __all__ = [
@@ -95,11 +96,11 @@ class Job:
         images = self.root.record.images
         return None if images is None else ImageOptions(**vars(images))
 
-    def attach_log(self, env: BaseEnv, name: str = LOG) -> McapRecorder | None:
+    def attach_log(self, env: BaseEnv, name: str = LOG) -> McapRecorder | ShardLogs | None:
         """Attach the log unless `record.format` is ``none``; closing the environment closes it.
 
         Args:
-            env: The environment.
+            env: The environment; a batch in shards has a log for each shard.
             name: File name in the folder.
         """
         if self.root.record.format == "none":
@@ -110,15 +111,18 @@ class Job:
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         options["images"] = self.images
-        recorder = McapRecorder(
-            self.folder / name,
-            env,
-            config=dump_yaml(self.resolved.tree),
-            overrides=dump_yaml(list(self.resolved.overrides)),
-            options=RecordOptions(**options),
-            task=self.resolved.task_name,
-            policy=policy_name(self.root),
-        )
+        about: dict[str, Any] = {
+            "overrides": dump_yaml(list(self.resolved.overrides)),
+            "options": RecordOptions(**options),
+            "task": self.resolved.task_name,
+            "policy": policy_name(self.root),
+        }
+        if self.root.sim.backend == "ray":
+            from embodichain.cli.sharding import attach_logs
+
+            return attach_logs(self.resolved, env, self.folder / name, about)
+        config = dump_yaml(self.resolved.tree)
+        recorder = McapRecorder(self.folder / name, env, config=config, **about)
         env.add_observer(recorder)
         return recorder
 

@@ -217,7 +217,7 @@ def _verify(path: Path, options: SimpleNamespace) -> int:
 
 def _film(path: Path, options: SimpleNamespace) -> int:
     """Write the video and print its path."""
-    from embodichain.recording.api import Log
+    from embodichain.recording import joining
     from embodichain.recording.film import film_log
 
     out = Path(options.video)
@@ -226,7 +226,7 @@ def _film(path: Path, options: SimpleNamespace) -> int:
     how = options.speed or 1.0, pixels, options.camera
     quiet = options.quiet or options.json
     display = ProgressDisplay("film", None, "pictures", quiet=quiet)
-    with Log(path) as log, StopFlag() as stop, display:
+    with joining.open(path) as log, StopFlag() as stop, display:
         filmed = film_log(log, out, *part, *how, film_progress(display), stop.is_stopped)
         say_warnings(log.path, log.warnings)
     if filmed.pictures:
@@ -243,12 +243,12 @@ def _film(path: Path, options: SimpleNamespace) -> int:
 
 def _view(path: Path, options: SimpleNamespace) -> int:
     """Play until the window is closed or Ctrl-C is pressed."""
-    from embodichain.recording.api import Log
+    from embodichain.recording import joining
     from embodichain.recording.playback import span_of
     from embodichain.recording.viewers.log_player import play_log
 
     part = options.episode, options.start, options.last
-    with StopFlag() as stop, Log(path) as log:
+    with StopFlag() as stop, joining.open(path) as log:
         span_of(log, options.env or 0, *part)  # a mistake is reported before a window opens
         say_warnings(log.path, log.warnings)
         screen = _screen(log, options, stop)

@@ -57,11 +57,11 @@ def rerun(path: Path, options: SimpleNamespace) -> int:
     from embodichain.config.factory import make_env
     from embodichain.data.pretrained import pretrained
     from embodichain.lab.gym.policies import PRETRAINED
-    from embodichain.recording.api import Log
+    from embodichain.recording import joining
     from embodichain.recording.reenactment import config_of
 
     target = find_target(options.policy)
-    with Log(path) as log:
+    with joining.open(path) as log:
         wanted = _wanted(log, options)
         resolved = config_of(log)
         rounding = 0.0 if log.header.has_writes else _ROUNDING

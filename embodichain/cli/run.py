@@ -22,6 +22,7 @@ from embodichain.utils.atomic import write_text
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
+    from embodichain.recording.recorder import RecordStats
 
 __all__ = ["command", "run_job", "summary_rows"]
 
@@ -66,11 +67,11 @@ def run_job(job: Job) -> float | None:
             _log.error("%s could not be written: %s", SUMMARY, second)
         raise
     if log is not None:
-        facts |= {"log": str(log), "log_bytes": log.stat().st_size}
+        facts |= {"log": str(log.path), "log_bytes": log.nbytes}
     summary = {**facts, **counted}
     _write_summary(job.folder, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
-    summary |= job.film(log)
+    summary |= job.film(None if log is None else log.path)
     if root.json:
         print_json(summary)
     elif not root.quiet:
@@ -78,12 +79,12 @@ def run_job(job: Job) -> float | None:
     return summary["return"]["mean"] if summary["return"] is not None else None
 
 
-def _simulate(job: Job) -> tuple[dict[str, Any], Path | None]:
-    """Build, roll out and close; returns the summary and the path of the log."""
-    from embodichain.config.factory import make_env
+def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
+    """Build, roll out and close; returns the summary and what was recorded."""
+    from embodichain.config.factory import make_batch
 
     root = job.root
-    env = make_env(job.resolved, run_dir=job.folder)
+    env = make_batch(job.resolved, run_dir=job.folder)
     picture: _StartPicture | None = None
     try:
         policy = policy_of(root, env)
@@ -97,7 +98,7 @@ def _simulate(job: Job) -> tuple[dict[str, Any], Path | None]:
         env.close()  # finishes the log too
         if picture is not None:
             picture.draw(job.folder / "scene.png")
-    return counted, recorder.stats.path if recorder is not None else None
+    return counted, recorder.stats if recorder is not None else None
 
 
 def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any]:
@@ -123,7 +124,12 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
             seconds = time.perf_counter() - start
             display.show(counted.episodes, _facts(counted, max_steps, seconds))
 
-        for _ in () if stop.is_stopped() else play(env, policy, obs, counted):
+        steps = play(env, policy, obs, counted)
+        if job.root.sim.backend == "ray":
+            from embodichain.cli.sharding import play_inside
+
+            steps = play_inside(job.root, env, counted) or steps
+        for _ in () if stop.is_stopped() else steps:
             if env.sim.is_window_open:  # in real time
                 time.sleep(max(0.0, start + counted.steps * env.step_dt - time.perf_counter()))
             if display.due:
@@ -221,7 +227,10 @@ class _StartPicture:
     """Environment 0 as it is at construction, rendered when the run ends."""
 
     def __init__(self, env: BaseEnv) -> None:
-        self._data = env.sim.engine.data_of(0)
+        template: BaseEnv | None = getattr(env, "template", None)  # of a batch in shards
+        if template is not None:
+            template.reset()
+        self._data = (template or env).sim.engine.data_of(0)
 
     def draw(self, path: Path) -> None:
         """Write the picture; warn if there is no OpenGL or the file cannot be written."""

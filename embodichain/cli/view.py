@@ -49,7 +49,8 @@ def command(
     """Print how to open a log, open it, or play it."""
     from embodichain.recording import inspect
 
-    log = inspect(log_of(file))
+    path = log_of(file)
+    log = inspect(_shard_of(path) or path)
     say_warnings(log.path, log.warnings)
     layout = _layout(log)
     if json:
@@ -66,6 +67,24 @@ def command(
         _serve(log.path, host, port, speed)
     elif opens:
         _open(log)
+
+
+def _shard_of(path: Path) -> Path | None:
+    """Of a batch in shards, the log with the viewed environments; says where the others are."""
+    from embodichain.recording.joining import shards_of
+
+    manifest = shards_of(path)
+    if manifest is None:
+        return None
+    from embodichain.recording.sharded_log import ShardedLog
+
+    with ShardedLog(manifest) as joined:
+        viewed = next(iter(joined.header.view_envs), 0)
+        chosen = joined.part_of(viewed)[0].path
+        others = ", ".join(log.path.name for log in joined.shards if log.path != chosen)
+    if others:
+        sys.stderr.write(f"note: environment {viewed} is in {chosen.name}; others: {others}\n")
+    return chosen
 
 
 def _has_end(file: Path) -> bool:

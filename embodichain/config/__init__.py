@@ -10,7 +10,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from embodichain.config.composed import Composed, compose, from_hydra, list_options, relax
-    from embodichain.config.factory import make, make_env
+    from embodichain.config.factory import make, make_batch, make_env
     from embodichain.config.file_validation import validate_file
     from embodichain.config.hydra_loader import user_configs
     from embodichain.config.resolved import (
@@ -29,7 +29,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "composed": ["Composed", "compose", "from_hydra", "list_options", "relax"],
-        "factory": ["make", "make_env"],
+        "factory": ["make", "make_batch", "make_env"],
         "hydra_loader": ["user_configs"],
         "resolved": [
             *("Resolved", "dump_yaml", "freeze", "resolve", "resolve_tree", "thaw"),
@@ -53,6 +53,7 @@ __all__ = [
     "from_hydra",
     "list_options",
     "make",
+    "make_batch",
     "make_env",
     "relax",
     "resolve",

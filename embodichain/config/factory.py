@@ -6,29 +6,25 @@ Torch is imported when an environment is built, not before.
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import logging
 import traceback
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from embodichain.config.gymnasium_ids import task_of_id
 from embodichain.config.host_arrays import why_host, why_not_device, with_arrays
-from embodichain.config.resolved import Resolved, resolve, thaw
+from embodichain.config.resolved import Resolved, build_env, resolve, thaw
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.config.schema import Verb
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["make", "make_env", "with_warp_sizes", "with_warp_values"]
+__all__ = ["make", "make_batch", "make_env", "with_warp_sizes", "with_warp_values"]
 
 _log = logging.getLogger(__name__)
-_KWARGS = ("autoreset_mode", "render_mode", "run_dir")
-"""Arguments of `BaseEnv` besides its config; it passes others on to methods of subclasses."""
 
 
 def make(
@@ -52,8 +48,8 @@ def make(
             ``run_dir``; also the arguments of the class that the task names.
 
     Returns:
-        The batched torch environment. `gymnasium.make` makes one environment with numpy
-        observations of the same task, `gymnasium.make_vec` a batch of them.
+        The batched torch environment (in shards: see `make_batch`). `gymnasium.make` makes one
+        environment with numpy observations of the same task, `gymnasium.make_vec` a batch of them.
 
     Raises:
         ConfigError: Lists every mistake in the config.
@@ -71,11 +67,13 @@ def make(
     except ConfigError:
         _check_name(task, config_dir)
         raise
-    return make_env(with_warp_values(resolved, None, kwargs), **kwargs)
+    return make_batch(with_warp_values(resolved, None, kwargs), **kwargs)
 
 
 def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
-    """Build the environment of a config, as an instance of the class that the config names.
+    """Build the environment of a config in this process, whatever ``sim.backend`` says.
+
+    It is an instance of the class that the config names.
 
     Args:
         resolved: A checked config. ``auto`` arrays are on the host; see `with_warp_values`.
@@ -87,22 +85,29 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
     """
     if resolved.tree["sim"]["engine"] == "warp":
         resolved = with_warp_sizes(resolved)
-    cfg = resolved.env_cfg
-    if cfg.id is not None:
-        from embodichain.lab.gym.utils import registration
+    return build_env(resolved, **kwargs)
 
-        with resolved.locating("task"):
-            return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
-    for key in kwargs:
-        if key not in _KWARGS:
-            names = [name for name in inspect.signature(make).parameters if name != "kwargs"]
-            known = [*names, *_KWARGS]
-            hint = did_you_mean(key, known)
-            raise TypeError(f"unknown argument {key!r}; there are: {', '.join(known)}.{hint}")
-    from embodichain.lab.gym.envs.base_env import BaseEnv
 
-    with resolved.locating("task"):
-        return BaseEnv(cfg, **kwargs)
+def make_batch(resolved: Resolved, **kwargs: Any) -> BaseEnv:
+    """Build the environments of a job where ``sim.backend`` says.
+
+    Args:
+        resolved: A checked config.
+        **kwargs: As of `make_env`.
+
+    Returns:
+        The result of `make_env`; with ``sim.backend=ray`` a `ShardedEnv`, which has the interface
+        of a batch that learners, evaluations and policies use, and no simulation in this process.
+
+    Raises:
+        ConfigError: As `make_env` does, or there is no cluster with room for the shards.
+        TypeError: If an argument is unknown, or has no form with shards.
+    """
+    if resolved.tree["sim"]["backend"] == "local":
+        return make_env(resolved, **kwargs)
+    from embodichain.config.ray_shards import make_sharded
+
+    return cast("BaseEnv", make_sharded(resolved, kwargs))
 
 
 _PROBE_ENVS, _PROBE_STEPS, _PROBE_EVERY = 8, 64, 4

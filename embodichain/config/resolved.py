@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
@@ -35,8 +35,21 @@ from embodichain.lab.sim.compiler.names import exact_pattern
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["Resolved", "dump_yaml", "freeze", "resolve", "resolve_tree", "thaw", "write_record"]
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = [
+    "Resolved",
+    "build_env",
+    "dump_yaml",
+    "freeze",
+    "resolve",
+    "resolve_tree",
+    "thaw",
+    "write_record",
+]
 
 _DEFAULTS: dict[Verb, dict[str, Any]] = {
     "run": {"num_envs": 1, "device": "cpu", "episodes": 1, "policy": "random"},
@@ -44,6 +57,10 @@ _DEFAULTS: dict[Verb, dict[str, Any]] = {
     "collect": {"num_envs": 64, "device": "cpu", "episodes": 100, "policy": "expert"},
 }
 _SEED_BITS = 31
+_KWARGS = ("autoreset_mode", "render_mode", "run_dir")
+"""Arguments of `BaseEnv` besides its config; it passes others on to methods of subclasses."""
+_OF_MAKE = ("task", "num_envs", "overrides", "seed", "config_dir")
+"""Arguments of `embodichain.make`, for messages."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +98,7 @@ class Resolved:
         root, cfg = self.root, copy.deepcopy(self.root.task)
         cfg.num_envs = root.num_envs or 1
         cfg.seed = root.seed
+        cfg.first_env = root.sim.first_env
         cfg.sim_cfg = SimulationManagerCfg(
             headless=root.viewer.name != "native",
             window_env=root.viewer.env,
@@ -305,3 +323,31 @@ class _Dumper(yaml.SafeDumper):
     def ignore_aliases(self, data: Any) -> bool:
         """Never write an alias."""
         return True
+
+
+def build_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
+    """Build the environment of a config, as an instance of the class that the config names.
+
+    Args:
+        resolved: A checked config with every value filled in.
+        **kwargs: For `BaseEnv`, or for the class.
+
+    Raises:
+        ConfigError: A mistake that is only found by building, with its place.
+        TypeError: If an argument is unknown.
+    """
+    cfg = resolved.env_cfg
+    if cfg.id is not None:
+        from embodichain.lab.gym.utils import registration
+
+        with resolved.locating("task"):
+            return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
+    for key in kwargs:
+        if key not in _KWARGS:
+            known = [*_OF_MAKE, *_KWARGS]
+            hint = did_you_mean(key, known)
+            raise TypeError(f"unknown argument {key!r}; there are: {', '.join(known)}.{hint}")
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+    with resolved.locating("task"):
+        return BaseEnv(cfg, **kwargs)

@@ -19,6 +19,7 @@ __all__ = [
     "CHECKPOINT",
     "CONFIG",
     "LOG",
+    "SHARDS",
     "SUMMARY",
     "adopt",
     "claim",
@@ -34,6 +35,8 @@ LOG = "rollout.mcap"
 """File name of a run's log."""
 CHECKPOINT = "checkpoints/final.zip"
 """Path of a training's final policy in its folder."""
+SHARDS = "rollout.shards.json"
+"""File name of the manifest that joins the logs of a run in shards."""
 SUMMARY = "summary.json"
 """File name of a run's summary."""
 LATEST = "latest"
@@ -106,15 +109,16 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
     return path.resolve()
 
 
-def newest_run(output_root: str | Path, holding: str) -> Path | None:
-    """Return the folder of the newest run that contains a file, or None.
+def newest_run(output_root: str | Path, *holding: str) -> Path | None:
+    """Return the folder of the newest run that contains one of some files, or None.
 
     Args:
         output_root: The folder of runs; the jobs of sweeps are searched too.
-        holding: The file's path in a run's folder; may be a pattern (``*.zip``).
+        *holding: The file's path in a run's folder; may be a pattern (``*.zip``).
     """
     runs = [file.parent for file in Path(output_root).rglob(CONFIG)]
-    found = [run for run in runs if any(file.is_file() for file in run.glob(holding))]
+    names = (*holding,)
+    found = [run for run in runs if any(f.is_file() for name in names for f in run.glob(name))]
     return max(found, key=_began).resolve() if found else None
 
 

@@ -24,6 +24,7 @@ __all__ = [
     "CollectCfg",
     "EvalCfg",
     "PolicyCfg",
+    "RayCfg",
     "RecordCfg",
     "RootCfg",
     "SimCfg",
@@ -36,6 +37,7 @@ __all__ = [
 ROOT_INSTEAD = {
     "num_envs": "it is a key of the root: num_envs=N",
     "seed": "it is a key of the root: seed=N",
+    "first_env": "it is a key of the group sim: sim.first_env=N",
     "sim_cfg": "use task.physics for the physics and the group sim for how it runs",
 }
 """Fields of `EnvCfg` that a task file must not set -> what to use instead."""
@@ -50,15 +52,32 @@ PositiveInt = Annotated[int, Field(ge=1)]
 
 
 @configclass
+class RayCfg:
+    """The cluster of `sim.backend=ray`."""
+
+    address: Annotated[str, Field(min_length=1)] | None = None
+    """``auto``, ``HOST:PORT``; None is ``RAY_ADDRESS``, or a cluster of this machine alone."""
+    cpus: PositiveInt = 1
+    """Cores that each shard reserves."""
+    save_every: PositiveInt = 1000
+    """Control steps between two saved states, from which lost shards are rebuilt."""
+
+
+@configclass
 class SimCfg:
     """How the simulation runs; the scene itself is in the task."""
 
     engine: EngineName | None = None
     """`mujoco` is `mujoco.batch` on the CPU, `warp` MuJoCo Warp; null is that of `device`."""
-    backend: Literal["local"] = "local"
-    """Where environments run: in this process."""
+    backend: Literal["local", "ray"] = "local"
+    """Where environments run: in this process, or in shards on the nodes of a Ray cluster."""
+    shards: PositiveInt = 1
+    """Number of shards of `ray`; results do not depend on it."""
+    ray: RayCfg = RayCfg()
     num_threads: Annotated[int, Field(ge=0)] = 0
     """Physics threads; 0 is one for every core that the process may use."""
+    first_env: Annotated[int, Field(ge=0)] = 0
+    """Number of the first environment: *i* draws as first_env + i of a larger batch."""
     persistent: bool | None = None
     """One MjData per environment (True) or per thread (False); None is True only for a model that
     needs it (sleep, IPC, plugins)."""

@@ -27,6 +27,7 @@ from embodichain.config.schema import (
     VERBS,
     PolicyCfg,
     RootCfg,
+    SimCfg,
     Verb,
 )
 from embodichain.lab.gym.envs.cfg import EnvCfg
@@ -141,6 +142,7 @@ def _check_meaning(
     """Check values, terms and scene of the keys that have the right types."""
     problems = _check_root(root, allow_import)
     problems += _check_task(root.task, allow_import)
+    problems += _check_backend(root, verb, allow_import)
     if verb == "train":
         problems += check_training_keys(root)
     if verb == "collect":
@@ -325,6 +327,16 @@ def _check_engine(root: RootCfg) -> list[Problem]:
         message = "physics of sim.engine=warp is not repeated to the bit; use record.state=all"
         problems.append(Problem("record.state", message))
     return problems
+
+
+def _check_backend(root: RootCfg, verb: Verb, allow_import: bool) -> list[Problem]:
+    """Check what a job in shards cannot do, and keys that only have a meaning with shards."""
+    sim, usual = root.sim, SimCfg()
+    if (sim.backend, sim.shards, sim.ray) == (usual.backend, usual.shards, usual.ray):
+        return []
+    from embodichain.config.shard_checks import check_shards
+
+    return check_shards(root, verb, allow_import)
 
 
 def _check_collecting(root: RootCfg) -> list[Problem]:

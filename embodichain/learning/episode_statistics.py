@@ -5,7 +5,7 @@ Imports neither torch nor Stable-Baselines3.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -74,11 +74,57 @@ class EpisodeStatistics:
             record = {name: np.asarray(value)[ids] for name, value in values.items()}
             record |= {"env": ids, "episode": self.counts[ids]}
             record |= {"return": self._return[ids], "length": self._length[ids]}
+            record["step"] = np.full(ids.size, self.steps)
             self._records.append(record)
             self.counts[ids] += 1
             self._missing -= ids.size
         self._return[done] = 0.0
         self._length[done] = 0
+
+    # -- parts of a batch ------------------------------------------------------------------------
+
+    def part(self, rows: slice) -> dict[str, Any]:
+        """The state of some adjacent environments, for `load_state_dict` where they run."""
+        return {
+            "quota": self.quota[rows].copy(),
+            "counts": self.counts[rows].copy(),
+            "return": self._return[rows].copy(),
+            "length": self._length[rows].copy(),
+            "steps": self.steps,
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state of all environments (copies), without the values of counted episodes."""
+        return self.part(slice(None))
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continue where `state_dict` or `part` was taken."""
+        self.counts[:], self.steps = state["counts"], state["steps"]
+        self._return[:], self._length[:] = state["return"], state["length"]
+        self._missing = int((self.quota - self.counts).sum())
+
+    def take(self) -> list[dict[str, NDArray[Any]]]:
+        """Return the values of counted episodes, and forget them: name -> one for each."""
+        taken, self._records = self._records, []
+        return taken
+
+    def merge(self, parts: Sequence[tuple[int, Sequence[Mapping[str, NDArray[Any]]]]]) -> None:
+        """Add episodes that were counted in parts of the batch, in the order of their ends.
+
+        Args:
+            parts: The first environment of each part, and what `take` returned there.
+        """
+        found = [
+            {**record, "env": record["env"] + first}
+            for first, records in parts
+            for record in records
+        ]
+        for step in sorted({int(record["step"][0]) for record in found}):
+            now = [record for record in found if record["step"][0] == step]
+            joined = {name: np.concatenate([record[name] for record in now]) for name in now[0]}
+            self._records.append(joined)
+            np.add.at(self.counts, joined["env"], 1)
+            self._missing -= len(joined["env"])
 
     def column(self, name: str) -> NDArray[Any]:
         """(E,) one value per counted episode, in the order of their ends."""

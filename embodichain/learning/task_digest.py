@@ -97,6 +97,7 @@ class TaskDigest:
         Raises:
             ValueError: If no observation is in the group.
         """
+        env = getattr(env, "template", env)  # of a batch in shards
         model = {"model": physics_values(env.sim.engine.model), "mujoco": mujoco.__version__}
         return cls({**model, **mdp_values(env, group)})
 

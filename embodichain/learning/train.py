@@ -14,7 +14,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import KVWriter
 
-from embodichain.config import Resolved, make_env
+from embodichain.config import Resolved, make_batch
 from embodichain.config.algorithms import DEFAULT_ALGORITHM, LEARN_FROM_DATA, AlgoCfg
 from embodichain.config.resolved import thaw
 from embodichain.config.run_folder import SUMMARY
@@ -130,7 +130,7 @@ def train(
         WriteError: The folder cannot be written; complete checkpoints remain.
     """
     algorithm = _checked_algorithm(resolved)
-    env = make_env(resolved)
+    env = make_batch(resolved)
     try:
         env.run_dir = run_dir
         if attach is not None:

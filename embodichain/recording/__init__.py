@@ -8,12 +8,13 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "api": ["Log", "open"],
+        "api": ["Log"],
         "demonstrations": ["Episode", "read_episodes"],
+        "joining": ["inspect", "open", "verify"],
         "log_diff": ["DiffReport", "LogDifference", "diff"],
         "options": ["ImageOptions", "RecordOptions"],
         "recorder": ["McapRecorder"],
-        "summary": ["LogSummary", "inspect"],
-        "verification": ["Difference", "VerifyReport", "verify"],
+        "summary": ["LogSummary"],
+        "verification": ["Difference", "VerifyReport"],
     },
 )

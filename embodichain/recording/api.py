@@ -1,9 +1,8 @@
-"""`open` and `Log`: reading a log, including snapshots for `BaseEnv.restore`."""
+"""`Log`: reading a log, including snapshots for `BaseEnv.restore`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,27 +18,9 @@ from embodichain.recording.recorded_log import RecordedLog
 from embodichain.recording.trajectory import Span, own_physics, runs
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["Log", "open"]
+__all__ = ["Log"]
 
 _CONTROLS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
-
-
-def open(path: str | Path, simulate: bool = False) -> Log:
-    """Open a log; its messages are read on demand. Close it, or use `with`.
-
-    A broken file is read up to the first damage: `complete` is False, and `warnings` says why.
-
-    Args:
-        path: A log, the manifest of a log in several files, or the folder of a run. The first of
-            several files opens all of them; any other is opened alone.
-        simulate: With `record.state=keyframes`: whether states between keyframes are simulated
-            again, from the file alone. Otherwise only keyframes are read.
-
-    Raises:
-        ConfigError: If the file is missing, empty or not MCAP.
-        LogError: If it is not an embodichain log.
-    """
-    return Log(path, simulate)
 
 
 class Log(RecordedLog):

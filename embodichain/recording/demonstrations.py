@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.config.run_folder import LOG
+from embodichain.config.run_folder import LOG, SHARDS
 from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.collection import CollectedEpisode, is_collection, read_collection
 from embodichain.recording.episodes import LogEpisode
@@ -25,6 +25,7 @@ from embodichain.recording.observation_store import ObservationStore
 from embodichain.recording.parts import first_file
 from embodichain.recording.recorded_log import RecordedLog
 from embodichain.recording.reenactment import Reenactment, Step
+from embodichain.recording.shard_logs import SHARDS_SUFFIX, read_shards
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["Episode", "Source", "read_episodes", "sources_of"]
@@ -147,6 +148,9 @@ def sources_of(path: str | Path, failures: bool = False) -> list[Source]:
         raise ConfigError(f"{path} does not exist")
     folder = path if path.is_dir() else path.parent
     if not is_collection(folder):
+        if (manifest := path if path.name.endswith(SHARDS_SUFFIX) else path / SHARDS).exists():
+            logs = [manifest.with_name(entry.log) for entry in read_shards(manifest)]
+            return [Source(log, None) for log in logs]
         if path.is_dir() and not (path / LOG).exists():
             raise ConfigError(f"{path} has no {LOG}: a run with record=none, or another folder")
         return [Source(path / LOG if path.is_dir() else path, None)]

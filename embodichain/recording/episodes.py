@@ -107,6 +107,18 @@ class EpisodeSums:
         self.lengths = np.zeros(num_envs, np.int64)
         """(N,) numbers of control steps."""
 
+    @property
+    def episodes(self) -> NDArray[np.int64]:
+        """(N,) the episodes of the last step; -1 before the first."""
+        return self._episodes
+
+    def load(
+        self, episodes: NDArray[np.int64], returns: NDArray[Any], lengths: NDArray[np.int64]
+    ) -> None:
+        """Continue with these episodes, sums and numbers, (N,) each."""
+        self._episodes, self._known = episodes.copy(), episodes.tobytes()
+        self.returns[:], self.lengths[:] = returns, lengths
+
     def add(self, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
         """Add a control step: (N,) rewards, and the episodes it belongs to."""
         if episode_ids.tobytes() != self._known:  # faster than comparing small arrays

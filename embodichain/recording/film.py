@@ -18,6 +18,7 @@ import numpy as np
 
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.views import Viewpoint
+from embodichain.recording import joining
 from embodichain.recording.api import Log
 from embodichain.recording.frames import FilmCamera, frames
 from embodichain.recording.playback import Playback, Span, span_of
@@ -98,7 +99,7 @@ def film_log(
     out = Path(out)
     need_encoder(out.suffix)
     if not isinstance(log, Log):
-        with Log(log) as opened:
+        with joining.open(log) as opened:
             part = opened, out, env, episode, first, last
             return film_log(*part, speed, size, camera, progress, stop, every, max_seconds)
     if os.path.lexists(out):

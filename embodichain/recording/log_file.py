@@ -17,6 +17,7 @@ from mcap.records import Message
 from mcap.writer import CompressionType, Writer
 
 from embodichain.recording.log_error import LARGEST_CHUNK
+from embodichain.recording.parts import part_name
 from embodichain.recording.schema import descriptor_set
 
 __all__ = ["LogFile"]
@@ -125,8 +126,10 @@ class LogFile:
     """The file that a log is being written to.
 
     Args:
-        path: A new file. Later files are created in the same folder, even if it was renamed.
+        path: The first file of the log. Later files are created in the same folder, even if it was
+            renamed.
         compression: ``zstd``, ``lz4`` or ``none``.
+        part: Index of the file to begin with, which is new.
 
     Attributes:
         name: The first file's name.
@@ -134,19 +137,19 @@ class LogFile:
         part: Number of files finished before this one.
 
     Raises:
-        FileExistsError: If `path` exists.
+        FileExistsError: If the file exists.
     """
 
-    def __init__(self, path: Path, compression: str) -> None:
+    def __init__(self, path: Path, compression: str, part: int = 0) -> None:
         self.name = path.name
         self._compression = _COMPRESSIONS[compression]
         self.folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        self.part = 0
+        self.part = part
         self._before = 0  # size of the finished files in bytes
         self._last_step = self._readable_step = -1
         self._declared: dict[str, tuple[str, bytes]] = {}
         try:
-            self._open(self.name)
+            self._open(part_name(self.name, part))
         except BaseException:
             os.close(self.folder)
             raise

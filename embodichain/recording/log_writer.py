@@ -17,7 +17,7 @@ from embodichain.recording.block import ArrayKind, CallKind, Recorded, pack_step
 from embodichain.recording.episodes import EPISODE_TOPIC, Ends, EpisodeSums, encode_ends
 from embodichain.recording.header import METADATA, METADATA_END, Header
 from embodichain.recording.log_file import LogFile
-from embodichain.recording.parts import Manifest, part_name
+from embodichain.recording.parts import LogPlace, Manifest, part_name
 from embodichain.recording.schema import START_TOPIC, STEPS_TOPIC
 
 __all__ = ["LAYOUT_FILE", "LogWriter", "Queue"]
@@ -66,6 +66,7 @@ class LogWriter:
         header: Metadata of the first file.
         attachments: Attachments of every file.
         layout: The viewers' layout, for a file next to the log.
+        place: Where to continue a log; None begins it.
     """
 
     def __init__(
@@ -75,17 +76,25 @@ class LogWriter:
         header: Header,
         attachments: Sequence[Attachment],
         layout: Mapping[str, Any],
+        place: LogPlace | None = None,
     ) -> None:
-        self.file = LogFile(path, compression)
+        part, step = (0, 0) if place is None else (place.part, place.step)
+        self.file = LogFile(path, compression, part)
         self.views = Queue()
+        if place is not None:
+            header = replace(header, log_id=place.log_id)
         self._header, self._attachments = header, attachments
         self._sums = EpisodeSums(header.num_envs)
         self._ends: dict[int, Ends] = {}
         self._manifest = Manifest(
             self.file.folder, path.name, header.log_id, header.period_ns * 1e-9
         )
+        if place is not None:
+            self._sums.load(place.episodes, place.returns, place.lengths)
+            self._manifest.files = [replace(entry) for entry in place.files]
+            self._manifest.begun(part_name(path.name, part), step)
         self._head_bytes = 0
-        self._write_head(0, 0)
+        self._write_head(part, step)
         if header.state != "none":
             self.file.channel(STEPS_TOPIC, "embodichain.Steps")
             self.file.channel(START_TOPIC, "embodichain.Steps")
@@ -183,6 +192,18 @@ class LogWriter:
         self._write_head(part, step)
         self._manifest.begun(name, step)
         self._manifest.write(complete=False)
+
+    def place(self, step: int) -> LogPlace:
+        """Where the current file began, for a recorder that continues there; after `roll`."""
+        sums, header = self._sums, self._header
+        return LogPlace(
+            header.log_id,
+            self.file.part,
+            step,
+            header.start_ns,
+            tuple(replace(entry) for entry in self._manifest.files[:-1]),
+            *(sums.episodes.copy(), sums.returns.copy(), sums.lengths.copy()),
+        )
 
     def finish(self, steps: int) -> None:
         """Write the end of a log with this number of control steps, and close the file.

@@ -15,9 +15,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["MANIFEST_SUFFIX", "Manifest", "PartEntry", "first_file", "missing_part", "part_name"]
+__all__ = [
+    "MANIFEST_SUFFIX",
+    "LogPlace",
+    "Manifest",
+    "PartEntry",
+    "first_file",
+    "missing_part",
+    "part_name",
+]
 
 MANIFEST_SUFFIX = ".manifest.json"
 _LARGEST_MANIFEST = 2**26
@@ -51,6 +62,31 @@ class PartEntry:
     stop_s: float | None = None
     nbytes: int | None = None
     complete: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LogPlace:
+    """Where a file of a log begins, for a recorder in another process that continues there.
+
+    Attributes:
+        log_id: Identifier of the recording.
+        part: Index of the file.
+        step: Its first control step.
+        start_ns: Wall clock of the recording's start.
+        files: The manifest's entries of the files before it.
+        episodes: (N,) episodes in progress.
+        returns: (N,) their sums of rewards so far.
+        lengths: (N,) their control steps so far.
+    """
+
+    log_id: str
+    part: int
+    step: int
+    start_ns: int
+    files: tuple[PartEntry, ...]
+    episodes: NDArray[np.int64]
+    returns: NDArray[np.float64]
+    lengths: NDArray[np.int64]
 
 
 class Manifest:

@@ -57,6 +57,7 @@ def follower_of(log: RecordedLog, env: int) -> Simulation:
         LogError: If the log has no states, or its model cannot be loaded.
     """
     log.header.check_env(env)
+    log, env = log.part_of(env)
     log.header.require_states(log.path)
     simulates = log.header.keyframe_every > 0
     model = log.model_to_simulate if simulates else log.model
@@ -80,9 +81,9 @@ class Playback:
     """
 
     def __init__(self, log: RecordedLog, env: int) -> None:
-        self.log = log
-        self.env = env
-        self._simulation = follower_of(log, env)
+        log.header.check_env(env)
+        self.log, self.env = log.part_of(env)
+        self._simulation = follower_of(self.log, self.env)
         self.engine: Engine = self._simulation.engine
 
     @property

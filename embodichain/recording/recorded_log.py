@@ -72,6 +72,10 @@ class RecordedLog:
         """Close the file; arrays that were read stay valid."""
         self.reader.close()
 
+    def part_of(self, env: int) -> tuple[RecordedLog, int]:
+        """The log with the messages of an environment, and the environment's number in it."""
+        return self, env
+
     def __enter__(self) -> Self:
         """Return the log."""
         return self

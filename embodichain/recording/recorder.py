@@ -23,11 +23,13 @@ from embodichain.lab.sim.sensors.cfg import CameraCfg
 from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.block import DRAWN, ArrayKind, CallKind, Recorded
 from embodichain.recording.columns import Moved
+from embodichain.recording.episode_gate import EpisodeGate
 from embodichain.recording.episodes import Ends
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.header import check_keyframes, header_of
 from embodichain.recording.log_writer import LogWriter, Queue
 from embodichain.recording.options import RecordOptions, check_options
+from embodichain.recording.parts import LogPlace
 from embodichain.recording.views.layout import foxglove_layout
 from embodichain.recording.views.views import Views
 from embodichain.recording.writing import Writing
@@ -78,6 +80,7 @@ class McapRecorder(StepObserver):
         options: What to record.
         task: The task's name.
         policy: The source of the actions, for the header.
+        place: Where to continue a log that another recorder began (`begin_part`).
 
     Raises:
         ConfigError: If an option is not allowed.
@@ -95,6 +98,7 @@ class McapRecorder(StepObserver):
         options: RecordOptions | None = None,
         task: str = "",
         policy: str = "",
+        place: LogPlace | None = None,
     ) -> None:
         options = RecordOptions() if options is None else options
         check_options(options, env.num_envs)
@@ -102,17 +106,19 @@ class McapRecorder(StepObserver):
         self._engine = env.sim.engine
         check_keyframes(options, self._engine)
         self._catch_up: Callable[[], None] = getattr(env, "catch_up", lambda: None)
-        self._path, self._start_ns = Path(path), time.time_ns()
+        self._path = Path(path)
+        self._start_ns = time.time_ns() if place is None else place.start_ns
         mjb = model_bytes(self._engine.model)
         header = header_of(env, options, model_digest(mjb), task, policy, self._start_ns)
         self._moved, self._period_ns = Moved(header.moved), header.period_ns
         self._substeps, self._keyframe_every = header.substeps, header.keyframe_every
         self._call_steps = header.call_steps or header.substeps
         self._keeps_state = options.state != "none"
-        self._gate = _EpisodeGate(options.every, next(iter(options.view_envs), 0))
+        self._gate = EpisodeGate(options.every, next(iter(options.view_envs), 0))
         self._max_bytes = (options.max_mb or 0.0) * 1e6
         self._view_envs = header.view_envs
-        self._step = self._since_start = self._start_bytes = 0
+        self._step = 0 if place is None else place.step
+        self._since_start = self._start_bytes = 0
         self._calls: list[Recorded] = []  # since the last control step
         self._steps: list[list[Recorded]] = []  # finished, not written yet
         self._first = 0  # number of the first of these
@@ -127,7 +133,7 @@ class McapRecorder(StepObserver):
             images = image_topics(env, options.images)
         layout = foxglove_layout(env, options.view_envs, images)
         attachments = attachments_of(mjb, env.sim.scene.spec, config, overrides, layout)
-        self._log = LogWriter(self._path, options.compression, header, attachments, layout)
+        self._log = LogWriter(self._path, options.compression, header, attachments, layout, place)
         self._views = Views(env, options, self._log.views, self._now)
         self._views.say("recording begins")
         self._drawing = _drawing(env, options, self._log.views, self._now)
@@ -334,14 +340,25 @@ class McapRecorder(StepObserver):
         with self._writing.writes():
             self._write_steps()
             if full:
-                self._log.roll(self._step)
-                self._write_start()
-                self._log.began()
-                self._show_again()
+                self._roll()
             elif keyframe or (not every and self._since_start > START_SHARE * self._start_bytes):
                 self._write_start()
             if now - self._flushed > FLUSH_SECONDS:
                 self._flush()
+
+    def _roll(self) -> None:
+        self._log.roll(self._step)
+        self._write_start()
+        self._log.began()
+        self._show_again()
+
+    def begin_part(self) -> LogPlace:
+        """Between two steps: write everything, continue in a new file, and return its place."""
+        self._catch_up()
+        with self._writing.writes():
+            self._write_steps()
+            self._roll()
+        return self._log.place(self._step)
 
     def _show_again(self) -> None:
         """Write scenes and pictures that need nothing before them, in the next step."""
@@ -419,51 +436,6 @@ class McapRecorder(StepObserver):
                 self._write_rest()
             self._views.close(self._step, self._engine.rows)
             self._log.finish(self._step)
-
-
-class _EpisodeGate:
-    """Open during every k-th episode of the leading environment, beginning with the first.
-
-    A reset opens the gate, and the reset's events belong to the new episode. So the events of a
-    step are held back until it is known whether they are recorded.
-
-    Args:
-        every: k; 1 keeps the gate open.
-        lead: The leading environment.
-
-    Attributes:
-        open: Whether calls are currently recorded.
-        in_step: Whether physics of the current control step has begun.
-    """
-
-    def __init__(self, every: int, lead: int) -> None:
-        self._every, self._lead = every, lead
-        self.open = True
-        self._episodes = self._steps = 0
-        self.in_step = False
-        self._held: list[EventRecord] = []
-
-    def on_physics(self) -> None:
-        """Count a control step; its physics begins."""
-        self._steps += 1
-        self.in_step = True
-
-    def hold(self, event: EventRecord) -> None:
-        """Keep an event that fired while the gate was closed."""
-        self._held.append(event)
-
-    def on_reset(self, env_ids: EnvIndex) -> list[EventRecord] | None:
-        """Count an episode if the leading environment was reset; outside a step, call `switch`."""
-        if (env_ids == self._lead).any():
-            self._episodes += self._steps > 0  # an episode without steps does not count
-            self._steps = 0
-        return None if self.in_step else self.switch()
-
-    def switch(self) -> list[EventRecord] | None:
-        """Between two steps: open or close; if it opens, return the events that were held."""
-        held, self._held, self.in_step = self._held, [], False
-        before, self.open = self.open, self._episodes % self._every == 0
-        return held if self.open and not before else None
 
 
 def _of(ids: EnvIndex | None, name: str = "env_ids") -> tuple[ArrayKind, ...]:

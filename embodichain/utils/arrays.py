@@ -95,9 +95,9 @@ class Arrays:
         """Whether environments are known to be all, of `count`."""
         return len(ids) == count
 
-    def streams(self, seed: int, count: int) -> RandomStreams:
+    def streams(self, seed: int, count: int, first: int = 0) -> RandomStreams:
         """Make random streams whose draws are arrays of this kind."""
-        return RandomStreams(seed, count)
+        return RandomStreams(seed, count, first)
 
     def require_host(self, what: str, path: str = "") -> None:
         """Refuse something that has no form with arrays on a device.

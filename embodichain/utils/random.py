@@ -139,12 +139,15 @@ class RandomStreams:
     Args:
         seed: Any integer.
         num_envs: N.
+        first: Number of the first environment: environment *i* draws as environment first + i of
+            a larger batch, see `renumber`.
     """
 
-    def __init__(self, seed: int, num_envs: int) -> None:
+    def __init__(self, seed: int, num_envs: int, first: int = 0) -> None:
         self.seed = int(seed)
         self.num_envs = num_envs
-        self._numbers = np.arange(num_envs, dtype=np.uint64)
+        self._first = first
+        self._numbers = np.arange(first, first + num_envs, dtype=np.uint64)
         self._keys: dict[str, U64] = {}
         self._counters: dict[str, U64] = {}
         self._steps: dict[int, U64] = {}
@@ -160,7 +163,7 @@ class RandomStreams:
     def renumber(self, env_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
         """Let environments draw from now on what others would draw at their start.
 
-        Environment *i* draws as environment *i* of any batch with this seed, unless it gets
+        Environment *i* draws as environment first + i of any batch with this seed, unless it gets
         another number.
 
         Args:
@@ -268,7 +271,7 @@ class RandomStreams:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken."""
         self.seed = int(state["seed"])
-        self._numbers = np.arange(self.num_envs, dtype=np.uint64)
+        self._numbers = np.arange(self._first, self._first + self.num_envs, dtype=np.uint64)
         if "numbers" in state:  # absent from older training states
             self._numbers[:] = state["numbers"]
         self._keys.clear()

@@ -86,6 +86,12 @@ REWARDS: dict[str, dict[str, Any]] = {
     "contact_forces": TOUCH,
     "feet_slide": TOUCH,
     "feet_air_time": {"sensor": "contacts", "command_name": "velocity", "threshold": 0.1},
+    "feet_gait": {
+        "sensor": "contacts",
+        "command_name": "velocity",
+        "period_s": 0.5,
+        "offsets": [0],
+    },
 }
 TERMINATIONS: dict[str, dict[str, Any]] = {
     "illegal_contact": {"sensor": "contacts", "threshold": 1e9},

@@ -70,6 +70,24 @@ def test_two_environments_do_not_touch_each_other(make_env) -> None:
         assert advance(second, step).tobytes() == alone["two"][step].tobytes()
 
 
+def test_a_part_of_a_batch_has_its_rows(make_env) -> None:
+    """Environments from `first_env` on draw, observe and end as in the whole batch."""
+    whole = make_env(one(num_envs=5, seed=2))
+    first = make_env(one(num_envs=2, seed=2))
+    rest = make_env(one(num_envs=3, seed=2, first_env=2))
+    for env in (whole, first, rest):
+        env.reset()
+    for step in range(12):
+        action = targets(whole, step)
+        for env, part in ((whole, action), (first, action[:2]), (rest, action[2:])):
+            env.step(part)
+        seen = [env.observation_buffer.last for env in (first, rest)]
+        assert np.concatenate(seen).tobytes() == whole.observation_buffer.last.tobytes()
+    for env in (whole, rest):
+        env.streams.reseed(7)  # environments keep their numbers
+    assert (rest.rand("mine", (2,)) == whole.rand("mine", (2,))[2:]).all()
+
+
 def test_the_same_config_can_be_built_from_twice(make_env) -> None:
     cfg = one()
     first = make_env(cfg)

@@ -121,7 +121,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.metadata = {**type(self).metadata, "autoreset_mode": parse_mode(autoreset_mode)}
         self.metadata["render_fps"] = self.control_frequency
         self.sim = SimulationManager(cfg.sim_cfg)
-        self.streams = self.arrays.streams(first_seed(cfg.seed), cfg.num_envs)
+        self.streams = self.arrays.streams(first_seed(cfg.seed), cfg.num_envs, cfg.first_env)
         if cfg.seed is not None:
             seed_globals(self, self.streams.seed)
         self.episodes = Episodes(cfg.num_envs, cfg.max_episode_steps, self.arrays)

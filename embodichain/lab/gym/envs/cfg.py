@@ -1,8 +1,8 @@
 """The declaration of a task as plain data: `EnvCfg` and the configs of its terms.
 
-Python users fill an `EnvCfg`; `task` in YAML is checked against it (there `num_envs`, `seed` and
-`sim_cfg` are outside `task`). Imports neither torch nor MuJoCo. Names and defaults of the first six
-fields are EmbodiChain 0.2.1's; the vocabulary is documented in docs/task.md.
+Python users fill an `EnvCfg`; `task` in YAML is checked against it (there `num_envs`, `seed`,
+`first_env` and `sim_cfg` are outside `task`). Imports neither torch nor MuJoCo. Names and defaults
+of the first six fields are EmbodiChain 0.2.1's; the vocabulary is documented in docs/task.md.
 """
 
 from __future__ import annotations
@@ -266,6 +266,8 @@ class EnvCfg:
     ignore_terminations: bool = False
     max_episode_steps: int = 300
     """Control steps; -1 is no limit."""
+    first_env: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
+    """Number of the first environment: environment *i* has the random streams of first_env + i."""
     # The declared task (not in EmbodiChain). Maps are keyed by name; an entity's uid is its key.
     description: str = dataclasses.field(default="", kw_only=True)
     id: str | None = dataclasses.field(default=None, kw_only=True)

@@ -68,10 +68,10 @@ class DeviceArrays(Arrays):
         everything: bool = ids.everything
         return everything
 
-    def streams(self, seed: int, count: int) -> RandomStreams:
+    def streams(self, seed: int, count: int, first: int = 0) -> RandomStreams:
         from embodichain.lab.sim.engine.device_streams import DeviceStreams
 
-        return cast("RandomStreams", DeviceStreams(seed, count, str(self.device)))
+        return cast("RandomStreams", DeviceStreams(seed, count, str(self.device), first))
 
     def require_host(self, what: str, path: str = "") -> None:
         message = f"{what} have no form with arrays on a device: use sim.warp.arrays=host"

@@ -107,14 +107,16 @@ class DeviceStreams:
         seed: Any integer.
         num_envs: N.
         device: ``cpu``, ``cuda`` or ``cuda:N``.
+        first: Number of the first environment, see `RandomStreams`.
     """
 
-    def __init__(self, seed: int, num_envs: int, device: str = "cpu") -> None:
+    def __init__(self, seed: int, num_envs: int, device: str = "cpu", first: int = 0) -> None:
         start_warp()
         self.seed = int(seed)
         self.num_envs = num_envs
         self._device = torch.device(device)
-        self._numbers = np.arange(num_envs, dtype=np.uint64)
+        self._first = first
+        self._numbers = np.arange(first, first + num_envs, dtype=np.uint64)
         self._names: list[str] = []
         self._streams: dict[str, tuple[wp.array, wp.array]] = {}
         self._blocks: list[_Block] = []
@@ -267,7 +269,7 @@ class DeviceStreams:
         Arrays stay where they are: a captured graph continues with the new state.
         """
         self.seed = int(state["seed"])
-        self._numbers = np.arange(self.num_envs, dtype=np.uint64)
+        self._numbers = np.arange(self._first, self._first + self.num_envs, dtype=np.uint64)
         if "numbers" in state:  # absent from older training states
             self._numbers[:] = state["numbers"]
         for name in state["counters"]:

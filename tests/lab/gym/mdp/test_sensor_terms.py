@@ -229,6 +229,42 @@ def test_standing_still_on_command_pays_nothing(make) -> None:
     assert paid["stay"].tolist() == [0.0, 0.0]
 
 
+def test_a_gait_pays_for_height_in_the_swing_and_contact_in_the_stance(make) -> None:
+    def command(turn: float) -> CommandCfg:
+        ranges = {"lin_vel_x": [0.0, 0.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [turn] * 2}
+        params = {"entity_cfg": {"uid": "cube"}, "ranges": ranges}
+        return CommandCfg(func="uniform_velocity", params=params)
+
+    # A period of four control steps; the cube's origin is at 0.05 m while it lies on the floor.
+    gait = {"sensor": "contacts", "period_s": 4 * DT, "offsets": [0.0], "rest_height": 0.05}
+    gait |= {"height": 0.1, "width": 0.1}
+    found = {"always": gait, "go": {**gait, "command_name": "go"}}
+    found |= {"stay": {**gait, "command_name": "stay"}}
+    terms = {name: RewardCfg(func="feet_gait", params=params) for name, params in found.items()}
+    env = make(rewards=terms, commands={"go": command(0.5), "stay": command(0.05)})
+    env.reset(seed=0)
+    rows = []
+    for step in range(1, 5):
+        # Environment 1's cube is in the air, at twice the height of the swing, in steps 1 and 3.
+        put(env, "cube", [[0, 0, 0.05], [0, 0, 0.25 if step % 2 else 0.05]])
+        env.sim.get_rigid_object("cube").clear_dynamics()
+        rows.append({name: value.tolist() for name, value in idle(env)[4]["rewards"].items()})
+    # sin(2 pi k / 4) is 1, 0, -1, 0: in the middle of the swing, between, in the stance, between.
+    for name in ("always", "go"):
+        values = np.asarray([row[name] for row in rows])
+        np.testing.assert_allclose(values[:, 0], [np.exp(-1), 1, 1, 1], atol=0.01)
+        fallen = 0.5 * G * DT**2
+        wanted = [np.exp(-(((0.2 - fallen - 0.1) / 0.1) ** 2)), 0.0]
+        np.testing.assert_allclose(values[[0, 2], 1], wanted, atol=0.02)
+    assert [row["stay"] for row in rows] == [[1, 0], [1, 1], [1, 0], [1, 1]]
+
+
+def test_a_gait_has_a_phase_for_each_foot(make) -> None:
+    params = {"sensor": "contacts", "period_s": 0.5, "offsets": [0.0, 0.5]}
+    with pytest.raises(ConfigError, match=r"offsets: 2 offsets for 1 feet: cube"):
+        make(rewards={"gait": RewardCfg(func="feet_gait", params=params)})
+
+
 def test_feet_slide_by_their_speed_in_the_plane_while_they_touch(make) -> None:
     env = make()
     split(env)

@@ -30,9 +30,12 @@ class Term:
     Attributes:
         saved: Names of the attributes that are its state: arrays of constant shape, changed in
             place. Terms with another state extend `state_dict` and `load_state_dict`.
+        whole_batch: Why it needs all environments in one process; empty if it does not.
+            `sim.backend=ray` refuses such terms.
     """
 
     saved: ClassVar[tuple[str, ...]] = ()
+    whole_batch: ClassVar[str] = ""
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Clear the state of the episode of these environments.

@@ -123,6 +123,8 @@ class ModifyRewardWeight(Term):
         start_step: Control steps before a gradual change begins.
     """
 
+    whole_batch = ""  # it depends on the number of control steps alone
+
     def __init__(
         self,
         env: TermContext,
@@ -169,6 +171,8 @@ class ModifyTermParam(Term):
         interpolate: Whether the value changes linearly, number by number.
         start_step: Control steps before a gradual change begins.
     """  # noqa: E501  (an example is one line)
+
+    whole_batch = ""  # likewise
 
     def __init__(
         self,

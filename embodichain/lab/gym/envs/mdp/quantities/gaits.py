@@ -1,0 +1,81 @@
+"""`feet_gait`: how well the feet of a legged robot keep to a gait with a given period.
+
+For flat ground at height 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import Field
+
+from embodichain.lab.gym.envs.managers.param_types import (
+    ContactOf,
+    Finite,
+    NonNegative,
+    Positive,
+    VelocityCommand,
+)
+from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.mdp._rows import mean, norm, squares
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.api import F64
+
+__all__ = ["feet_gait"]
+
+_EDGE = 1e-3
+"""Of the sine, above which a foot swings: the sine of half a period is rounded to either sign."""
+
+
+@quantity("reward", "metric")
+def feet_gait(
+    env: TermContext,
+    sensor: ContactOf,
+    period_s: Positive,
+    offsets: Annotated[Sequence[Finite], Field(min_length=1)],
+    height: Positive = 0.06,
+    width: Positive = 0.035,
+    rest_height: NonNegative = 0.02,
+    command_name: VelocityCommand | None = None,
+    min_command: NonNegative = 0.1,
+    force_threshold: NonNegative = 1.0,
+) -> F64:
+    """(N,) mean over feet, 0 to 1, of how well each keeps to its phase of a gait.
+
+    With s = sin(2 pi (t / period + offset)), t the episode's time as in `phase`: while s > 0 a foot
+    swings, and has exp(-((h - height s) / width)^2) for its height h above `rest_height`; else it
+    stands, and has 1 if it is in contact. Where the command is small, all feet stand.
+
+    Args:
+        sensor: A contact sensor on the feet.
+        period_s: Seconds per cycle.
+        offsets: Phase of each foot at t = 0, in periods, in the order of the sensor's links.
+        height: Height in the middle of the swing, m.
+        width: Error of the height at which a swinging foot has exp(-1), m.
+        rest_height: Height of a foot's origin while it stands on the ground, m.
+        command_name: A command (vx, vy, wz); None: the robot always walks.
+        min_command: Length of the command, in m/s and rad/s, above which the robot walks.
+        force_threshold: Force above which a foot is in contact, N.
+
+    Example:
+        ``{func: feet_gait, weight: 0.5, params: {sensor: contacts, period_s: 0.5,
+        offsets: [0, 0.5, 0.5, 0], command_name: velocity}}``
+    """
+    if len(offsets) != len(sensor.names):
+        feet = ", ".join(sensor.names)
+        message = f"{len(offsets)} offsets for {len(sensor.names)} feet: {feet}"
+        raise ConfigError([Problem("offsets", message)])
+    cycles = (env.arrays.of(env.elapsed_steps) + 1) * (env.step_dt / period_s)
+    swing = np.stack([np.sin(2.0 * np.pi * (cycles + offset)) for offset in offsets], axis=1)
+    if command_name is not None:
+        walks = norm(command_name()) > min_command
+        swing = np.where(walks[:, None], swing, 0.0)
+    origins = env.sim.engine.derived("xpos")[:, sensor.body_ids]
+    error = (origins[..., 2] - rest_height - height * swing) / width
+    touched = squares(sensor.read_force()) > force_threshold * force_threshold
+    return mean(np.where(swing > _EDGE, np.exp(-error * error), np.where(touched, 1.0, 0.0)))

@@ -1,0 +1,152 @@
+"""`Shard`: some adjacent environments of a batch, where they run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.episodes import FINAL_KEYS
+from embodichain.lab.gym.envs.observation import as_array
+from embodichain.lab.gym.shards.step_tables import StepTable
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observation import Observation
+
+__all__ = ["Shard", "ShardLog"]
+
+_NONE = np.zeros(0, np.int64)
+
+
+class ShardLog(Protocol):
+    """The log of a shard; it is sent to where the shard runs."""
+
+    def begin(self, env: BaseEnv, place: Any) -> None:
+        """Attach the log's recorder to the environments.
+
+        Args:
+            env: The environments.
+            place: What `save` returned, to continue from there; None begins the log.
+        """
+
+    def save(self) -> Any:
+        """Write everything so far, and return the place in plain values."""
+
+
+class Shard:
+    """Owns the environments of a shard. Its methods are called by name, from another process.
+
+    Args:
+        build: Builds the environments.
+    """
+
+    def __init__(self, build: Callable[[], BaseEnv]) -> None:
+        self.env = build()
+        self._log: ShardLog | None = None
+
+    def record(self, log: ShardLog, place: Any = None) -> None:
+        """Record from now on; see `ShardLog.begin`."""
+        log.begin(self.env, place)
+        self._log = log
+
+    def reset(
+        self, seed: int | None, ids: NDArray[np.int64] | None, options: Mapping[str, Any]
+    ) -> StepTable:
+        """Reset environments (n,) of this shard, None for all; see `BaseEnv.reset`."""
+        chosen = {} if ids is None else {"reset_ids": ids.copy()}
+        obs, info = self.env.reset(seed=seed, options={**options, **chosen})
+        return self._table(obs, info, {})
+
+    def step(self, action: NDArray[Any], others_reset: bool) -> StepTable:
+        """Take a control step.
+
+        Args:
+            action: (n, A) for the environments of this shard.
+            others_reset: Whether environments of other shards, and none of this one, were reset
+                since the last step: curricula then act here too, as in one batch.
+        """
+        if others_reset:
+            self.env.curriculum_manager.compute(_NONE)
+        obs, reward, terminated, truncated, info = self.env.step(torch.from_numpy(action.copy()))
+        arrays: dict[tuple[str, ...], NDArray[Any]] = {
+            ("reward",): as_array(reward),
+            ("terminated",): as_array(terminated),
+            ("truncated",): as_array(truncated),
+        }
+        ended = self.env.termination_manager.values
+        arrays |= {("ends", name): as_array(value) for name, value in ended.items()}
+        return self._table(obs, info, arrays)
+
+    def _table(
+        self, obs: Any, info: Mapping[str, Any], arrays: dict[tuple[str, ...], NDArray[Any]]
+    ) -> StepTable:
+        same: dict[tuple[str, ...], Any] = {}
+        found: Observation = obs
+        arrays[("obs",)] = found.rows
+        arrays |= {("other", *path): as_array(value) for path, value in found.others.items()}
+        if "final_obs" in info:
+            rows = as_array(info["_final_obs"])
+            final: Observation = info["final_obs"]
+            arrays[("final",)] = final.rows[rows]
+            for path, value in final.others.items():
+                arrays["final other", *path] = as_array(value)[rows]
+        for key, value in info.items():
+            if key not in FINAL_KEYS:
+                self._add((key,), value, arrays, same)
+        values = {
+            "info": same,
+            "curriculum": dict(self.env.curriculum_manager.values),
+            "physics_seconds": self.env.sim.physics_seconds,
+        }
+        return StepTable.of(arrays, values)
+
+    def _add(
+        self,
+        path: tuple[str, ...],
+        value: Any,
+        arrays: dict[tuple[str, ...], NDArray[Any]],
+        same: dict[tuple[str, ...], Any],
+    ) -> None:
+        """Add an entry of info: rows to the arrays, anything else to what all shards share."""
+        if isinstance(value, Mapping) and len(value):
+            for key, part in value.items():
+                self._add((*path, str(key)), part, arrays, same)
+        elif isinstance(value, (torch.Tensor, np.ndarray)):
+            arrays["info", *path] = as_array(value)
+            if arrays["info", *path].shape[:1] != (self.env.num_envs,):
+                found = f"{tuple(value.shape)} in a shard of {self.env.num_envs} environments"
+                raise ValueError(f"info entry {'/'.join(path)} has no row for each: {found}")
+        else:
+            same[path] = {} if isinstance(value, Mapping) else value
+
+    def advance(self, work: Callable[..., Any], *args: Any) -> Any:
+        """Call ``work(env, *args)`` and return its result."""
+        return work(self.env, *args)
+
+    def set_run_dir(self, folder: Path | None) -> None:
+        """Set the folder for the states of environments that diverge."""
+        self.env.run_dir = folder
+
+    def state(self) -> dict[str, Any]:
+        """The state of the environments, see `BaseEnv.state_dict`."""
+        return self.env.state_dict()
+
+    def save(self) -> dict[str, Any]:
+        """The state from which the shard can be rebuilt, with its place in the log."""
+        place = None if self._log is None else self._log.save()
+        return {"env": self.env.state_dict(), "run_dir": self.env.run_dir, "place": place}
+
+    def load(self, saved: Mapping[str, Any]) -> None:
+        """Continue where `save` or `state` was called, to the bit; a log is begun separately."""
+        if "run_dir" in saved:
+            self.env.run_dir = saved["run_dir"]
+        self.env.load_state_dict(saved.get("env", saved))
+
+    def close(self) -> None:
+        """Close the environments, and the log with them."""
+        self.env.close()
