@@ -30,7 +30,7 @@ MORE = {
     "quadruped_velocity": 1,
     "reach_workspace": 1,
 }
-"""Made when named. `lift_cube` and `quadruped_velocity` need half an hour and the extra `robots`;
+"""Made when named. `lift_cube` and `quadruped_velocity` need longer, and the extra `robots`;
 the others were not tried."""
 EPISODES = 500
 LEAST = 0.9
