@@ -265,14 +265,20 @@ class RayShards:
             raise ConfigError([Problem("sim.shards", message)])
         how = {"num_cpus": cpus, "max_restarts": 0, "scheduling_strategy": "SPREAD"}
         self._actor = ray.remote(**how)(RemoteShard)
+        self._started: set[int] = set()
         self._begun = [RayShard(self._actor, builder, k) for k, builder in enumerate(builders)]
 
     def start(self, index: int) -> RayShard:
         """Start a shard; the first time, all of them are built at once."""
-        shard, first = self._begun[index], self._begun[index].node == ""
-        if not first:
+        shard = self._begun[index]
+        if index in self._started:
             shard = self._begun[index] = RayShard(self._actor, self._builders[index], index)
-        shard.ready()
+        self._started.add(index)
+        try:
+            shard.ready()
+        except ShardLostError:
+            shard.end()
+            raise
         return shard
 
     def disconnect(self) -> None:
