@@ -1,26 +1,42 @@
-"""Draws docs/images/tasks.jpg: every shipped task after a reset, with its name.
+"""Draws the pictures of the catalogues: docs/images/tasks.jpg and docs/images/robots.jpg.
 
-`python scripts/gallery.py`; its pictures are those of `embodichain render`.
+`python scripts/gallery.py tasks` draws every shipped task after a reset, with its name: pictures of
+`embodichain render`. `python scripts/gallery.py robots` draws robots of example-robot-data, one of
+each folder, and those that this package has, in the task that `embodichain new task --robot` writes
+for the file.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
+import os
+import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from xml.etree import ElementTree
 
 from PIL import Image, ImageDraw, ImageFont
 
 from embodichain.cli import main
+from embodichain.data import fault_of, list_robots
 
 REPO = Path(__file__).parents[1]
 PICTURE = REPO / "docs" / "images" / "tasks.jpg"
+ROBOTS_PICTURE = REPO / "docs" / "images" / "robots.jpg"
 TASKS = sorted(path.stem for path in (REPO / "conf" / "task").glob("*.yaml"))
 COLUMNS = 4
 SIZE = 400, 300
 """Width and height of one task's picture, in pixels."""
 BAR = 28
 """Height of the line with its name."""
+ROBOT_COLUMNS = 7
+ROBOT_SIZE = 220, 176
+ROBOT_BAR = 20
+LEFT_OUT = ("pr2", "simple_humanoid")
+"""Robots without a picture: of pr2 `new task` writes a task that is refused, because the limits of
+its fingers exclude what they mimic; simple_humanoid has no visual shapes."""
 
 
 def sheet(tasks: Sequence[str], size: tuple[int, int] = SIZE) -> Image.Image:
@@ -29,21 +45,91 @@ def sheet(tasks: Sequence[str], size: tuple[int, int] = SIZE) -> Image.Image:
     Raises:
         RuntimeError: If one cannot be drawn; the reason is on stderr.
     """
+    return _sheet({task: task for task in tasks}, _picture, size, COLUMNS, BAR)
+
+
+def robots() -> dict[str, str]:
+    """Return label -> name to write in a task, of the robots that the picture has.
+
+    Of a folder, the first file that can be read and has a joint that moves.
+    """
+    found: dict[str, str] = {}
+    for robot in list_robots():
+        folder = Path(robot.name).parts[0]
+        label = folder.removesuffix("_description").removesuffix("_data")
+        ours = robot.name == "UniversalRobots/UR10/UR10.urdf"
+        wanted = ours or (robot.source == "example-robot-data" and label not in LEFT_OUT)
+        if wanted and not fault_of(robot.path):
+            joints = ElementTree.fromstring(robot.path.read_bytes()).iter("joint")
+            if any(joint.get("type", "fixed") != "fixed" for joint in joints):
+                found.setdefault("UR10" if ours else label, robot.name)
+    return dict(sorted(found.items(), key=lambda item: item[0].lower()))
+
+
+def robot_sheet(names: Mapping[str, str], size: tuple[int, int] = ROBOT_SIZE) -> Image.Image:
+    """Return one picture of several robots, `ROBOT_COLUMNS` in a row.
+
+    Args:
+        names: Label -> robot, as `robots` returns them.
+        size: Width and height of one, in pixels.
+
+    Raises:
+        RuntimeError: If one cannot be drawn; the reason is on stderr.
+    """
+
+    def picture(robot: str, file: Path, size: tuple[int, int]) -> None:
+        with contextlib.redirect_stdout(io.StringIO()):
+            if main(["new", "task", file.stem, "--robot", robot]):
+                raise RuntimeError(f"there is no task for {robot}")
+        _picture(file.stem, file, size)
+
+    with _empty_folder():
+        return _sheet(names, picture, size, ROBOT_COLUMNS, ROBOT_BAR)
+
+
+def _picture(task: str, file: Path, size: tuple[int, int]) -> None:
     width, height = size
-    rows = -(-len(tasks) // COLUMNS)
-    found = Image.new("RGB", (width * min(len(tasks), COLUMNS), (height + BAR) * rows), "white")
-    draw, font = ImageDraw.Draw(found), ImageFont.load_default(BAR * 0.6)
+    command = [f"task={task}", str(file), "--size", f"{width}x{height}", "seed=1"]
+    if main(["render", *command, "--quiet"]):
+        raise RuntimeError(f"{task} cannot be drawn")
+
+
+def _sheet(
+    labels: Mapping[str, str],
+    picture: Callable[[str, Path, tuple[int, int]], None],
+    size: tuple[int, int],
+    columns: int,
+    bar: int,
+) -> Image.Image:
+    width, height = size
+    rows = -(-len(labels) // columns)
+    found = Image.new("RGB", (width * min(len(labels), columns), (height + bar) * rows), "white")
+    draw, font = ImageDraw.Draw(found), ImageFont.load_default(bar * 0.6)
     with tempfile.TemporaryDirectory() as folder:
-        for i, task in enumerate(tasks):
-            left, top = width * (i % COLUMNS), (height + BAR) * (i // COLUMNS)
-            file = Path(folder, f"{task}.png")
-            command = [f"task={task}", str(file), "--size", f"{width}x{height}", "seed=1"]
-            if main(["render", *command, "--quiet"]):
-                raise RuntimeError(f"{task} cannot be drawn")
-            found.paste(Image.open(file), (left, top + BAR))
-            draw.text((left + 8, top + BAR / 2), task, fill="black", font=font, anchor="lm")
+        for i, (label, name) in enumerate(labels.items()):
+            left, top = width * (i % columns), (height + bar) * (i // columns)
+            file = Path(folder, f"picture_{i}.png")
+            picture(name, file, size)
+            found.paste(Image.open(file), (left, top + bar))
+            draw.text((left + 8, top + bar / 2), label, fill="black", font=font, anchor="lm")
     return found
 
 
+@contextlib.contextmanager
+def _empty_folder() -> Iterator[None]:
+    """A working directory for the tasks that are written."""
+    before = Path.cwd()
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        try:
+            yield
+        finally:
+            os.chdir(before)
+
+
 if __name__ == "__main__":
-    sheet(TASKS).save(PICTURE, quality=90)
+    wanted = sys.argv[1:] or ["tasks", "robots"]
+    if "tasks" in wanted:
+        sheet(TASKS).save(PICTURE, quality=90)
+    if "robots" in wanted:
+        robot_sheet(robots()).save(ROBOTS_PICTURE, quality=85)

@@ -35,7 +35,7 @@ class ProgressDisplay:
         label: Name of the job.
         total: Total number of units, None if unknown.
         unit: Name of the unit.
-        quiet: Show nothing.
+        quiet: Show nothing; so it is in a job among several at once.
         period: Seconds between two drawings on a terminal.
     """
 
@@ -43,7 +43,8 @@ class ProgressDisplay:
         self, label: str, total: int | None, unit: str, *, quiet: bool = False, period: float = 0.2
     ) -> None:
         self.label, self.total, self.unit = label, total, unit
-        self._quiet = quiet
+        # Of jobs that run at once, the sweep shows the progress in one table.
+        self._quiet = quiet or getattr(sys.stderr, "is_of_sweep", False)
         self._live: Live | None = None
         self._period, self._due = _LINE_PERIOD, time.perf_counter() + _LINE_PERIOD
         if not quiet and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":

@@ -30,12 +30,14 @@ from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 __all__ = [
     "Entered",
+    "JobStoppedError",
     "enter",
     "is_finished",
     "objective_in",
     "process_log",
     "read_summary",
     "state_in",
+    "stop_mark",
 ]
 
 State = Literal["new", "finished", "resumable", "learned", "stopped"]
@@ -61,6 +63,13 @@ class Entered:
     goes_on: bool = False
     finished: bool = False
     objective: float | None = None
+
+
+class JobStoppedError(EmbodichainError):
+    """A signal ended a sweep before this job was finished.
+
+    Unlike `Interrupted` it ends no other jobs.
+    """
 
 
 class JobRunsError(EmbodichainError):
@@ -180,6 +189,15 @@ def process_log(sweep: Path, name: str) -> Path:
         name: The name of the job's folder.
     """
     return sweep / _LOGS / f"{name}.log"
+
+
+def stop_mark(sweep: Path) -> Path:
+    """Return the file that exists while a sweep is ending because of a signal.
+
+    Args:
+        sweep: The sweep's folder.
+    """
+    return sweep / ".stopped"
 
 
 @contextmanager

@@ -89,7 +89,9 @@ def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
         chosen = launcher != _ONE_BY_ONE or any(
             line.lstrip("+").partition("=")[0] == LAUNCHER for line in lines
         )
-        alone = first.tree["sim"]["engine"] != "mujoco" or first.tree["viewer"]["name"] != "none"
+        sim = first.tree["sim"]
+        alone = (sim["engine"], sim["backend"]) != ("mujoco", "local")
+        alone = alone or first.tree["viewer"]["name"] != "none"
         if not chosen and not alone and min(cores, most) > 1 and _AT_ONCE in installed:
             launcher = _AT_ONCE
             lines.append(f"{LAUNCHER}={launcher}")

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import signal
 import sys
-from collections.abc import Callable
-from contextlib import nullcontext
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
 from hydra.core.plugins import Plugins
 from hydra.plugins.launcher import Launcher
 
-from embodichain.cli.process import Interrupted
-from embodichain.cli.sweep_jobs import is_finished, process_log
+from embodichain.cli.process import Interrupted, StopFlag
+from embodichain.cli.sweep_jobs import is_finished, process_log, stop_mark
 from embodichain.cli.sweep_plan import CLUSTERS, Plan
 from embodichain.cli.sweep_progress import shown_progress
 from embodichain.config.run_folder import CONFIG
@@ -50,8 +53,12 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
     if plan.note and not quiet:
         sys.stderr.write(f"{plan.note}\n{plan.folder}\n")
     shown = plan.is_parallel and not quiet
+    stop = StopFlag()
     try:
-        with shown_progress(plan.folder, plan.keys, plan.jobs) if shown else nullcontext():
+        with (
+            shown_progress(plan.folder, plan.keys, plan.jobs) if shown else nullcontext(),
+            _stopping_workers(stop, plan.folder) if plan.launcher == "joblib" else nullcontext(),
+        ):
             job()
     except KeyboardInterrupt as error:
         if plan.folder.is_dir():
@@ -59,8 +66,11 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
             raise Interrupted.by(getattr(error, "signal", None), text) from error
         raise
     except Exception as error:
+        if stop.stopped is not None:
+            text = f"interrupted ({stop.stopped}); {_summed_up(plan, verb)}"
+            raise Interrupted.by(stop.stopped, text) from error
         failed = _unfinished(plan.folder, verb) if plan.folder.is_dir() else []
-        if not failed:
+        if not failed or _is_about_hydra(error):
             raise
         sys.stderr.write(f"{error}\n")
         for name in failed:
@@ -70,6 +80,54 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
         from embodichain.cli.sweep_report import report_sweep
 
         report_sweep(plan.folder, quiet=quiet)
+
+
+@contextmanager
+def _stopping_workers(stop: StopFlag, folder: Path) -> Iterator[None]:
+    """Let the workers of joblib save at a signal: an exception here would kill them.
+
+    Args:
+        stop: Set by a signal inside the context.
+        folder: The sweep's folder; the jobs that have not begun find a mark in it.
+    """
+    mark, ended = stop_mark(folder), threading.Event()
+    mark.unlink(missing_ok=True)
+
+    def watch() -> None:
+        while not ended.wait(0.2):
+            if stop.stopped is not None:
+                folder.mkdir(parents=True, exist_ok=True)
+                mark.touch()
+                for worker in _children():
+                    with suppress(ProcessLookupError):
+                        os.kill(worker, signal.SIGTERM)
+                return
+
+    thread = threading.Thread(target=watch, name="sweep signals", daemon=True)
+    with stop:
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+            mark.unlink(missing_ok=True)
+
+
+def _children() -> list[int]:
+    """The child processes of this one (proc(5)); empty where there is no such file."""
+    found: list[int] = []
+    for path in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
+        with suppress(OSError):
+            found += map(int, path.read_text().split())
+    return found
+
+
+def _is_about_hydra(error: Exception) -> bool:
+    """Whether keys of the sweep are wrong, such as its folder or the launcher's, and not a job."""
+    return isinstance(error, ConfigError) and all(
+        problem.path.startswith("hydra") for problem in error.problems
+    )
 
 
 def _register(launcher: str) -> None:

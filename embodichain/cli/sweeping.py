@@ -23,7 +23,8 @@ from hydra.core.override_parser.types import IntervalSweep, Override
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from embodichain.cli.sweep_jobs import enter
+from embodichain.cli.process import Interrupted
+from embodichain.cli.sweep_jobs import JobStoppedError, enter, stop_mark
 from embodichain.cli.sweep_plan import Plan, plan_sweep
 from embodichain.cli.sweep_progress import job_label
 from embodichain.cli.sweep_run import run_sweep
@@ -38,7 +39,7 @@ __all__ = ["call_hydra", "points", "towards_scores"]
 
 _DIRECTION = "hydra.sweeper.direction"
 _MOST_CHECKED_JOBS = 64
-_ONE_BY_ONE = "BasicLauncher"
+_ONE_BY_ONE, _AT_ONCE = "BasicLauncher", "JoblibLauncher"
 
 
 def call_hydra(
@@ -85,9 +86,12 @@ def call_hydra(
         with _labelled_lines(_label(keys), json=resolved.root.json):
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 drawn = found.tree.get("seed") is None
+                if stop_mark(Path(HydraConfig.get().sweep.dir)).exists():
+                    raise JobStoppedError("the sweep was interrupted before this job")
                 with enter(Path(folder), resolved, verb, seed_is_drawn=drawn) as entered:
                     if not entered.finished:
-                        return do(entered.resolved, Path(folder), entered.goes_on)
+                        with _stopping_alone():
+                            return do(entered.resolved, Path(folder), entered.goes_on)
                     if not resolved.root.quiet:
                         sys.stderr.write(f"finished already: {folder}\n")
                     return entered.objective
@@ -152,6 +156,17 @@ def _first(override: Override) -> str:
     return f"{override.get_key_element()}={next(iter(override.sweep_string_iterator()))}"
 
 
+@contextmanager
+def _stopping_alone() -> Iterator[None]:
+    """In a worker of joblib, replace an interrupt, for which joblib would kill other workers."""
+    try:
+        yield
+    except Interrupted as error:
+        if str(HydraConfig.get().launcher.get("_target_", "")).endswith(_AT_ONCE):
+            raise JobStoppedError(str(error)) from error
+        raise
+
+
 def _label(keys: Sequence[str]) -> str | None:
     """``[NUMBER KEY=VALUE ...]`` of a job among several at once, else None."""
     config = HydraConfig.get()
@@ -189,7 +204,12 @@ class _Labelled:
     """A text stream that prefixes each line with a label and writes it at once.
 
     It is not a terminal even if `stream` is: bars of several jobs would overwrite each other.
+
+    Attributes:
+        is_of_sweep: True: progress is not shown here, but in the sweep's table.
     """
+
+    is_of_sweep = True
 
     def __init__(self, stream: TextIO, label: str) -> None:
         self._stream, self._label, self._rest = stream, label, ""

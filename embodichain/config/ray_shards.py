@@ -62,8 +62,9 @@ def shard_config(resolved: Resolved, first: int, count: int) -> Resolved:
     mine["first_env"] = sim["first_env"] + first
     viewer = {**thaw(resolved.tree["viewer"]), "name": "none"}
     record = thaw(resolved.tree["record"])
-    record["view_envs"] = numbers_in_shard(record["view_envs"], first, count)
-    if (images := record["images"]) is not None:
+    if "view_envs" in record:  # not with record=none
+        record["view_envs"] = numbers_in_shard(record["view_envs"], first, count)
+    if (images := record.get("images")) is not None:
         images["envs"] = numbers_in_shard(images["envs"], first, count)
         record["images"] = images if images["envs"] else None
     changed = {"sim": {**sim, **mine}, "record": record, "viewer": viewer}
@@ -218,7 +219,8 @@ class RayShard:
         begun = time.monotonic()
         while not self._ray.wait([self._where], timeout=_WAIT)[0]:
             waited = time.monotonic() - begun
-            _log.warning("%s waits for a node with free cores since %.0f s", self._name, waited)
+            why = "no node has free cores, or its process takes as long"
+            _log.warning("%s has not started after %.0f s: %s", self._name, waited, why)
         where = _RayPending(self._ray, self._where, self._name, returns_warnings=False)
         self._node = where.result()
         _RayPending(self._ray, self._built, self._name, returns_warnings=False).result()
@@ -263,14 +265,20 @@ class RayShards:
             raise ConfigError([Problem("sim.shards", message)])
         how = {"num_cpus": cpus, "max_restarts": 0, "scheduling_strategy": "SPREAD"}
         self._actor = ray.remote(**how)(RemoteShard)
+        self._started: set[int] = set()
         self._begun = [RayShard(self._actor, builder, k) for k, builder in enumerate(builders)]
 
     def start(self, index: int) -> RayShard:
         """Start a shard; the first time, all of them are built at once."""
-        shard, first = self._begun[index], self._begun[index].node == ""
-        if not first:
+        shard = self._begun[index]
+        if index in self._started:
             shard = self._begun[index] = RayShard(self._actor, self._builders[index], index)
-        shard.ready()
+        self._started.add(index)
+        try:
+            shard.ready()
+        except ShardLostError:
+            shard.end()
+            raise
         return shard
 
     def disconnect(self) -> None:
@@ -335,7 +343,11 @@ def make_sharded(resolved: Resolved, kwargs: Mapping[str, Any]) -> ShardedEnv:
         if rest.pop(name, None) is not None:
             raise TypeError(f"{name} has no form with sim.backend=ray")
     sim = resolved.root.sim
-    counts = split_batch(resolved.root.num_envs or 1, sim.shards)
+    num_envs = resolved.root.num_envs or 1
+    shards = min(sim.shards, num_envs)
+    if shards < sim.shards:  # an evaluation of few episodes
+        _log.warning("%d environments are in %d shards, not %d", num_envs, shards, sim.shards)
+    counts = split_batch(num_envs, shards)
     paths = tuple(path for path in sys.path if path)
     builders = []
     for k, count in enumerate(counts):

@@ -312,7 +312,8 @@ def _check_symmetric(cfg: AlgoCfg, policy: type[BasePolicy]) -> list[Problem]:
         return []
     if policy is not ActorCriticPolicy:
         message = f"{cfg.policy} of {cfg.name} cannot be symmetric; "
-        return [Problem(path, message + "MlpPolicy of ppo, a2c and trpo can")]
+        message += "MlpPolicy of ppo, a2c and trpo can; else use algo.symmetric=false"
+        return [Problem(path, message)]
     if getattr(cfg, "use_sde", None):
         return [Problem(path, "noise that depends on the state (use_sde) is not symmetric")]
     return []

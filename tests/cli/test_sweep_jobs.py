@@ -3,6 +3,9 @@
 import fcntl
 import json
 import shutil
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -135,6 +138,43 @@ def test_a_drawn_seed_is_kept(tmp_path: Path) -> None:
     assert sweep(tmp_path, *search) == 0
     assert [summary(tmp_path / "s" / name)["seed"] for name in "01"] == seeds
     assert (tmp_path / "s/1.earlier-1").is_dir()
+
+
+def test_runs_are_skipped_or_begin_again(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    keys = ["task=cart_pole", "num_envs=1", "max_steps=5", "record=none", "scene_png=false"]
+    where = [f"output_dir={tmp_path}", f"hydra.sweep.dir={tmp_path}/s", "hydra/launcher=basic"]
+    assert main(["run", "-m", "seed=0,1", *keys, *where, "--quiet"]) == 0
+    stopped = {**summary(tmp_path / "s/1"), "status": "interrupted"}
+    (tmp_path / "s/1/summary.json").write_text(json.dumps(stopped))
+    assert main(["run", "-m", "seed=0,1", *keys, *where]) == 0
+    assert capsys.readouterr().err.count("finished already") == 1
+    assert summary(tmp_path / "s/1")["status"] == "max_steps"
+    assert summary(tmp_path / "s/1.earlier-1")["status"] == "interrupted"
+
+
+@pytest.mark.unmeasured
+def test_a_signal_to_a_sweep_saves_the_jobs_in_its_workers(tmp_path: Path) -> None:
+    workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "hydra.launcher.pre_dispatch=2")
+    keys = [*TINY, "seed=0,1,2", "total_timesteps=200_000", f"hydra.sweep.dir={tmp_path}/s"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "embodichain", "train", "-m", *workers, *keys],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        end = time.monotonic() + 200
+        while len(list(tmp_path.glob("s/*/progress.csv"))) < 2:
+            assert time.monotonic() < end and process.poll() is None, process.communicate()
+            time.sleep(0.1)
+        process.terminate()  # this process alone
+        _, said = process.communicate(timeout=100)
+    finally:
+        process.kill()
+    assert process.returncode == 130, said
+    assert "interrupted (SIGTERM); 0 of 3 jobs are done; not done: 0, 1; the same command" in said
+    assert [summary(tmp_path / "s" / name)["status"] for name in "01"] == ["interrupted"] * 2
+    assert not (tmp_path / "s/2/config.yaml").exists()
 
 
 def _column(path: Path, name: str) -> list[str]:

@@ -1,6 +1,8 @@
 """`sim.backend=ray` on three nodes, of which two are killed while it runs."""
 
 import json
+import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -40,6 +42,10 @@ class Nodes:
         identifier = name.rpartition("/")[2]
         found = [node for node in self._nodes if node.node_id.startswith(identifier)]
         self._nodes.remove(found[0])
+        raylet = found[0].all_processes["raylet"][0].process.pid
+        for task in Path(f"/proc/{raylet}/task").iterdir():
+            for child in (task / "children").read_text().split():
+                os.kill(int(child), signal.SIGKILL)
         self.cluster.remove_node(found[0], allow_graceful=False)
 
 

@@ -84,5 +84,11 @@ def test_a_shard_is_an_experiment_of_its_own() -> None:
         "record.view_envs": "[1]", "seed": 3,
     }.items()])  # fmt: skip
     assert mine.tree == again.changed(video=False).tree
+    images = "record.images={cameras: [default], envs: [1, 5], format: png}"
+    shards = [shard_config(resolve([*lines, images]), *part) for part in ((0, 4), (4, 3), (7, 3))]
+    drawn = [shard.root.record.images for shard in shards]
+    assert [one and one.envs for one in drawn] == [[1], [1], None]
+    silent = resolve([*RAY, "num_envs=4", "sim.shards=2", "record=none"])
+    assert shard_config(silent, 2, 2).root.record.format == "none"
     with pytest.raises(ConfigError):
         resolve([*lines, "viewer=native"])

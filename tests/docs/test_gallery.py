@@ -1,11 +1,13 @@
-"""docs/images/tasks.jpg shows every task that ships."""
+"""docs/images/tasks.jpg shows every task that ships, robots.jpg a robot of each folder."""
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import embodichain
+from scripts import gallery
 from scripts.gallery import BAR, COLUMNS, PICTURE, SIZE, TASKS, sheet
+from tests.data.robot_catalog import LOADABLE
 
 pytestmark = pytest.mark.unmeasured
 
@@ -27,3 +29,26 @@ def test_tasks_are_drawn_below_their_names() -> None:
         env.reset()
         np.testing.assert_array_equal(place[BAR:], env.sim.render(0, "default", 96, 64))
         env.close()
+
+
+def test_the_picture_of_robots_has_a_place_for_every_folder() -> None:
+    robots = gallery.robots()
+    left_out = tuple(f"{label}_description/" for label in gallery.LEFT_OUT)
+    moving = [name for name, joints in LOADABLE.items() if joints and not name.startswith(left_out)]
+    folders = {name.partition("/")[0] for name in (*moving, "UniversalRobots/UR10/UR10.urdf")}
+    assert {name.partition("/")[0] for name in robots.values()} == folders
+    assert len(robots) == len(folders)
+    rows = -(-len(robots) // gallery.ROBOT_COLUMNS)
+    width, height = gallery.ROBOT_SIZE
+    expected = width * gallery.ROBOT_COLUMNS, (height + gallery.ROBOT_BAR) * rows
+    assert Image.open(gallery.ROBOTS_PICTURE).size == expected, "scripts/gallery.py writes it"
+
+
+def test_robots_are_drawn_in_a_task_of_their_own(empty_cwd) -> None:
+    pendulum = gallery.robots()["double_pendulum"]
+    found = np.asarray(gallery.robot_sheet({"a": pendulum, "b": pendulum}, (64, 48)))
+    assert found.shape == (48 + gallery.ROBOT_BAR, 2 * 64, 3)
+    drawn = found[gallery.ROBOT_BAR :]
+    assert (drawn[:, :64] != drawn[:, :1, :]).any()
+    np.testing.assert_array_equal(drawn[:, :64], drawn[:, 64:])
+    assert list(empty_cwd.iterdir()) == []  # the tasks were written elsewhere

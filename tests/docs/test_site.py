@@ -16,6 +16,8 @@ from types import SimpleNamespace
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from mkdocs.config import load_config
+from mkdocs.structure.files import File, Files
 
 from embodichain.lab.sim import unavailable
 from tests.helpers.browser import chromium, needs_chromium
@@ -214,3 +216,19 @@ def test_pages_in_a_browser(site) -> None:
     assert errors == []
     assert [url for url in requests if not url.startswith((origin, "data:"))] == []
     assert f"{origin}search/search_index.json" in requests
+
+
+def test_a_page_without_a_place_is_appended_to_the_guides(monkeypatch, tmp_path) -> None:
+    monkeypatch.syspath_prepend(DOCS / "site")
+    hooks = importlib.import_module("hooks")
+    try:
+        config = load_config(str(DOCS / "site" / "mkdocs.yml"), site_dir=str(tmp_path))
+        uris = ("cli.md", "new/page.md")
+        files = [File(uri, str(DOCS), str(tmp_path), use_directory_urls=False) for uri in uris]
+        hooks._complete(config, Files(files))
+    finally:
+        for name in ("hooks", "notebook_pages"):
+            sys.modules.pop(name, None)
+    guides = next(section["How-to guides"] for section in config.nav if "How-to guides" in section)
+    assert guides[-1] == "new/page.md"
+    assert "cli.md" not in guides

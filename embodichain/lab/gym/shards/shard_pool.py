@@ -8,6 +8,7 @@ shard depends on nothing else, its next results are those that the lost one woul
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
@@ -15,6 +16,10 @@ from typing import Any, NamedTuple, Protocol
 __all__ = ["Pending", "ShardHandle", "ShardLostError", "ShardPool", "ShardSource"]
 
 _log = logging.getLogger(__name__)
+_STARTS = 6
+"""How often a shard that cannot start is started once more."""
+_PAUSE = 0.5
+"""Seconds before a shard is started once more; twice as long each time."""
 MOST_LOSSES = 5
 """Losses of a shard in one call after which the run fails: its own code ends its process."""
 
@@ -103,7 +108,7 @@ class ShardPool:
         self.rebuilt: list[dict[str, Any]] = []
         self._source, self._every = source, save_every
         self._log_of: Callable[[int, int], Any] | None = None
-        self._kept = [_Kept(source.start(k)) for k in range(len(self.counts))]
+        self._kept = [_Kept(self._start(k)) for k in range(len(self.counts))]
 
     @property
     def nodes(self) -> list[str]:
@@ -183,8 +188,8 @@ class ShardPool:
             lost = kept.handle.node
             kept.handle.end()
             kept.losses += 1
-            kept.handle = self._source.start(k)
             try:
+                kept.handle = self._start(k)
                 result = self._repeat(k)
             except ShardLostError as again:
                 error = again
@@ -205,6 +210,16 @@ class ShardPool:
             )
             return result
         raise ShardLostError(f"shard {k} was lost {MOST_LOSSES} times in one step: {error}")
+
+    def _start(self, k: int) -> ShardHandle:
+        """Start a shard; once more if its node dies, which takes Ray seconds to notice."""
+        for attempt in range(_STARTS):
+            try:
+                return self._source.start(k)
+            except ShardLostError as error:
+                _log.warning("shard %d could not start: %s", k, error)
+                time.sleep(_PAUSE * 2**attempt)
+        return self._source.start(k)
 
     def _repeat(self, k: int) -> Any:
         """Bring a new shard to where the lost one was."""
