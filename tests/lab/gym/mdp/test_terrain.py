@@ -175,7 +175,7 @@ def test_levels_rise_with_distance_and_fall_without() -> None:
 
 def test_an_environment_is_the_same_among_others_and_in_its_log(tmp_path: Path) -> None:
     """Environment i does the same for N = 4 and N = 7, and the log replays to the bit."""
-    rows = {}
+    rows: dict[int, list[list[bytes]]] = {}
     for count in (4, 7):
         below = TerminationCfg("terrain_edge_distance", BALL, shape={"below": 1.0}, kind="time_out")
         cfg = task(count, curriculum=levels(), max_episode_steps=5, terminations={"edge": below})
@@ -184,15 +184,25 @@ def test_an_environment_is_the_same_among_others_and_in_its_log(tmp_path: Path) 
             env.add_observer(McapRecorder(tmp_path / "log.mcap", env))
         env.reset(seed=5)
         put(env, *((0.3 * i, 0.1, 1.0) for i in range(4)))
-        steps = [idle(env)[0] for _ in range(12)]
-        rows[count] = [
-            [step[name][:4].numpy().tobytes() for name in ("height", "level", "edge")]
-            + [step["sensor"]["scan"]["height"][:4].numpy().tobytes()]
-            for step in steps
-        ]
+        rows[count] = []
+        for _ in range(12):
+            obs = idle(env)[0]
+            read = [obs[name].numpy() for name in ("height", "level", "edge")]
+            read.append(env.sensors["scan"].read_height())
+            rows[count].append([values[:4].tobytes() for values in read])
         env.close()
     assert rows[4] == rows[7]
-    assert verify(tmp_path / "log.mcap").identical
+    report = verify(tmp_path / "log.mcap")
+    assert report.ok and report.steps == 12, str(report)
+
+
+def test_a_part_of_a_batch_is_on_the_patches_of_the_whole() -> None:
+    cfg = task(3)
+    cfg.first_env = 2
+    env = BaseEnv(cfg)
+    obs, _ = env.reset(seed=1)
+    assert obs["level"].reshape(-1).tolist() == [0, 1, 1]  # environments 2, 3 and 4 of 7
+    env.close()
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,8 @@ class PlaceTerrain(Term):
         if most >= terrain.levels:
             message = f"the levels are 0 to {terrain.levels - 1}, got {most}"
             raise ConfigError([Problem("max_init_level", message)])
-        number, kinds = np.arange(env.num_envs), len(terrain.kinds)
+        number = np.arange(env.num_envs) + env.cfg.first_env
+        kinds = len(terrain.kinds)
         self.column: NDArray[np.int64] = number % kinds
         self.level: NDArray[np.int64] = number // kinds % (most + 1)
         self._any = Uniform("level", [0.0], [float(terrain.levels)])
