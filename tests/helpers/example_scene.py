@@ -2,7 +2,7 @@
 
 It has the robots `ur10`, `go` (a quadruped on a floating base) and `panda` (a
 gripper on an arm without drives), the
-objects `cube` and `goal`, a light, sensors, commands, and poses kept by name. Terms and the scene
+objects `cube` and `goal`, a flat terrain, a light, sensors, commands, and poses kept by name. Terms and the scene
 itself are declared in YAML and go the way that a user's task goes.
 """
 
@@ -41,6 +41,7 @@ _QUADRUPED = """<mujoco model="go"><worldbody><body name="trunk">
 _SCENE = """
 description: Everything that an example may name.
 max_episode_steps: 50
+scene: {terrain: {levels: 2, patches: {flat: {type: flat}}}}
 robot: {uid: ur10, fpath: UniversalRobots/UR10/UR10.urdf, init_pos: [0, 0, 1],
         init_qpos: [1.57, -1.57, 1.57, -1.57, -1.57, 0]}
 robots:
@@ -83,6 +84,7 @@ commands:
 actions:
   arm: {func: joint_position, params: {entity_cfg: {uid: ur10}}}
 events:
+  ground: {func: place_terrain}
   target: &pose
     func: randomize_target_pose
     params: {position_range: [[0.3, -0.3, 0.5], [0.7, 0.3, 0.9]], store_key: target_pose}

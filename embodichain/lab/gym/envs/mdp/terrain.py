@@ -120,7 +120,7 @@ class TerrainLevels(Term):
         command_name: A command whose first two columns are vx and vy, m/s.
 
     Example:
-        ``{func: terrain_levels, params: {of: {uid: go2}, command_name: velocity}}``
+        ``{func: terrain_levels, params: {of: {uid: go}, command_name: velocity}}``
     """
 
     def __init__(
@@ -198,7 +198,7 @@ class HeightAboveGround(Term):
         of: The entity or link.
 
     Example:
-        ``{func: height_above_ground, shape: {below: 0.15}, params: {of: {uid: go2}}}``
+        ``{func: height_above_ground, shape: {below: 0.15}, params: {of: {uid: go}}}``
     """
 
     def __init__(self, env: TermContext, of: Body) -> None:
@@ -218,7 +218,7 @@ class TerrainEdgeDistance(Term):
         of: The entity or link.
 
     Example:
-        ``{func: terrain_edge_distance, kind: time_out, shape: {below: 1.0}, params: {of: {uid: go2}}}``
+        ``{func: terrain_edge_distance, kind: time_out, shape: {below: 1.0}, params: {of: {uid: go}}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(self, env: TermContext, of: Body) -> None:
