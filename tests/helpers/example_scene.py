@@ -1,9 +1,9 @@
 """A scene in which the example of every registered term can be built.
 
-It has the robots `ur10`, `go` (a quadruped on a floating base) and `panda` (a
-gripper on an arm without drives), the
-objects `cube` and `goal`, a flat terrain, a light, sensors, commands, and poses kept by name. Terms and the scene
-itself are declared in YAML and go the way that a user's task goes.
+It has the robots `ur10`, `go` (a quadruped on a floating base) and `panda` (a gripper on an arm
+without drives), the objects `cube` and `goal`, a light,
+sensors, commands, and poses kept by name. Terms and the scene itself are declared in YAML and go
+the way that a user's task goes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ from PIL import Image
 import embodichain
 from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["environment", "write_task"]
+__all__ = ["TERRAIN", "environment", "write_task"]
+
+TERRAIN = (
+    "+task.scene={terrain: {levels: 2, patches: {flat: {type: flat}}}}",
+    "+task.events.ground={func: place_terrain}",
+)
+"""Overrides with a flat terrain instead of the plane."""
 
 _LEG = """
     <body name="{name}_thigh" pos="{x} {y} 0">
@@ -41,7 +47,6 @@ _QUADRUPED = """<mujoco model="go"><worldbody><body name="trunk">
 _SCENE = """
 description: Everything that an example may name.
 max_episode_steps: 50
-scene: {terrain: {levels: 2, patches: {flat: {type: flat}}}}
 robot: {uid: ur10, fpath: UniversalRobots/UR10/UR10.urdf, init_pos: [0, 0, 1],
         init_qpos: [1.57, -1.57, 1.57, -1.57, -1.57, 0]}
 robots:
@@ -84,7 +89,6 @@ commands:
 actions:
   arm: {func: joint_position, params: {entity_cfg: {uid: ur10}}}
 events:
-  ground: {func: place_terrain}
   target: &pose
     func: randomize_target_pose
     params: {position_range: [[0.3, -0.3, 0.5], [0.7, 0.3, 0.9]], store_key: target_pose}

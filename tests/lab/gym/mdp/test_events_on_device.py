@@ -30,6 +30,7 @@ EXAMPLES = {
 }
 STEPS, SEARCH = "physics steps of some environments", "searches for joint positions"
 REFUSED = {
+    "place_terrain": ({}, "terms of a terrain"),
     "planner_grid_cell_sampler": ({"physics_update_step": 5}, f"physics_update_step: {STEPS}"),
     "randomize_pose": ({"physics_update_step": 5}, f"physics_update_step: {STEPS}"),
     "randomize_robot_eef_pose": ({}, SEARCH),
@@ -149,7 +150,7 @@ def test_pictures_show_what_events_draw(pair: Pair) -> None:
 def test_events_without_a_form_on_a_device_are_refused(pair: Pair, name: str) -> None:
     given, message = REFUSED[name]
     example = EXAMPLES["event"][name]
-    cfg = EventCfg(**example | {"params": example["params"] | given})
+    cfg = EventCfg(**example | {"params": example.get("params", {}) | given})
     with pytest.raises(ConfigError, match=message):
         build_term(pair.device, "event", name, cfg, f"events.{name}")
 

@@ -14,7 +14,7 @@ import yaml
 from embodichain.cli.terms import SECTION_OF, TermEntry, all_entries
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.aliases import AliasSpec
-from tests.helpers.example_scene import environment
+from tests.helpers.example_scene import TERRAIN, environment
 
 pytestmark = pytest.mark.unmeasured
 
@@ -58,7 +58,7 @@ def report(wrong: dict[str, str]) -> str:
 
 def works(section: str, terms: dict[str, dict[str, Any]], folder: Path) -> None:
     """Builds, resets and steps; raises what goes wrong."""
-    with environment(section, terms, folder) as env:
+    with environment(section, terms, folder, overrides=TERRAIN) as env:
         env.reset()
         for _ in range(3):
             action = torch.from_numpy(env.action_manager.hold()).float()
