@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import embodichain
+from embodichain.lab.gym.shards import shard_pool
 from tests.helpers.local_shards import sharded
 
 OVERRIDES = [
@@ -146,3 +147,21 @@ def test_what_is_not_here_is_refused_by_name() -> None:
         pytest.raises(embodichain.utils.errors.ConfigError, match=r"2 shards of \[2, 1\]"),
     ):
         parts.load_state_dict(state)
+
+
+def test_a_shard_starts_again_if_its_node_is_dying(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(shard_pool, "_PAUSE", 0.0)
+    left = [2]
+
+    def dying(first: int, count: int) -> Any:
+        if count == 2 and left[0]:
+            left[0] -= 1
+            raise shard_pool.ShardLostError("its node is gone")
+        return build(first, count)
+
+    with sharded(dying, 3, 2) as (parts, source):
+        parts.reset()
+        assert len(source.started) == 2 and left == [0]
+        assert caplog.text.count("shard 0 could not start: its node is gone") == 2
