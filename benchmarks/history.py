@@ -29,7 +29,7 @@ PAGE = ROOT / "docs" / "history.html"
 
 Figures = dict[str, tuple[float, str]]
 """Name -> value and unit. Of units in `HIGHER` more is better, of others less."""
-HIGHER = ("steps/s", "of the floor")
+HIGHER = ("steps/s", "of the floor", "of linear")
 _SPEEDS = ("random_reach", "random_reach + MCAP", "push_cube", "floor, 2 threads")
 _SIZES = (1, 64, 1024)
 _MIB = 2**20
@@ -186,6 +186,16 @@ def _log_survival(facts: dict[str, Any]) -> Figures:
     return {"lost by a kill, median": (median(lost), "s"), "lost by a kill, most": (max(lost), "s")}
 
 
+def _shards(facts: dict[str, Any]) -> Figures:
+    found: Figures = {}
+    for count, ways in facts["sizes"].items():
+        for way, one in ways.items():
+            for kind in ("CPU", "wall"):
+                name = f"{way}, {count} environments a shard, {kind} time"
+                found[name] = one[f"efficiency_{kind.lower()}"], "of linear"
+    return found
+
+
 FIGURES: dict[str, Callable[[dict[str, Any]], Figures]] = {
     "step_speed": _step_speed,
     "step_speed_cuda": _all_speeds,
@@ -200,6 +210,7 @@ FIGURES: dict[str, Callable[[dict[str, Any]], Figures]] = {
     "train": _train,
     "memory": _memory,
     "startup": _startup,
+    "shards": _shards,
 }
 """Benchmark -> its figures from the facts of a result file, in the order of the page."""
 

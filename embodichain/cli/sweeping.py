@@ -29,7 +29,12 @@ from embodichain.cli.sweep_plan import Plan, plan_sweep
 from embodichain.cli.sweep_progress import job_label
 from embodichain.cli.sweep_run import run_sweep
 from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra, relax
-from embodichain.config.hydra_loader import VERSION_BASE, config_loader
+from embodichain.config.hydra_loader import (
+    VERSION_BASE,
+    chosen_config_dir,
+    config_loader,
+    user_configs,
+)
 from embodichain.config.resolved import Resolved, resolve
 from embodichain.config.run_folder import adopt
 from embodichain.config.schema import Verb
@@ -77,12 +82,14 @@ def call_hydra(
     else:
         check(overrides)
     keys = plan.keys if plan is not None else ()
+    config_dir = chosen_config_dir()
 
     # Pickled by value for the workers of a sweep, with its closure.
     @hydra.main(**VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
     def job(composed: DictConfig) -> float | None:
-        found = from_hydra()
-        resolved, folder = resolve(found, verb), HydraConfig.get().runtime.output_dir
+        with user_configs(config_dir):
+            found = from_hydra()
+            resolved, folder = resolve(found, verb), HydraConfig.get().runtime.output_dir
         with _labelled_lines(_label(keys), json=resolved.root.json):
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 drawn = found.tree.get("seed") is None

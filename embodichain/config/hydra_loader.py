@@ -35,6 +35,7 @@ from embodichain.utils.suggest import did_you_mean, listing
 __all__ = [
     "COMPOSING",
     "VERSION_BASE",
+    "chosen_config_dir",
     "config_loader",
     "explain",
     "explain_yaml",
@@ -73,6 +74,11 @@ def user_configs(config_dir: str | Path | None) -> Iterator[None]:
         _config_dir.reset(token)
 
 
+def chosen_config_dir() -> Path | None:
+    """Return the folder of the enclosing `user_configs`."""
+    return _config_dir.get()
+
+
 @contextmanager
 def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader]:
     """Provide a loader of `embodichain.conf`.
@@ -88,6 +94,8 @@ def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader
     base = version.getbase()
     if not (hasattr(base, "major") or isinstance(base, str)):  # a string: Hydra 1.4
         version.setbase(_BASE)  # unset until a Hydra application starts
+    # In a job of a sweep Hydra has replaced its plug-ins by those that it finds itself.
+    Plugins.instance().register(EmbodichainSearchPath)
     with user_configs(config_dir):
         yield _Loader(create_config_search_path(f"pkg://{CONFIG_MODULE}"))
 

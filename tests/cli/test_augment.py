@@ -12,8 +12,6 @@ from embodichain.recording.collection import read_collection
 from embodichain.recording.segments import read_sources
 from embodichain.recording.verification import verify
 
-pytestmark = pytest.mark.unmeasured
-
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -183,7 +183,8 @@ def test_validate_reads_it_where_it_lies(gym: Path, capsys: pytest.CaptureFixtur
 
 def test_sweep_over_a_gym_config(gym: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["run", "-m", "--gym-config", "gym.yaml", "seed=0,1", "max_steps=2", "record=none"]
-    assert main([*arguments, "--json", "--quiet"]) == 0
+    arguments += ["hydra/launcher=basic", "--json", "--quiet"]
+    assert main(arguments) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [(s["task"], s["seed"], s["control_steps"]) for s in lines] == [
         ("gym", 0, 2),

@@ -51,7 +51,8 @@ def test_jobs_in_workers_are_those_of_one_process(tmp_path: Path) -> None:
     arguments = (*TINY, "seed=0,1", "quiet=true")
     workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
     assert main(["train", "-m", *workers, *arguments, f"output_dir={tmp_path / 'many'}"]) == 0
-    assert main(["train", "-m", *arguments, f"output_dir={tmp_path / 'one'}"]) == 0
+    one_by_one = ("hydra/launcher=basic", *arguments)
+    assert main(["train", "-m", *one_by_one, f"output_dir={tmp_path / 'one'}"]) == 0
     kept = ("seed", "env_steps", "mean_return", "objective")
     many, one = (
         {n: [s[k] for k in kept] for n, s in jobs(tmp_path / d).items()} for d in ("many", "one")
@@ -61,8 +62,12 @@ def test_jobs_in_workers_are_those_of_one_process(tmp_path: Path) -> None:
 
 @pytest.mark.unmeasured
 def test_lines_of_parallel_jobs_begin_with_their_job(tmp_path: Path) -> None:
+    """Of a task that only `--config-dir` has: workers search there too."""
+    (tmp_path / "mine/task").mkdir(parents=True)
+    (tmp_path / "mine/task/mine.yaml").write_text("defaults:\n  - cart_pole\n")
     workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
-    arguments = ("run", "-m", *workers, "task=cart_pole", "seed=3,4", "max_steps=20", "num_envs=1")
+    arguments = ("run", f"--config-dir={tmp_path / 'mine'}", "-m", *workers, "task=mine")
+    arguments += ("seed=3,4", "max_steps=20", "num_envs=1")
     command = [sys.executable, "-m", "embodichain", *arguments, "record=none"]
     done = subprocess.run(
         [*command, f"output_dir={tmp_path}"], capture_output=True, text=True, check=False
@@ -70,7 +75,7 @@ def test_lines_of_parallel_jobs_begin_with_their_job(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     for job, seed in enumerate((3, 4)):
         label = f"[{job} seed={seed}] "
-        assert f"{label}cart_pole: {tmp_path}" in done.stderr
+        assert f"{label}mine: {tmp_path}" in done.stderr
         assert re.search(rf"^{re.escape(label)} +seed +{seed}$", done.stdout, re.MULTILINE)
     lines = [line for line in done.stdout.splitlines() if line]
     assert all(line.startswith(("[0 seed=3] ", "[1 seed=4] ")) for line in lines)

@@ -41,8 +41,8 @@ BAD = {
         "sim_steps_per_control, ignore_terminations, max_episode_steps, description, id, "
         "physics, decimation, episode_length_s, robot, robots, objects, articulations, "
         "lights, scene, views, sensors, actions, events, commands, observations, "
-        "enable_corruption, rewards, terminations, metrics, curriculum, expert, extensions, "
-        "suggested. Did you mean 'max_episode_steps'?",
+        "enable_corruption, rewards, reward_floor, terminations, metrics, symmetry, curriculum, "
+        "expert, extensions, suggested. Did you mean 'max_episode_steps'?",
         old="max_episode_steps: 50",
         new="max_episode_step: 50",
     ),
@@ -52,7 +52,7 @@ BAD = {
         "attrs, fix_base, disable_self_collision, init_qpos, sleep_threshold, "
         "min_position_iters, min_velocity_iters, build_pk_chain, compute_uv, "
         "use_usd_properties, control_parts, urdf_cfg, solver_cfg, init_quat, attachments, "
-        "gravcomp, collision, attach. Did you mean 'init_qpos'?",
+        "gravcomp, collision, collision_shapes, attach. Did you mean 'init_qpos'?",
         old="  init_qpos: [0",
         new="  init_qps: [0",
     ),
@@ -213,9 +213,9 @@ BAD = {
     ),
     "unknown argument of an algorithm": bad(
         "command line: algo.learning_rte: unknown key; allowed: name, policy, "
-        "learning_rate, critic_groups, policy_kwargs, normalize, normalize_kwargs, n_steps, gamma, "
-        "gae_lambda, normalize_advantage, use_sde, sde_sample_freq, stats_window_size, "
-        "batch_size, n_epochs, clip_range, clip_range_vf, ent_coef, vf_coef, "
+        "learning_rate, critic_groups, symmetric, policy_kwargs, normalize, normalize_kwargs, "
+        "n_steps, gamma, gae_lambda, normalize_advantage, use_sde, sde_sample_freq, "
+        "stats_window_size, batch_size, n_epochs, clip_range, clip_range_vf, ent_coef, vf_coef, "
         "max_grad_norm, target_kl. Did you mean 'learning_rate'?",
         overrides=(
             "algo.learning_rte=0.1",
@@ -271,8 +271,8 @@ BAD = {
     ),
     "unknown policy": bad(
         "command line: policy: unknown policy 'randon'; allowed: expert, hold, random, "
-        "random_around_home, teleop, zero, package.module:function, or a path. Did you mean "
-        "'random'?",
+        "random_around_home, teleop, zero, last, pretrained, package.module:function, or a path. "
+        "Did you mean 'random'?",
         overrides=("policy=randon",),
     ),
     "teleoperation without a viewer or a tool": bad(
@@ -379,8 +379,8 @@ BAD = {
     "settings of a film": bad(
         "command line: video.size.0: expected a multiple of 2, got 161",
         "command line: video.every: must be at least 1, got 0",
-        "command line: video.max_second: unknown key; allowed: size, every, max_seconds. Did "
-        "you mean 'max_seconds'?",
+        "command line: video.max_second: unknown key; allowed: size, every, max_seconds, "
+        "format. Did you mean 'max_seconds'?",
         overrides=("video.size=[161,120]", "video.every=0", "video.max_second=3"),
     ),
     "a film that is a number": bad(
@@ -693,7 +693,7 @@ BAD = {
         "disable_self_collision, init_qpos, sleep_threshold, min_position_iters, "
         "min_velocity_iters, build_pk_chain, compute_uv, use_usd_properties, control_parts, "
         "urdf_cfg, solver_cfg, init_quat, attachments, gravcomp, collision, "
-        "attach.",
+        "collision_shapes, attach.",
         "command line: task.objects.box.shape.size: expected 3 values, got 2: [1, 2]",
         "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "
         "'reset', 'interval', got 'intervall'. Did you mean 'interval'?",

@@ -213,8 +213,8 @@ SCENES = {
     ),
     "unknown key": (
         "scene: {grund: {}}",
-        "scene.grund: unknown key; allowed: fpath, keyframe, ground, sky, ambient, headlight, "
-        "lights, table, pedestal. Did you mean 'ground'?",
+        "scene.grund: unknown key; allowed: fpath, keyframe, ground, terrain, sky, ambient, "
+        "headlight, lights, table, pedestal. Did you mean 'ground'?",
     ),
     "view of no place": (
         "views: {a: {fovy: 30}}",
@@ -380,7 +380,7 @@ def test_pictures_beyond_the_memory(said) -> None:
         ("video.size=[64,10000]", "video.size.1: must be at most 8192, got 10000"),
         ("video.every=0", "video.every: must be at least 1, got 0"),
         ("video.max_seconds=nan", "video.max_seconds: must be greater than 0.0, got nan"),
-        ("video.sise=3", "video.sise: unknown key; allowed: size, every, max_seconds. Did you"),
+        ("video.sise=3", "video.sise: unknown key; allowed: size, every, max_seconds, format. Did"),
         ("video=3", "video: expected true or false or a map, got 3"),
     ],
 )

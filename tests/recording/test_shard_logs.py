@@ -16,8 +16,6 @@ from embodichain.recording.shard_logs import ShardLogs, read_shards
 from embodichain.utils.errors import ConfigError
 from tests.helpers.local_shards import sharded
 
-pytestmark = pytest.mark.unmeasured
-
 LINES = ["task.max_episode_steps=12", "+task.observations.qvel.noise={std: 0.01}"]
 STEPS = 31
 

@@ -21,8 +21,6 @@ from embodichain.lab.sim.engine.packed_arrays import ArrayPacker, HostBuffers
 from embodichain.recording import McapRecorder
 from tests.helpers.warp_scene import DEVICE
 
-pytestmark = pytest.mark.unmeasured
-
 N = 3
 LINES = (
     *(f"device={DEVICE}", "sim.engine=warp", "sim.warp.arrays=device", "sim.num_threads=1"),
