@@ -90,8 +90,6 @@ def _stopping_workers(stop: StopFlag, folder: Path) -> Iterator[None]:
         stop: Set by a signal inside the context.
         folder: The sweep's folder; the jobs that have not begun find a mark in it.
     """
-    from joblib.externals.loky import get_reusable_executor
-
     mark, ended = stop_mark(folder), threading.Event()
     mark.unlink(missing_ok=True)
 
@@ -114,8 +112,6 @@ def _stopping_workers(stop: StopFlag, folder: Path) -> Iterator[None]:
             ended.set()
             thread.join()
             mark.unlink(missing_ok=True)
-            # A later sweep of this process may be in another folder, where they would not be.
-            get_reusable_executor().shutdown(wait=True)
 
 
 def _children() -> list[int]:
