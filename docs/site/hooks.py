@@ -1,6 +1,6 @@
 """Hooks of MkDocs: pages read the same on GitHub and on the site.
 
-Markdown in docs/ links to files of the repository with relative paths, as GitHub wants them. The
+Markdown in docs/ links to files of the repository with relative paths, as GitHub needs them. The
 site has what such links name: Markdown as pages, everything else as a file below ``repository/``.
 Notebooks are executed and become pages.
 """
