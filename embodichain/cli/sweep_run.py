@@ -86,10 +86,15 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
 def _stopping_workers(stop: StopFlag, folder: Path) -> Iterator[None]:
     """Let the workers of joblib save at a signal: an exception here would kill them.
 
+    Afterwards the workers end: joblib would give them to the next sweep of this process, with the
+    working directory and `sys.path` of this one.
+
     Args:
         stop: Set by a signal inside the context.
         folder: The sweep's folder; the jobs that have not begun find a mark in it.
     """
+    from joblib.externals.loky import get_reusable_executor
+
     mark, ended = stop_mark(folder), threading.Event()
     mark.unlink(missing_ok=True)
 
@@ -112,6 +117,7 @@ def _stopping_workers(stop: StopFlag, folder: Path) -> Iterator[None]:
             ended.set()
             thread.join()
             mark.unlink(missing_ok=True)
+            get_reusable_executor().shutdown()
 
 
 def _children() -> list[int]:

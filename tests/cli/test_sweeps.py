@@ -60,6 +60,19 @@ def test_jobs_in_workers_are_those_of_one_process(tmp_path: Path) -> None:
     assert many == one and [s[0] for _, s in sorted(many.items())] == [0, 1]
 
 
+def test_a_second_sweep_of_a_process_has_its_own_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Joblib keeps workers for later calls: those of the first sweep would search its ./conf."""
+    arguments = ("seed=0,1", "max_steps=2", "num_envs=1", "record=none", "quiet=true")
+    for name in ("one", "two"):
+        (tmp_path / name / "conf/task").mkdir(parents=True)
+        (tmp_path / name / f"conf/task/{name}.yaml").write_text("defaults:\n  - cart_pole\n")
+        monkeypatch.chdir(tmp_path / name)
+        workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+        assert main(["run", "-m", *workers, f"task={name}", *arguments]) == 0
+
+
 @pytest.mark.unmeasured
 def test_lines_of_parallel_jobs_begin_with_their_job(tmp_path: Path) -> None:
     """Of a task that only `--config-dir` has: workers search there too."""

@@ -21,6 +21,7 @@ class Run:
 
     def __init__(self):
         overrides = ["task=push_cube", "num_envs=2", "seed=1", "sim.num_threads=1"]
+        overrides += ["task.max_episode_steps=1000000"]  # only a key ends an episode
         self.env = make_env(resolve(overrides))
         self.view = WebView(self.env, stopped=lambda: self.stopped)
         self.env.add_observer(self.view)
