@@ -22,6 +22,7 @@ from embodichain.lab.sim.compiler.drives import (
     resolve_drives,
 )
 from embodichain.lab.sim.compiler.index import F64, Mask
+from embodichain.lab.sim.compiler.locked_joints import lock_joints
 from embodichain.lab.sim.compiler.names import exact_pattern, match
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
@@ -213,6 +214,12 @@ def parse_with_problems(
             for p in error.problems
         ]
     problems = [*_unsupported(cfg), *check_pose(cfg)]
+    try:
+        wrong = lock_joints(file, cfg.locked_joints)
+    except MUJOCO_ERRORS as error:
+        return None, [*problems, Problem("locked_joints", as_line(error)[0])]
+    if wrong:  # which joints the robot has is unknown
+        return None, [*problems, *wrong]
     attached, init_qpos = getattr(cfg, "attach", {}), cfg.init_qpos
     try:
         robot = prepare_file(file, cfg.attrs)
