@@ -22,7 +22,6 @@ from embodichain.lab.sim.compiler.drives import (
     resolve_drives,
 )
 from embodichain.lab.sim.compiler.index import F64, Mask
-from embodichain.lab.sim.compiler.locked_joints import lock_joints
 from embodichain.lab.sim.compiler.names import exact_pattern, match
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
@@ -47,6 +46,7 @@ from embodichain.lab.sim.compiler.robot_links import (
     add_attachments,
     add_tools,
     check_attachments,
+    lock_joints,
     prepare_file,
     resolve_tools,
     set_root,
