@@ -35,8 +35,8 @@ def balance(env, steps, stiffness, damping):
 
 
 def test_it_stands_by_its_ankles_and_falls_without_them(env):
-    # 33 kg at 0.69 m tip with 33 x 9.81 = 327 N m per metre of way. Springs of two ankles, 80 N m/rad,
-    # turned by the lean alone, 1 / 0.69 rad/m, hold 116; with another 8 rad/m, 756.
+    # 33 kg at 0.69 m tip with 33 x 9.81 = 327 N m per metre of way. The springs of two ankles,
+    # 80 N m/rad, turned by the lean of 1 / 0.69 rad/m, hold 116; with another 8 rad/m, 756.
     assert balance(env, 200, 0.0, 0.0) < 100
     assert balance(env, 250, 8.0, 2.0) == 250
     model, engine = env.sim.scene.model, env.sim.engine
