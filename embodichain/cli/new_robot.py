@@ -176,15 +176,27 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
 
 
 def _home(parsed: ParsedArticulation) -> list[float]:
-    """The file's keyframe, else zero; the middle of the range if that is not inside the limits."""
+    """The file's keyframe, else zero; the middle of the range if that is not inside the limits.
+
+    The range of a joint that others mimic is the part where they are inside their limits too. If
+    there is none, `validate` reports the joints.
+    """
     home = [float(value) for value in parsed.init_qpos]
-    for i, (low, high) in enumerate(parsed.qpos_limits):
-        margin = 0.05 * (high - low) if math.isfinite(high - low) else 0.0
-        if not low + margin <= home[i] <= high - margin:
-            home[i] = 0.5 * (low + high)
+    limits = [(float(low), float(high)) for low, high in parsed.qpos_limits]
     mimics = parsed.mimic_ids, parsed.mimic_parents
     linear = parsed.mimic_multipliers, parsed.mimic_offsets
-    for i, parent, multiplier, offset in zip(*mimics, *linear, strict=True):
+    follows = list(zip(*mimics, *linear, strict=True))
+    for i, parent, multiplier, offset in follows:
+        if multiplier:
+            ends = sorted((end - offset) / multiplier for end in limits[i])
+            low, high = max(ends[0], limits[parent][0]), min(ends[1], limits[parent][1])
+            limits[parent] = (low, high) if low <= high else limits[parent]
+    for i, (low, high) in enumerate(limits):
+        margin = 0.05 * (high - low) if math.isfinite(high - low) else 0.0
+        if not low + margin <= home[i] <= high - margin:
+            middle = 0.5 * (low + high)
+            home[i] = middle if math.isfinite(middle) else min(max(home[i], low), high)
+    for i, parent, multiplier, offset in follows:
         home[i] = multiplier * home[parent] + offset
     return home
 
