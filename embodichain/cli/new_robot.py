@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
@@ -46,6 +47,8 @@ actions:                           # controls of its actuators
     params:
       of: {{uid: {uid}}}
 """
+_KEY = 1000
+"""Characters of a key in a flow mapping; YAML 1.2, section 7.4.2, allows 1024 with its quotes."""
 _CLIP = "      clip: [-1, 1]\n"
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
 
@@ -266,11 +269,15 @@ def _list(values: Sequence[float]) -> str:
 
 
 def _map(values: Mapping[str, float]) -> str:
-    """Joint -> number as YAML; one regex for all joints with the same number."""
+    """Joint -> number as YAML; one regex for all joints with the same number, if it is a key."""
     groups: dict[float, list[str]] = {}
     for name, value in values.items():
         groups.setdefault(value, []).append(name)
-    parts = (f'"{_regex(names, values)}": {_number(value)}' for value, names in groups.items())
+    parts = []
+    for value, names in groups.items():
+        regex = _regex(names, values)
+        keys = [regex] if len(regex) <= _KEY else map(re.escape, names)
+        parts += [f"{json.dumps(key)}: {_number(value)}" for key in keys]
     return f"{{{', '.join(parts)}}}"
 
 
