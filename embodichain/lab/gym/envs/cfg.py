@@ -204,7 +204,7 @@ class CommandCfg(TermCfg):
 
 @configclass
 class CurriculumCfg(TermCfg):
-    """Changes the task as training goes on: ``f(env, env_ids, **params)``, before each reset."""
+    """Changes the task during a training: ``f(env, env_ids, **params)``, before each reset."""
 
 
 @configclass
