@@ -136,7 +136,7 @@ def test_a_full_disk_while_training(run, capsys):
     done = command(*lines, limit=100_000)
     assert done.returncode == 1 and "Traceback" not in done.stderr
     folder = next(path.parent for path in Path("outputs").rglob("config.yaml"))
-    wanted = f"{folder} could not be written: File too large; it has no checkpoint to go on from"
+    wanted = f"{folder} could not be written: File too large; it has no checkpoint to continue from"
     assert wanted in done.stderr and done.stderr.count("error: ") == 1
     assert not list(folder.rglob("*.zip")) and not list(folder.rglob(".*"))
     assert files(run) == before
