@@ -373,7 +373,7 @@ BAD = {
         new="  fpath: ???",
     ),
     "no task": bad(
-        "command line: task: missing value: choose one with task=NAME; there are: {tasks}",
+        "command line: task: missing value: choose one with task=NAME; there are: {first_tasks}",
         task=None,
     ),
     "settings of a film": bad(
@@ -388,7 +388,7 @@ BAD = {
         overrides=("video=7",),
     ),
     "no task, and more": bad(
-        "command line: task: missing value: choose one with task=NAME; there are: {tasks}",
+        "command line: task: missing value: choose one with task=NAME; there are: {first_tasks}",
         "command line: episodes: must be at least 1, got 0",
         overrides=("episodes=0",),
         task=None,
