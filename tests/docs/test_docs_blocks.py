@@ -44,6 +44,13 @@ def test_python_runs(code, tmp_path):
     assert status == 0, said
 
 
+def test_a_block_that_fails_shows_its_traceback(tmp_path):
+    folder = tmp_path / "block"
+    folder.mkdir()
+    status, said = run_forked("import torch\n\nraise ValueError('mine')", folder)
+    assert status == 1 and 'block.py", line 3' in said and "ValueError: mine" in said
+
+
 @pytest.mark.parametrize(("text", "page"), blocks("yaml", with_page=True))
 def test_yaml_is_a_task(text, page, tmp_path, monkeypatch):
     """A block is a task file, or some of its sections; it may name the page's own files."""
