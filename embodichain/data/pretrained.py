@@ -30,7 +30,8 @@ class Pretrained:
         mujoco: MuJoCo's version.
         torch: torch's version.
         env_steps: Environment steps of the training.
-        train_seconds: Duration of the training in seconds, on a machine with two cores.
+        train_seconds: Duration of the training in seconds, on two cores, which may have done other
+            work meanwhile.
         evaluated: The command that evaluated it.
         episodes: Episodes of the evaluation.
         success: Share of these that succeeded.

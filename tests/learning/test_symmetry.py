@@ -37,9 +37,11 @@ def flat(env, obs):
     return env.observation_manager.flatten(obs, "policy").numpy()
 
 
-def test_the_mirrored_simulation_has_the_mirrored_observations(quadruped, mirror):
+@pytest.mark.parametrize("task", ["quadruped_velocity", "humanoid_velocity"])
+def test_the_mirrored_simulation_has_the_mirrored_observations(task):
     """Environment 1 begins as the image of environment 0 and gets mirrored actions."""
-    env, engine = quadruped, quadruped.sim.engine
+    env = embodichain.make(task, num_envs=2, seed=3, overrides=TASK).unwrapped
+    mirror, engine = Mirror.of(env, "policy"), env.sim.engine
     env.reset(seed=3)
     state = {name: engine.rows[:1, engine.component(name)].copy() for name in ("qpos", "qvel")}
     # Position and wxyz orientation; velocities in the world, rotation in the body's frame.
@@ -60,6 +62,7 @@ def test_the_mirrored_simulation_has_the_mirrored_observations(quadruped, mirror
         # The clock of the gait, which both have, is that of the image half a period later.
         np.testing.assert_array_equal(image[48:], -seen[1, 48:])
     assert np.abs(seen[0, :48] - image[:48]).max() > 0.2
+    env.close()
 
 
 def test_the_reflection_is_its_own_inverse_and_swaps_legs(mirror):

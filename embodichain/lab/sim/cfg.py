@@ -319,6 +319,10 @@ class ArticulationCfg(ObjectBaseCfg):
         default_factory=dict, kw_only=True
     )
     """Link regex -> the shape that it collides as, instead of the file's; None: with nothing."""
+    locked_joints: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = dataclasses.field(
+        default_factory=dict, kw_only=True
+    )
+    """Joint regex -> position (rad or m) at which joints of a URDF are fixed, no longer joints."""
 
 
 @configclass

@@ -46,6 +46,7 @@ from embodichain.lab.sim.compiler.robot_links import (
     add_attachments,
     add_tools,
     check_attachments,
+    lock_joints,
     prepare_file,
     resolve_tools,
     set_root,
@@ -213,6 +214,12 @@ def parse_with_problems(
             for p in error.problems
         ]
     problems = [*_unsupported(cfg), *check_pose(cfg)]
+    try:
+        wrong = lock_joints(file, cfg.locked_joints)
+    except MUJOCO_ERRORS as error:
+        return None, [*problems, Problem("locked_joints", as_line(error)[0])]
+    if wrong:  # which joints the robot has is unknown
+        return None, [*problems, *wrong]
     attached, init_qpos = getattr(cfg, "attach", {}), cfg.init_qpos
     try:
         robot = prepare_file(file, cfg.attrs)

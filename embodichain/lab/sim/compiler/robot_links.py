@@ -1,4 +1,4 @@
-"""A robot file made ready: its root, visual and collision shapes, and added links.
+"""A robot file made ready: its root, locked joints, visual and collision shapes, and added links.
 
 A config adds shapes fixed on links (`attachments`) and tool points of control parts (`solver_cfg`).
 """
@@ -19,7 +19,7 @@ from embodichain.lab.sim.cfg import (
     SolverCfg,
 )
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.names import no_such
+from embodichain.lab.sim.compiler.names import match, no_such
 from embodichain.lab.sim.compiler.rigid_objects import (
     COLLISION_GROUP,
     HULL_VERTICES,
@@ -31,7 +31,7 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     initial_pose,
     set_contact,
 )
-from embodichain.lab.sim.compiler.robot_files import ModelFile
+from embodichain.lab.sim.compiler.robot_files import ModelFile, compile_quietly
 from embodichain.lab.sim.compiler.robot_joints import (
     FileJoints,
     Keyframe,
@@ -42,6 +42,7 @@ from embodichain.lab.sim.compiler.robot_joints import (
 )
 from embodichain.lab.sim.shapes import PlaneCfg
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import quat_multiply, quat_rotate, rotvec_to_quat
 
 __all__ = [
     "MAX_MASKED",
@@ -52,6 +53,7 @@ __all__ = [
     "add_attachments",
     "add_tools",
     "check_attachments",
+    "lock_joints",
     "prepare_file",
     "resolve_tools",
     "separate",
@@ -222,6 +224,69 @@ def _wrapped(spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
     outer.option = spec.option
     outer.attach(spec, frame=root.add_frame(), prefix="")
     return outer, root
+
+
+# ------------------------------------------------------------------------------------ locked joints
+
+_KINDS = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def lock_joints(file: ModelFile, locked: Mapping[str, float]) -> list[Problem]:
+    """Remove joints of a URDF, whose links get the poses that they have at given positions.
+
+    `file.spec` and `file.model` change; with a mistake they do not.
+
+    Args:
+        file: The robot's file.
+        locked: Joint regex -> position, rad or m.
+
+    Returns:
+        Every mistake, with paths that begin with ``locked_joints``.
+    """
+    if not locked:
+        return []
+    if not file.is_urdf:
+        message = "joints of an MJCF cannot be locked: remove them from the file"
+        return [Problem("locked_joints", message)]
+    model = file.model
+    names = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in _KINDS]
+    mimics = {name for eq in file.spec.equalities for name in (eq.name1, eq.name2) if name}
+    positions: dict[str, float] = {}
+    problems: list[Problem] = []
+    for pattern, position in locked.items():
+        path = f"locked_joints.{pattern}"
+        found, wrong = match(pattern, names, "joint", path)
+        problems += wrong
+        for name in (names[i] for i in found):
+            if name in positions:
+                problems.append(Problem(path, f"another entry matches joint {name!r} too"))
+            if name in mimics:
+                problems.append(Problem(path, f"joint {name!r} follows or leads another (mimic)"))
+            positions[name] = position
+            low, high = model.joint(name).range
+            if model.joint(name).limited[0] and not low <= position <= high:
+                message = f"{position:g} is outside the limits of joint {name!r}"
+                problems.append(Problem(path, f"{message}, [{low:g}, {high:g}]"))
+    if problems:
+        return problems
+    for name, position in positions.items():
+        _lock(file, name, position)
+    file.model = compile_quietly(file.spec)
+    return []
+
+
+def _lock(file: ModelFile, name: str, position: float) -> None:
+    """Remove a joint; a URDF's has its origin in that of its link."""
+    joint = file.model.joint(name)
+    link = file.model.body(int(joint.bodyid[0]))
+    pos, quat = link.pos.copy(), link.quat.copy()
+    if joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
+        pos += quat_rotate(quat, joint.axis * position)
+    else:
+        quat = quat_multiply(quat, rotvec_to_quat(joint.axis * position))
+    body = file.spec.body(link.name)
+    body.pos, body.quat = pos, quat
+    file.spec.delete(file.spec.joint(name))
 
 
 # ---------------------------------------------------------------------------------------- additions
