@@ -47,7 +47,7 @@ def run(monkeypatch, capsys):
 
 def test_step_speed(tmp_path):
     table, facts = run_apart(
-        "step_speed", "--rounds=1", "--sizes", "2", "--log-sizes", "2", "--seconds=0",
+        "step_speed", "--rounds=1", "--sizes", "1", "--log-sizes", "1", "--seconds=0",
         "--episode=3", out=tmp_path / "raw.json",
     )  # fmt: skip
     arms = {result["name"]: result for result in facts["results"]}
@@ -177,7 +177,7 @@ def test_memory(tmp_path):
 
 @pytest.mark.slow
 def test_startup(tmp_path):
-    _, facts = run_apart("startup", "--rounds=1", out=tmp_path / "s.json")
+    _, facts = run_apart("startup", "--rounds=1", "--cold", out=tmp_path / "s.json")
     assert len(facts["cpu_seconds"]["embodichain run, to its first step"]) == 1
 
 

@@ -252,6 +252,7 @@ def resume(*overrides):
     return json.loads(done.stdout)
 
 
+@pytest.mark.unmeasured
 def test_killed_and_resumed_equals_uninterrupted(tmp_path, monkeypatch):
     monkeypatch.chdir(folder(tmp_path, "here"))
     process = start(*SMALL, "total_timesteps=1_000_000", "checkpoint.every_steps=32", "--quiet")
