@@ -1,7 +1,7 @@
 """Measures the source tree: size, circles, inheritance, private accesses, files opened by a walk.
 
 `python scripts/house.py` prints a table. A walk counts the files of the package of which a function
-runs, code that runs while a module is imported excluded:
+runs, code that runs while a module is imported excluded, also that of import hooks:
 
 - command: from `embodichain run task=cart_pole record=none` to the end of the first control step;
 - step: one later control step of the same task;
@@ -34,6 +34,8 @@ REPO = Path(__file__).parents[1]
 PACKAGE = REPO / "embodichain"
 _PUBLIC = frozenset({"_asdict", "_field_defaults", "_fields", "_make", "_replace", "_predict"})
 """Documented names of named tuples and of Stable-Baselines3's policies."""
+_IMPORTS = frozenset({"<module>", "_find_and_load"})
+"""Functions of an import: a module's code, and importlib's that finds and loads it, with hooks."""
 _OPTIMIZED = 0x1  # inspect.CO_OPTIMIZED: functions; not the bodies of modules and classes
 
 
@@ -156,7 +158,7 @@ class Walk:
     def _call(self, frame: FrameType, event: str, arg: Any) -> Any:
         code = frame.f_code
         frame.f_trace_lines = False
-        if code.co_name == "<module>":
+        if code.co_name in _IMPORTS:
             self._importing += 1
             return self._module_returned
         if self._importing or not code.co_flags & _OPTIMIZED:

@@ -47,7 +47,7 @@ class CollectionError(Exception):
     "collect",
     ("collect task=pick_place episodes=1000", "1000 successes of the task's expert"),
     ("collect task=reach policy=last episodes=50", "of a trained policy; any policy will do"),
-    ("collect resume=last", "go on after an interruption"),
+    ("collect resume=last", "continue after an interruption"),
     ("collect resume=FOLDER episodes=2000", "more, into the same folder"),
     ("collect task=pick_place num_envs=64 sim.num_threads=2", "64 environments at once"),
     keys=True,
@@ -56,7 +56,7 @@ class CollectionError(Exception):
 )
 @job_arguments("collect")
 def command(**kwargs: Any) -> None:
-    """Collect once, or once for each point of a sweep, or go on."""
+    """Collect once, or once for each point of a sweep, or continue."""
     options = SimpleNamespace(**kwargs)
     lines = resumption(options)
     if lines is None:
@@ -245,7 +245,7 @@ def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
         "finished": "complete",
         "max_steps": "max_steps reached",
         "gave_up": "gave up: too many failures in a row",
-        "interrupted": f"interrupted ({summary['signal']}); go on with resume={summary['folder']}",
+        "interrupted": f"interrupted ({summary['signal']}); resume by resume={summary['folder']}",
     }
     share = summary["yield"]
     rows: list[tuple[str, Any]] = [

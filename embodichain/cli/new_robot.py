@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
@@ -46,6 +47,8 @@ actions:                           # controls of its actuators
     params:
       of: {{uid: {uid}}}
 """
+_KEY = 1000
+"""Characters of a key in a flow mapping; YAML 1.2, section 7.4.2, allows 1024 with its quotes."""
 _CLIP = "      clip: [-1, 1]\n"
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
 
@@ -176,15 +179,27 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
 
 
 def _home(parsed: ParsedArticulation) -> list[float]:
-    """The file's keyframe, else zero; the middle of the range if that is not inside the limits."""
+    """The file's keyframe, else zero; the middle of the range if that is not inside the limits.
+
+    The range of a joint that others mimic is the part where they are inside their limits too. If
+    there is none, `validate` reports the joints.
+    """
     home = [float(value) for value in parsed.init_qpos]
-    for i, (low, high) in enumerate(parsed.qpos_limits):
-        margin = 0.05 * (high - low) if math.isfinite(high - low) else 0.0
-        if not low + margin <= home[i] <= high - margin:
-            home[i] = 0.5 * (low + high)
+    limits = [(float(low), float(high)) for low, high in parsed.qpos_limits]
     mimics = parsed.mimic_ids, parsed.mimic_parents
     linear = parsed.mimic_multipliers, parsed.mimic_offsets
-    for i, parent, multiplier, offset in zip(*mimics, *linear, strict=True):
+    follows = list(zip(*mimics, *linear, strict=True))
+    for i, parent, multiplier, offset in follows:
+        if multiplier:
+            ends = sorted((end - offset) / multiplier for end in limits[i])
+            low, high = max(ends[0], limits[parent][0]), min(ends[1], limits[parent][1])
+            limits[parent] = (low, high) if low <= high else limits[parent]
+    for i, (low, high) in enumerate(limits):
+        margin = 0.05 * (high - low) if math.isfinite(high - low) else 0.0
+        if not low + margin <= home[i] <= high - margin:
+            middle = 0.5 * (low + high)
+            home[i] = middle if math.isfinite(middle) else min(max(home[i], low), high)
+    for i, parent, multiplier, offset in follows:
         home[i] = multiplier * home[parent] + offset
     return home
 
@@ -254,11 +269,15 @@ def _list(values: Sequence[float]) -> str:
 
 
 def _map(values: Mapping[str, float]) -> str:
-    """Joint -> number as YAML; one regex for all joints with the same number."""
+    """Joint -> number as YAML; one regex for all joints with the same number, if it is a key."""
     groups: dict[float, list[str]] = {}
     for name, value in values.items():
         groups.setdefault(value, []).append(name)
-    parts = (f'"{_regex(names, values)}": {_number(value)}' for value, names in groups.items())
+    parts = []
+    for value, names in groups.items():
+        regex = _regex(names, values)
+        keys = [regex] if len(regex) <= _KEY else map(re.escape, names)
+        parts += [f"{json.dumps(key)}: {_number(value)}" for key in keys]
     return f"{{{', '.join(parts)}}}"
 
 

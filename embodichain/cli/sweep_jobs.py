@@ -1,10 +1,10 @@
-"""The jobs of a sweep by their folders: what is finished is skipped, what was interrupted goes on.
+"""The jobs of a sweep by their folders: finished ones are skipped, interrupted ones are resumed.
 
 A sweep that is started again with the same `hydra.sweep.dir`, and a job that a cluster starts again
 after a preemption or the death of a node, find the job's folder. Its files alone say what is left:
 
 * finished: nothing; the objective is in `summary.json`;
-* a training with a checkpoint to resume from: it goes on in the same folder;
+* a training with a checkpoint to resume from: it continues in the same folder;
 * a training that has learned, but was not evaluated to the end: the evaluation, anew;
 * anything else: all of it; the folder is kept under another name.
 """
@@ -53,7 +53,7 @@ class Entered:
     """A job in its folder.
 
     Attributes:
-        resolved: Its config, changed so that it goes on.
+        resolved: Its config, changed so that it continues.
         goes_on: Whether the folder has the job's config already.
         objective: Of a finished job.
         finished: Whether nothing is left to do.

@@ -59,7 +59,7 @@ def call_hydra(
     Args:
         verb: The verb, ``run`` or ``train``.
         check: Checks the config of one job.
-        do: Runs a job, in the given folder or a new one; the last argument is whether it goes on
+        do: Runs a job, in the given folder or a new one; the last argument is whether it continues
             in this folder.
         options: `cfg`, `info`, `multirun`, `package`, `resolve`.
         overrides: As typed.

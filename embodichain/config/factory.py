@@ -8,8 +8,8 @@ from __future__ import annotations
 import dataclasses
 import logging
 import traceback
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -112,13 +112,21 @@ def make_batch(resolved: Resolved, **kwargs: Any) -> BaseEnv:
 
 _PROBE_ENVS, _PROBE_STEPS, _PROBE_EVERY = 8, 64, 4
 """Environments, control steps, and steps between two measured states of `with_warp_sizes`."""
+_PROBE_DIVERGED = (
+    "sim.warp: %d of %d environments diverged in %d control steps with random actions, which "
+    "measure the memory of MuJoCo Warp on the CPU. A run with such actions diverges too "
+    "(policy=random device=cpu sim.engine=mujoco writes the states to its folder): use shorter "
+    "physics steps (task.physics.physics_dt), smaller actions or gains; or give sim.warp.nconmax "
+    "and sim.warp.njmax, and nothing is measured"
+)
 
 
 def with_warp_sizes(resolved: Resolved) -> Resolved:
     """Return the config with the memory that MuJoCo Warp needs, where it is not given.
 
     A few environments of the task run on the CPU with random actions; MuJoCo Warp counts contacts
-    and constraints in their states. Twice the largest numbers are filled in.
+    and constraints in their states. Twice the largest numbers are filled in. One warning reports
+    how many of these environments diverged.
 
     Args:
         resolved: A checked config; it is returned as it is unless it runs on Warp.
@@ -144,15 +152,32 @@ def with_warp_sizes(resolved: Resolved) -> Resolved:
         policy = resolve_policy("random")
         obs, _ = env.reset()
         states = [env.sim.engine.rows.copy()]
-        for step in range(1, _PROBE_STEPS + 1):
-            obs, *_ = env.step(policy(obs, env))
-            if not step % _PROBE_EVERY:
-                states.append(env.sim.engine.rows.copy())
+        diverged = np.zeros(_PROBE_ENVS, np.bool_)
+        with _without_step_warnings():
+            for step in range(1, _PROBE_STEPS + 1):
+                obs, *_, info = env.step(policy(obs, env))
+                diverged |= np.asarray(info["diverged"])
+                if not step % _PROBE_EVERY:
+                    states.append(env.sim.engine.rows.copy())
         found = measured_sizes(env.sim.engine.model, np.concatenate(states))
     finally:
         env.close()
+    if diverged.any():
+        count = int(diverged.sum())
+        _log.warning(_PROBE_DIVERGED, count, _PROBE_ENVS, _PROBE_STEPS)
     filled = {key: found[key] if given is None else given for key, given in sizes.items()}
     return resolved.changed(sim={**sim, "warp": filled})
+
+
+@contextmanager
+def _without_step_warnings() -> Iterator[None]:
+    """Suppress the warnings of single control steps of an environment that is no user's."""
+    logger = logging.getLogger("embodichain.lab.gym.envs.judging")
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 _TRIED_ENVS, _TRIED_STEPS = 2, 3

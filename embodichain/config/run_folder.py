@@ -86,7 +86,10 @@ def adopt(folder: str | Path) -> Path:
         with (path / CONFIG).open("x"):
             pass  # the process that makes this file owns the folder
     except FileExistsError as error:
-        raise ConfigError(f"{path} has a run already; it is never used again") from error
+        raise ConfigError(
+            f"{path} has a run already; it is never used again. A command that may be repeated is "
+            "a sweep of one job: -m hydra.sweep.dir=FOLDER skips it if finished, else resumes it"
+        ) from error
     except OSError as error:
         raise ConfigError(f"cannot make the run folder {path}: {error}") from error
     return path

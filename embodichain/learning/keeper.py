@@ -50,7 +50,7 @@ class Saved(Protocol):
         Args:
             path: The zip, written last.
             note: Its metadata.
-            resumable: Whether to write beside it what the training needs to go on.
+            resumable: Whether to write beside it what the training needs to continue.
             rolling: Whether a rollout has begun.
         """
 
@@ -72,7 +72,7 @@ class CheckpointKeeper:
         self._session = session
         self._note = note
         self._every, self._keep = every, keep
-        self._written = sorted(self._folder.glob("step_*.zip"))  # a job may go on in its folder
+        self._written = sorted(self._folder.glob("step_*.zip"))  # a job may continue in its folder
         self._next: int | None = None
 
     @property
@@ -142,7 +142,7 @@ def find_resumable(run: Path) -> tuple[Path, dict[str, Any]]:
             state = read_tree(state_path(path))
             if state.get("env_steps") == steps[path]:
                 return path, state
-    message = f"{run} has no checkpoint that a training can go on from"
+    message = f"{run} has no checkpoint that a training can continue from"
     raise ConfigError([Problem("resume", message)])
 
 
@@ -182,6 +182,6 @@ def _what_remains(run_dir: Path) -> str:
     try:
         checkpoint, _ = find_resumable(run_dir)
     except (ConfigError, OSError):
-        return "it has no checkpoint to go on from yet"
+        return "it has no checkpoint to continue from yet"
     command = f"embodichain train resume={run_dir}"
-    return f"with room again, `{command}` goes on from its {checkpoint.name}"
+    return f"with room again, `{command}` continues from its {checkpoint.name}"

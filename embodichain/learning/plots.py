@@ -6,7 +6,7 @@ import importlib.util
 import logging
 import os
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from embodichain.learning.comparison import (
     PROGRESS,
     RETURN,
     SUCCESS,
+    Curve,
     Group,
     band,
     read_curves,
@@ -31,6 +32,7 @@ _TITLES = {
     SUCCESS: "success rate",
     LENGTH: "mean length (control steps)",
 }
+_CURRICULUM = "Curriculum/"
 _LINE = 90  # characters that fit the picture's width
 _MARGIN = 0.05
 _LEAST = 0.05
@@ -40,6 +42,8 @@ _log = logging.getLogger(__name__)
 
 def draw_curves(run_dir: Path) -> Path | None:
     """Draw return, success and length of episodes over environment steps as `curves.png`.
+
+    A task with a curriculum has one more plot, with a line for each value of its terms.
 
     Args:
         run_dir: A training's folder with `progress.csv`.
@@ -55,16 +59,32 @@ def draw_curves(run_dir: Path) -> Path | None:
         return None
     from matplotlib.figure import Figure  # without pyplot: no display, no global state
 
-    figure = Figure(figsize=(5.0 * len(curves), 3.5), layout="constrained")
-    panels = figure.subplots(1, len(curves), squeeze=False)[0]
-    for axes, name in zip(panels, [n for n in _TITLES if n in curves], strict=True):
+    stages = read_curves(run_dir / PROGRESS, lambda name: name.startswith(_CURRICULUM))
+    count = len(curves) + bool(stages)
+    figure = Figure(figsize=(5.0 * count, 3.5), layout="constrained")
+    panels = figure.subplots(1, count, squeeze=False)[0]
+    for axes, name in zip(panels, [n for n in _TITLES if n in curves], strict=False):
         steps, values = curves[name].steps, curves[name].values
         axes.plot(steps, values, marker="o" if len(steps) == 1 else "")
         set_axes(axes, float(steps[-1]), values.tolist(), share=name == SUCCESS)
         axes.set_title(_TITLES[name])
+    if stages:
+        _draw_curriculum(panels[-1], stages)
     path = run_dir / CURVES_FILE
     figure.savefig(path, dpi=100)
     return path
+
+
+def _draw_curriculum(axes: Any, stages: Mapping[str, Curve]) -> None:
+    for name, curve in sorted(stages.items()):
+        label = name.removeprefix(_CURRICULUM)
+        marker = "o" if len(curve.steps) == 1 else ""
+        axes.plot(curve.steps, curve.values, label=label, marker=marker)
+    last_step = max(float(curve.steps[-1]) for curve in stages.values())
+    values = [value for curve in stages.values() for value in curve.values.tolist()]
+    set_axes(axes, last_step, values, share=False)
+    axes.set_title("curriculum")
+    axes.legend(fontsize="small")
 
 
 def plot_curves(groups: Sequence[Group], path: Path) -> None:

@@ -102,7 +102,7 @@ class Session:
             self.statistics.load_state_dict(state["statistics"])
         except KeyError as error:
             message = (
-                f"no training can go on from {checkpoint}: its state has no {error}. Other code"
+                f"no training can continue from {checkpoint}: its state has no {error}. Other code"
                 " wrote it (versions.json in its run's folder), of embodichain or of a term with a"
                 " state; `policy=` loads its network nevertheless"
             )

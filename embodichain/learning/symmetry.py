@@ -24,6 +24,8 @@ from torch import Tensor
 
 from embodichain.lab.gym.envs.cfg import SymmetryCfg
 from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.sensors.cfg import HeightScanSensorCfg
+from embodichain.lab.sim.sensors.ray_patterns import pattern_rays
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Columns", "Mirror", "MirroredMeanStd", "SymmetricActorCriticPolicy"]
 
-_JOINTS = "joints"
+_SCAN = "scan"
 Rules = Mapping[str, Any]
 
 
@@ -85,9 +87,12 @@ class Mirror:
         joints, problems = _joints(cfg, env)
         columns = env.observation_manager.columns(group)
         widths = {name: s.stop - s.start for name, s in env.action_manager.slices.items()}
-        seen, wrong = _compile(cfg.observations, columns, joints, "observation")
+        scans, wrong = _scans(cfg, env)
         problems += wrong
-        done, wrong = _compile(cfg.actions, widths, joints, "action")
+        named = {name: scans.get(name, joints) for name in columns}
+        seen, wrong = _compile(cfg.observations, columns, named, "observation")
+        problems += wrong
+        done, wrong = _compile(cfg.actions, widths, dict.fromkeys(widths, joints), "action")
         problems += wrong
         if problems:
             raise ConfigError([problem.below("task.symmetry") for problem in problems])
@@ -154,10 +159,52 @@ def _joints(cfg: SymmetryCfg, env: BaseEnv) -> tuple[Columns, list[Problem]]:
     return Columns(index, sign), problems
 
 
+def _scans(cfg: SymmetryCfg, env: BaseEnv) -> tuple[dict[str, Columns], list[Problem]]:
+    """Observation -> the reflection of its height scan, and every mistake."""
+    found: dict[str, Columns] = {}
+    problems: list[Problem] = []
+    for name, rule in cfg.observations.items():
+        term = env.cfg.observations.get(name)
+        if rule != _SCAN or term is None:
+            continue
+        sensor = env.cfg.sensors.get(str(term.params.get("sensor")))
+        message = ""
+        if not isinstance(sensor, HeightScanSensorCfg):
+            message = "scan is for observations of a height scan (sensor_type height_scan)"
+        elif sensor.alignment == "world":
+            message = "a height scan with alignment world does not turn with the robot"
+        elif not _is_even(sensor):
+            message = "its sensor is not symmetric: pos[1], quat[1], quat[3] and "
+            message += "pattern.grid.direction[1] have to be 0"
+        starts = np.zeros((1, 3))
+        if message:
+            problems.append(Problem(f"observations.{name}", message))
+        elif isinstance(sensor, HeightScanSensorCfg):
+            starts, _ = pattern_rays(sensor.pattern)
+        rows = len(np.unique(starts[:, 1]))  # along x, the first at the lowest y
+        index = np.arange(len(starts)).reshape(rows, -1)[::-1].ravel()
+        found[name] = Columns(index, np.ones(len(starts), np.float32))
+    return found, problems
+
+
+def _is_even(sensor: HeightScanSensorCfg) -> bool:
+    """Whether the rays of a height scan are their own mirror images."""
+    grid = sensor.pattern.grid
+    across = [sensor.pos[1], sensor.quat[1], sensor.quat[3]]
+    return not any(across) and (grid is None or not grid.direction[1])
+
+
 def _compile(
-    rules: Rules, widths: Mapping[str, int], joints: Columns, what: str
+    rules: Rules, widths: Mapping[str, int], named: Mapping[str, Columns], what: str
 ) -> tuple[Columns, list[Problem]]:
-    """Join the reflections of consecutive terms of some widths; also return every mistake."""
+    """Join the reflections of consecutive terms of some widths; also return every mistake.
+
+    Args:
+        rules: Term -> its rule.
+        widths: Term -> its number of columns.
+        named: Term -> its reflection where the rule is not a list of signs.
+        what: What a term is called in messages.
+    """
     problems = [
         Problem(f"{what}s.{name}", f"no {what} is called {name!r}", did_you_mean(name, widths))
         for name in rules
@@ -166,11 +213,12 @@ def _compile(
     index, sign, start = [np.zeros(0, np.int64)], [np.zeros(0, np.float32)], 0
     for name, width in widths.items():
         path, rule = f"{what}s.{name}", rules.get(name)
-        part = joints
+        part = named[name]
         if rule is None:
-            message = "missing: joints, or a sign (1 or -1) for each of its columns"
+            kinds = "joints, scan," if what == "observation" else "joints,"
+            message = f"missing: {kinds} or a sign (1 or -1) for each of its columns"
             problems.append(Problem(path, f"{message}, which are {width}"))
-        elif rule != _JOINTS:
+        elif not isinstance(rule, str):
             part = Columns(np.arange(len(rule)), np.array(rule, np.float32))
         size = len(part.sign)
         if rule is not None and (not size or width % size):

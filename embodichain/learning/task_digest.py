@@ -159,7 +159,7 @@ def check_unchanged(
     if refused and not allow:
         lines = "".join(f"\n  {line}" for line in _shown(refused))
         message = f"{name} was {_DONE[made]} in another task ({made} -> now):{lines}"
-        raise ConfigError(f"{message}\n  {ALLOW} goes on all the same")
+        raise ConfigError(f"{message}\n  {ALLOW} accepts this")
     for line in _shown(list(changes)):
         _log.warning("%s: changed since %s: %s", name, made, line)
     return changes

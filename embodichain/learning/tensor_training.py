@@ -179,7 +179,7 @@ class TensorSession:
             self.statistics.load_state_dict(state["statistics"])
         except (KeyError, RuntimeError, ValueError) as error:
             why = " ".join(str(error).split())
-            message = f"no training can go on from {checkpoint}, its state does not fit: {why}"
+            message = f"no training can continue from {checkpoint}, its state does not fit: {why}"
             raise ConfigError([Problem("resume", message)]) from error
         self.statistics.env_steps = state["env_steps"]
 
@@ -258,7 +258,7 @@ class TensorSession:
         logger.record("time/total_timesteps", statistics.env_steps, exclude="tensorboard")
 
     def save(self, path: Path, note: dict[str, Any], *, resumable: bool, rolling: bool) -> None:
-        """Write a checkpoint: the policy, and beside it what the training needs to go on.
+        """Write a checkpoint: the policy, and beside it what the training needs to continue.
 
         Args:
             path: The zip.

@@ -385,7 +385,7 @@ def _give(demonstrations: Demonstrations, model: BaseAlgorithm, every: int) -> N
 
 
 def _check_same(note: Mapping[str, Any], checkpoint: Path) -> None:
-    """Check that a training goes on with the demonstrations that it began with."""
+    """Check that a training continues with the demonstrations that it began with."""
     if read_note(checkpoint).get(DEMONSTRATIONS) != note[DEMONSTRATIONS]:
         message = f"it has other demonstrations than those that {checkpoint} was made with"
         raise ConfigError([Problem("dataset", message)])

@@ -52,7 +52,7 @@ def make_logger(run_dir: Path, writers: Sequence[KVWriter] = (), env_steps: int 
     Args:
         run_dir: The folder.
         writers: Further outputs of the same numbers.
-        env_steps: Environment steps that the training has taken already. If it goes on in its
+        env_steps: Environment steps that the training has taken already. If it continues in its
             folder, rows of `progress.csv` up to there are kept.
     """
     formats: list[KVWriter] = [_ContinuedCsv(run_dir / PROGRESS, env_steps)]

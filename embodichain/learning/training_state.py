@@ -83,7 +83,7 @@ def restore(model: BaseAlgorithm, vec_env: SB3VecEnv, saved: dict[str, Any]) -> 
     """
     env: VecEnv | None = model.env
     if env is None:
-        raise ValueError("a model without environment cannot go on")
+        raise ValueError("a model without environment cannot continue")
     env.reset()  # creates lazily built state, which is overwritten below
     vec_env.base.load_state_dict(saved["env"])
     vec_env.load_state_dict(saved["vec_env"])

@@ -150,7 +150,7 @@ class LogReader:
         """Open the file that continues the log, if the log is read as a whole."""
         name, self._next = Path(self._next).name, ""
         if self.require_header().part:
-            self.alone = f"it goes on in {name}"
+            self.alone = f"it continues in {name}"
             return False
         name = part_name(self.path.name, len(self._streams))
         path = self.path.with_name(name)

@@ -180,7 +180,7 @@ def _is_held(segment: Segment, hold: Segment) -> bool:
 
 
 def _closed(arm: Arm, actions: F64) -> NDArray[np.bool_]:
-    """(T,) whether the gripper of an arm is told to close."""
+    """(T,) whether the gripper of an arm is commanded to close."""
     if arm.gripper is None:
         return np.zeros(len(actions), np.bool_)
     middle = 0.5 * (np.asarray(arm.gripper.low) + np.asarray(arm.gripper.high))

@@ -64,7 +64,7 @@ LIMITS = (
     Limit("batch renderer", ("darwin",), "it needs OpenGL 4.5", "MuJoCo's renderer draws, slower"),
     Limit("pictures without a display", _BOTH, "EGL is Linux's", "a session with a display"),
     Limit("sim.num_threads=0", _BOTH, "there is no affinity to read", "it is all of the cores"),
-    Limit("make, scripts/system_deps.sh", _BOTH, "they know Debian's packages", "pip install"),
+    Limit("make, scripts/system_deps.sh", _BOTH, "they use Debian's packages", "pip install"),
 )
 """All of them; a test compares the table in docs/install.md."""
 

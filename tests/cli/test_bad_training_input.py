@@ -136,7 +136,7 @@ def test_a_full_disk_while_training(run, capsys):
     done = command(*lines, limit=100_000)
     assert done.returncode == 1 and "Traceback" not in done.stderr
     folder = next(path.parent for path in Path("outputs").rglob("config.yaml"))
-    wanted = f"{folder} could not be written: File too large; it has no checkpoint to go on from"
+    wanted = f"{folder} could not be written: File too large; it has no checkpoint to continue from"
     assert wanted in done.stderr and done.stderr.count("error: ") == 1
     assert not list(folder.rglob("*.zip")) and not list(folder.rglob(".*"))
     assert files(run) == before
@@ -158,7 +158,7 @@ def test_a_full_disk_after_a_checkpoint_says_how_to_go_on(tmp_path, monkeypatch,
     err = capsys.readouterr().err
     folder = Path("outputs/latest").resolve()
     assert "could not be written: No space left on device; with room again, `embodichain" in err
-    assert "goes on from its step_000000000032.zip" in err
+    assert "continues from its step_000000000032.zip" in err
     monkeypatch.setattr(session, "save_checkpoint", real)
     assert main(["train", f"resume={folder}", "--quiet"]) == 0
     summary = json.loads(Path("outputs/latest/summary.json").read_text())

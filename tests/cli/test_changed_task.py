@@ -39,7 +39,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[str]:
     assert out == ""
     lines = err[err.index("error: ") :].splitlines()
     assert "was trained in another task (training -> now):" in lines[0]
-    assert lines[-1] == "  allow_changed=true goes on all the same"
+    assert lines[-1] == "  allow_changed=true accepts this"
     return [line.strip() for line in lines[1:-1]]
 
 

@@ -252,6 +252,32 @@ def test_what_is_written_of_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
     assert pair["from"] == {"uid": "small", "link_names": ["lower"]}
 
 
+def test_a_robot_with_mimicking_joints_and_long_names(capsys: pytest.CaptureFixture[str]) -> None:
+    inertia = 'ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"'
+    inertial = f'<inertial><mass value="1"/><inertia {inertia}/>'
+    lead, free = "lead" * 120, "free" * 150  # no key of a flow mapping has both
+    limits = {lead: (0, 0.5), "twice": (-1, 0.4), free: (0, 0.5), "mirror": (0, 0.5)}
+    mimics = {"twice": (lead, 2), "mirror": (free, -1)}
+    parts = [f'<link name="base">{inertial}</inertial></link>']
+    for name, (low, high) in {**limits, "slide.x": (0, 0.2)}.items():
+        parent, slope = mimics.get(name, ("", 1))
+        mimic = f'<mimic joint="{parent}" multiplier="{slope}"/>' if parent else ""
+        kind = "prismatic" if name == "slide.x" else "revolute"
+        parts.append(
+            f'<link name="{name}_link">{inertial}</inertial></link>'
+            f'<joint name="{name}" type="{kind}"><parent link="base"/><child link="{name}_link"/>'
+            f'<limit lower="{low}" upper="{high}" effort="9" velocity="1"/>{mimic}</joint>'
+        )
+    Path("fingers.urdf").write_text(f'<robot name="fingers">{"".join(parts)}</robot>')
+    new(capsys, "mine", "--robot", "fingers.urdf")
+    task = yaml.safe_load(Path("conf/task/mine.yaml").read_text())
+    # `twice` is inside up to 0.4, so its leader up to 0.2; `mirror` only at 0.
+    assert task["robot"]["init_qpos"] == [0.1, 0.2, 0, 0, 0.1]
+    scale = {lead: 0.4, free: 0.4, r"slide\.x": 0.05}
+    assert task["actions"]["arm"]["params"]["scale"] == scale
+    assert main(["validate", "task=mine"]) == 0, capsys.readouterr().err
+
+
 def test_a_file_with_actuators_is_driven_by_them(capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("ur5e", "hand"):
         Path(f"{name}.xml").write_text(ROBOTS[name])

@@ -128,7 +128,8 @@ def test_hydras_run_dir_is_the_run_folder(tmp_path: Path, capsys) -> None:
     assert json.loads(capsys.readouterr().out)["folder"] == str(tmp_path / "mine")
     assert (tmp_path / "mine" / "rollout.mcap").exists()
     assert main(line) == 2
-    assert "has a run already" in capsys.readouterr().err
+    assert "has a run already" in (said := capsys.readouterr().err)
+    assert "-m hydra.sweep.dir=FOLDER" in said
 
 
 def test_sweep_runs_each_value_in_its_own_folder(embodichain, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A sweep that is started again: what is finished is skipped, what was interrupted goes on."""
+"""A sweep that is started again: what is finished is skipped, what was interrupted continues."""
 
 import fcntl
 import json

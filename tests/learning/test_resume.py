@@ -119,7 +119,7 @@ def test_a_broken_checkpoint_is_passed_over(tmp_path):
     shutil.copy(state_path(step), state_path(final))  # killed between the two files
     assert find_resumable(run)[0] == step
     state_path(step).unlink()
-    with pytest.raises(ConfigError, match="has no checkpoint that a training can go on from"):
+    with pytest.raises(ConfigError, match="has no checkpoint that a training can continue from"):
         find_resumable(run)
 
 

@@ -65,6 +65,53 @@ def test_the_mirrored_simulation_has_the_mirrored_observations(task):
     env.close()
 
 
+@pytest.fixture(scope="module")
+def rough():
+    """The quadruped on rough ground; environments 1 and 7 are on the same pyramid."""
+    steep = "task.scene.terrain.patches.slope_up.slope=[0.4,0.4]"
+    level = "task.events.terrain.params.max_init_level=0"
+    env = embodichain.make("quadruped_rough", num_envs=8, seed=3, overrides=[*TASK, steep, level])
+    yield env.unwrapped
+    env.close()
+
+
+def test_the_image_of_a_height_scan_is_the_scan_at_the_image_of_the_pose(rough):
+    """Environment 7 is the image of 1 in the plane y = 0, and so is its pyramid."""
+    env, engine, mirror = rough, rough.sim.engine, Mirror.of(rough, "policy")
+    env.reset(seed=3)
+    both = engine.rows[:, engine.component("qpos")][[1, 7]].copy()
+    both[:, :7] = [1.2, 0.7, 0.3, np.cos(0.2), 0, 0, np.sin(0.2)]  # turned by 0.4 rad
+    both[1, [1, 6]] *= -1
+    both[1, 7:] = mirror.actions(both[0, 7:])
+    engine.write("qpos", both, np.array([1, 7]))
+    engine.write("qvel", 0.0 * engine.rows[[1, 7], engine.component("qvel")], np.array([1, 7]))
+    env.command_manager.terms["velocity"].instance.values[:] = 0.0
+    obs = flat(env, env.step(torch.zeros(8, 12))[0])
+    image = mirror.observations(obs)
+    # Patches are even to half a cell, here 0.05 m x 0.4.
+    np.testing.assert_allclose(image[7, 50:], obs[1, 50:], atol=0.04)
+    assert np.abs(obs[7, 50:] - obs[1, 50:]).max() > 0.1
+    # Six rows along x, of nine points each: the last one is the image of the first.
+    np.testing.assert_array_equal(mirror.observations.index[50:59], np.arange(95, 104))
+    assert (mirror.observations.sign[50:] == 1).all()
+
+
+def test_only_a_symmetric_height_scan_has_an_image(rough):
+    sensor, rules = rough.cfg.sensors["scan"], rough.cfg.symmetry.observations
+    found = wrong(rough, observations={**rules, "lin_vel": "scan"})
+    assert found.keys() == {"observations.lin_vel"}
+    assert "scan is for observations of a height scan" in found["observations.lin_vel"]
+    for name, value, words in (
+        ("alignment", "world", "does not turn with the robot"),
+        ("pos", (0.1, 0.1, 0.0), "pos[1], quat[1], quat[3] and pattern.grid.direction[1]"),
+    ):
+        before = getattr(sensor, name)
+        setattr(sensor, name, value)
+        found = wrong(rough)
+        setattr(sensor, name, before)
+        assert words in found["observations.scan"]
+
+
 def test_the_reflection_is_its_own_inverse_and_swaps_legs(mirror):
     rows = np.arange(50, dtype=np.float32)[None]
     np.testing.assert_array_equal(mirror.observations(mirror.observations(rows)), rows)
@@ -161,6 +208,7 @@ def test_every_mistake_is_reported_at_its_place(quadruped):
     found = wrong(quadruped, observations=seen, actions={"legs": [1]})
     assert "[1, -1] has 2 columns, the observation has 3" in found["observations.lin_vel"]
     assert "Did you mean 'gravity'?" in found["observations.gravty"]
+    assert "joints, scan, or a sign" in found["observations.gravity"]
     assert "which are 3" in found["observations.gravity"]
     assert "robot" in wrong(quadruped, robot="go1")
 

@@ -169,8 +169,18 @@ def test_curves_are_drawn(tmp_path):
         pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
         assert picture.size == (1500, 350)  # return, success, length
     assert len(np.unique(pixels, axis=0)) > 20
-    (tmp_path / "curves.png").unlink()
     rows = (tmp_path / "progress.csv").read_text().splitlines()
+    # The terms of a curriculum share one more plot.
+    cells = [",Curriculum/level/mean,Curriculum/level/stairs", ",0.5,0", ",0.7,0", ",1,1"]
+    lines = [row + cell for row, cell in zip(rows, cells, strict=True)]
+    (tmp_path / "progress.csv").write_text("\n".join(lines))
+    draw_curves(tmp_path)
+    with Image.open(tmp_path / "curves.png") as picture:
+        assert picture.size == (2000, 350)
+        shown = np.asarray(picture.convert("RGB"))[40:300, 1560:1980].reshape(-1, 3)
+    colours = {tuple(row) for row in np.unique(shown, axis=0).tolist()}
+    assert {(0x1F, 0x77, 0xB4), (0xFF, 0x7F, 0x0E)} <= colours  # matplotlib's first two
+    (tmp_path / "curves.png").unlink()
     (tmp_path / "progress.csv").write_text("time/total_timesteps\n32\n")
     assert draw_curves(tmp_path) is None and len(rows) == 4
 

@@ -1,10 +1,15 @@
 """The source tree keeps what `scripts/house.py` measures: no circles, short walks."""
 
+import importlib
 import sys
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
+from embodichain.config.gymnasium_ids import task_id
 from embodichain.lab.gym.envs import BaseEnv
 from tests.helpers.house import house
 
@@ -44,6 +49,29 @@ def test_a_walk_opens_few_files(walk: str, most: int) -> None:
     """From a command line to the first step; one step; one event from YAML to its effect."""
     files = getattr(house(), f"walk_{walk}")().files
     assert 5 < len(files) <= most, list(files)
+
+
+def test_imports_are_no_part_of_a_walk() -> None:
+    """Neither a module's code nor a hook, such as that which follows `import gymnasium`."""
+
+    class Hook(MetaPathFinder, Loader):
+        def find_spec(self, name: str, path: object, target: object = None) -> ModuleSpec | None:
+            return ModuleSpec(name, self) if name == "hooked" else None
+
+        def exec_module(self, module: ModuleType) -> None:
+            task_id("reach")
+
+    walk, hook = house().Walk(), Hook()
+    sys.meta_path.insert(0, hook)
+    try:
+        with walk.traced():
+            importlib.import_module("hooked")
+            assert walk.files == {}
+            task_id("reach")
+    finally:
+        sys.meta_path.remove(hook)
+        sys.modules.pop("hooked", None)
+    assert list(walk.files) == ["config/gymnasium_ids.py"]
 
 
 def test_there_is_enough_test_for_the_source() -> None:

@@ -50,6 +50,7 @@ def test_the_tasks_are_those_of_the_folder():
         "push_cube",
         "lift_cube",
         "quadruped_velocity",
+        "quadruped_rough",
         "humanoid_velocity",
         "hold_still",
         "reach_vision",

@@ -59,7 +59,7 @@ class Policy(Protocol):
 
 @runtime_checkable
 class PlannedPolicy(Policy, Protocol):
-    """A policy with an end: it knows when it has done everything, and what has failed."""
+    """A policy with an end: it reports when everything is done, and what has failed."""
 
     @property
     def done(self) -> NDArray[np.bool_]:

@@ -183,7 +183,7 @@ class Teleop:
 
     @property
     def robot_uid(self) -> str | None:
-        """Uid of the robot of the active tool, if its action term tells it."""
+        """Uid of the robot of the active tool, if its action term names it."""
         uid: str | None = getattr(self._tools[self._tool].term, "robot_uid", None)
         return uid
 

@@ -53,7 +53,7 @@ class Window(Protocol):
 
 
 def read_gamepad() -> tuple[list[float], list[int]] | None:
-    """Read the first gamepad that GLFW knows; None if there is none."""
+    """Read the first gamepad that GLFW has a mapping of; None if there is none."""
     import glfw
 
     state: Any = glfw.get_gamepad_state(glfw.JOYSTICK_1)

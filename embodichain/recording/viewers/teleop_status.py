@@ -1,4 +1,4 @@
-"""`TeleopStatus`: what an operator is told, and `PageOperator`, the operator at a web page."""
+"""`TeleopStatus`: the state that an operator reads; `PageOperator`, the operator at a web page."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class TeleopStatus:
         Returns:
             ``tool``: x, y, z, qw, qx, qy, qz of the active tool; ``objects``: name to the same;
             ``tools``, ``active``: names of the tools, and which one moves; ``open``: whether its
-            gripper is told to be open, or None; ``axes``; ``episode``, ``step``, ``max_steps``,
+            gripper is set to open, or None; ``axes``; ``episode``, ``step``, ``max_steps``,
             ``seconds``, ``success`` of the present episode, ``last``: how the last one ended.
         """
         teleop, env = self._teleop, self._env

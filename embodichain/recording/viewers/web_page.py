@@ -310,7 +310,7 @@ class WebPage:
             self._controls = Controls(env_id=self.env_id)
             self._ended = True
             if not self._closed:
-                _log.warning("the web viewer has ended; the run goes on%s", self._last_error())
+                _log.warning("the web viewer has ended; the run continues%s", self._last_error())
 
     def _last_error(self) -> str:
         self._errors.seek(0)

@@ -68,7 +68,7 @@ def need_h264() -> None:
 
 
 class H264Encoder:
-    """H.264 as Foxglove wants it: Annex B, no B frames, parameter sets with every IDR picture.
+    """H.264 as Foxglove needs it: Annex B, no B frames, parameter sets with every IDR picture.
 
     Each picture gives its own access unit at once. The first one, and one about every second, can
     be decoded without those before it.

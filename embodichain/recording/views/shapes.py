@@ -40,6 +40,8 @@ _HIDDEN_GROUP = 3
 _GREY = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 _SHARP = np.cos(np.radians(40))
 """Cosine of 40 degrees: edges with a larger angle are sharp; smaller ones are shaded smooth."""
+_PLANE = 1e-6
+"""Metres: rises of neighbouring cells of a height field that differ by less are equal."""
 _MOST_FACES = 256
 """Vertices with more faces are shaded flat: the number of pairs of faces is quadratic."""
 
@@ -158,7 +160,7 @@ def mesh_of(model: mujoco.MjModel, geom: int) -> Mesh:
 
 
 def _height_field(model: mujoco.MjModel, index: int) -> Mesh:
-    """The surface of a height field: two triangles a cell."""
+    """The surface of a height field: two triangles for each run of cells along x in one plane."""
     rows, columns = int(model.hfield_nrow[index]), int(model.hfield_ncol[index])
     half_x, half_y, height, _ = model.hfield_size[index]
     start = int(model.hfield_adr[index])
@@ -166,8 +168,14 @@ def _height_field(model: mujoco.MjModel, index: int) -> Mesh:
     z = height * model.hfield_data[start : start + rows * columns]
     vertices = np.stack([x.ravel(), y.ravel(), z], axis=1).astype(np.float32)
     ids = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
-    a, b, c, d = ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]
-    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2)
+    rise = np.diff(z.reshape(rows, columns), axis=1)
+    along = np.stack([rise[:-1, :-1], rise[:-1, 1:], rise[1:, :-1], rise[1:, 1:]])
+    first = np.ones((rows - 1, columns - 1), np.bool_)  # cells that begin a run
+    first[:, 1:] = np.ptp(along, axis=0) > _PLANE
+    last = np.roll(first, -1, axis=1)
+    last[:, -1] = True
+    a, b, c, d = ids[:-1, :-1][first], ids[:-1, 1:][last], ids[1:, 1:][last], ids[1:, :-1][first]
+    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=1)
     return Mesh(vertices, faces.reshape(-1, 3))
 
 

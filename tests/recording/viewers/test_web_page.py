@@ -189,7 +189,7 @@ def test_the_run_goes_on_when_the_viewer_dies(caplog):
         page.show(ROW)
     page.show_model(painted())
     assert not page.watched
-    assert "the web viewer has ended; the run goes on" in caplog.text
+    assert "the web viewer has ended; the run continues" in caplog.text
     page.close()
 
 

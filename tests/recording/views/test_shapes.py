@@ -104,3 +104,21 @@ def test_meshes_are_where_rays_hit(model, found):
     outward = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
     middle = wedge.vertices.mean(axis=0)
     assert (((edges.mean(axis=1) - middle) * outward).sum(axis=1) > 0).all()
+
+
+def test_cells_of_a_height_field_in_one_plane_are_two_triangles():
+    """Along x a step of one cell between two planes, one inclined; one height is higher."""
+    field = '<hfield name="f" nrow="4" ncol="7" size="3 2 1 .1" elevation="{}"/>'
+    flat, bump = "0 0 0 4 5 6 7", "0 0 0 4 5 6 8"
+    heights = "  ".join([flat, flat, flat, bump])
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><asset>{field.format(heights)}</asset><worldbody>"
+        '<geom name="f" type="hfield" hfield="f"/></worldbody></mujoco>'
+    )
+    mesh = mesh_of(model, 0)
+    # Cells 0 and 1, the step, cells 3 to 5; in the last row cell 5 is apart.
+    assert len(mesh.faces) == 2 * (3 + 3 + 4)
+    corners = mesh.vertices[mesh.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert across[:, 2].sum() / 2 == pytest.approx(6 * 4, rel=1e-6)  # all of the field, once
+    np.testing.assert_allclose(corners[:2, :, 0].ravel(), [-3, -1, -1, -3, -1, -3])

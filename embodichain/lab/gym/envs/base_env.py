@@ -87,8 +87,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         control_step: Control steps since the environment was built.
         arrays_moved: Whether code outside of steps may have replaced arrays (see `StepGraph`).
         managers: All managers by section of the config.
-        single_action_space, single_observation_space: Spaces of one environment; those of all N
-            are `action_space` and `observation_space`.
+        single_action_space: Actions of one environment, as `single_observation_space` has its
+            observations; those of all N are `action_space` and `observation_space`.
 
     Raises:
         ConfigError: If the task is wrong; lists every mistake that can be found.

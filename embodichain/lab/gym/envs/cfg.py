@@ -204,7 +204,7 @@ class CommandCfg(TermCfg):
 
 @configclass
 class CurriculumCfg(TermCfg):
-    """Changes the task as training goes on: ``f(env, env_ids, **params)``, before each reset."""
+    """Changes the task during a training: ``f(env, env_ids, **params)``, before each reset."""
 
 
 @configclass
@@ -237,11 +237,11 @@ class SymmetryCfg:
     Joints that occur in no pair are their own mirror images."""
     opposite: Names = None
     """Joints (regexes) whose mirror image moves in the negative direction."""
-    observations: dict[str, Literal["joints"] | list[Literal[-1, 1]]] = {}
-    """Observation of the group `policy` -> ``joints``: a value for each active joint; or the sign
-    of each column."""
+    observations: dict[str, Literal["joints", "scan"] | list[Literal[-1, 1]]] = {}
+    """Observation of the group `policy` -> ``joints``: a value for each active joint; ``scan``: the
+    heights of a height scan; or the sign of each column."""
     actions: dict[str, Literal["joints"] | list[Literal[-1, 1]]] = {}
-    """Action term -> the same."""
+    """Action term -> ``joints`` or the sign of each column."""
 
 
 @configclass

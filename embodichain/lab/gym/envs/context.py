@@ -168,6 +168,10 @@ class TermContext(ObservedEnv, Protocol):
         """(N, A) float32 action as last given to `step`; zeros after a reset. A copy."""
         ...
 
+    def is_task_success(self) -> torch.Tensor:
+        """(N,) bool: whether the last step, which ends an episode in a reset, was a success."""
+        ...
+
     def read_last_action(self) -> F64:
         """(N, A) action as last given to `step`; do not write to it."""
         ...

@@ -89,8 +89,8 @@ def move_to(
 ) -> Made:
     """One straight line of the tool, or of what is `held`, to a target; else from where it is.
 
-    It fails farther from it than `tolerance`; below 0.02 it comes to rest there. None goes on as
-    soon as the tool was sent there.
+    It fails farther from it than `tolerance`; below 0.02 it comes to rest there. With
+    None it continues as soon as the tool was sent there.
     """
     goal = Goal(to, offset, axes, align=align, symmetry=symmetry, rpy=rpy, held=held, level=True)
     yield make.move(goal, tolerance)

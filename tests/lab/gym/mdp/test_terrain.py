@@ -13,6 +13,7 @@ from embodichain.lab.gym.envs.cfg import (
     CurriculumCfg,
     EnvCfg,
     EventCfg,
+    MetricCfg,
     ObservationCfg,
     TerminationCfg,
 )
@@ -170,6 +171,20 @@ def test_levels_rise_with_distance_and_fall_without() -> None:
     assert {level for found in later for level in found} == {0, 1, 2}
     env.load_state_dict(saved)
     assert [reset_at(env, *[1.5] * 6)[0] for _ in range(6)] == later
+    env.close()
+
+
+def test_by_success_levels_rise_only_with_it_and_fall_without() -> None:
+    """Success is a ball above 0.5 m at the end; one that succeeds near the middle stays."""
+    above = MetricCfg("height", BALL, shape={"above": 0.5}, reduce="last")
+    env = BaseEnv(task(6, curriculum=levels(by="success"), metrics={"success": above}))
+    obs, _ = env.reset(seed=1)
+    assert obs["level"].reshape(-1).tolist() == [0, 0, 0, 1, 1, 1]
+    places = [(1.5, 1.0), (0.7, 1.0), (1.5, 0.3), (1.5, 1.0), (0.7, 1.0), (1.5, 0.3)]
+    put(env, *((d, 0.0, height) for d, height in places))
+    idle(env)
+    obs, _ = env.reset()
+    assert obs["level"].reshape(-1).tolist() == [1, 0, 0, 2, 1, 0]
     env.close()
 
 

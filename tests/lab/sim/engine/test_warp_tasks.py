@@ -3,6 +3,7 @@
 import copy
 import json
 import os
+import re
 from pathlib import Path
 
 import mujoco
@@ -17,6 +18,7 @@ from embodichain.cli import main
 from embodichain.config.composed import list_options
 from embodichain.config.factory import with_warp_sizes
 from embodichain.config.resolved import resolve
+from embodichain.lab.sim.engine import warp_worlds
 from embodichain.recording import simulation, verify
 from embodichain.recording.reenactment import Reenactment
 from embodichain.utils.errors import ConfigError
@@ -150,6 +152,18 @@ def test_memory_is_measured_once_and_written_into_the_config():
     assert with_warp_sizes(sized) is sized
     plain = resolve(["task=cart_pole"])
     assert with_warp_sizes(plain) is plain and plain.tree["sim"]["engine"] == "mujoco"
+
+
+def test_environments_that_diverge_while_memory_is_measured_are_one_warning(caplog, monkeypatch):
+    """A UR10 without a base, which its drives toss about; what is counted is tested above."""
+    counted = {"nconmax": 16, "njmax": 48}
+    monkeypatch.setattr(warp_worlds, "measured_sizes", lambda model, states: counted)
+    free = ["++task.robot.fix_base=false", "seed=1", "sim.engine=warp"]
+    sized = with_warp_sizes(resolve(["task=random_reach", *free]))
+    assert counted.items() <= dict(sized.tree["sim"]["warp"]).items()
+    (told,) = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+    assert re.search(r"sim\.warp: [1-8] of 8 environments diverged in 64 control steps", told)
+    assert "sim.warp.nconmax and sim.warp.njmax" in told
 
 
 def told(capsys, *words):

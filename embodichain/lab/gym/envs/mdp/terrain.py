@@ -7,7 +7,7 @@ the environment's origin. So initial poses and all terms have the same meaning o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -62,8 +62,8 @@ class PlaceTerrain(Term):
 
     Of K columns, environment i is on column i mod K, at level floor(i / K) mod (most + 1) at first,
     where most is `max_init_level`: patches are shared evenly, and nothing depends on the number of
-    environments. Levels change by the curriculum `terrain_levels` only. One who rises above the
-    highest goes on at a random one.
+    environments. Levels change by the curriculum `terrain_levels` only. An environment that
+    rises above the highest continues at a random one.
 
     Args:
         max_init_level: The highest level at the start; None is the highest of the terrain.
@@ -109,15 +109,20 @@ class TerrainLevels(Term):
     """Raises the level of environments whose robot walked far, lowers that of others.
 
     At the end of an episode the distance is that of the entity from the middle of its patch, in the
-    plane. Farther than `promote` is one level up; nearer than `demote` is one down: legged_gym's
-    and Isaac Lab's rule. Its values are the mean level, and that of each kind.
+    plane. By ``distance``, farther than `promote` is one level up, and nearer than `demote` is one
+    down: legged_gym's and Isaac Lab's rule. By ``success``, an episode that is no success of the
+    task is one level down, and one that is and ends farther than `promote` is one up: the rule for
+    commands with turns, where a robot that follows them walks in circles. The values are the mean
+    level, and that of each kind.
 
     Args:
         of: The robot.
         promote: m; None is half the edge of a patch.
         demote: The share of the distance that is expected, below which the level falls. Expected is
-            the commanded speed x `max_episode_steps`, or `promote` without a command.
-        command_name: A command whose first two columns are vx and vy, m/s.
+            the commanded speed x `max_episode_steps`, or `promote` without a command. By success
+            it has no meaning.
+        command_name: A command whose first two columns are vx and vy, m/s; likewise.
+        by: ``distance`` or ``success``.
 
     Example:
         ``{func: terrain_levels, params: {of: {uid: go}, command_name: velocity}}``
@@ -130,6 +135,7 @@ class TerrainLevels(Term):
         promote: Positive | None = None,
         demote: Annotated[float, Field(ge=0, le=1)] = 0.5,
         command_name: PlanarCommand | None = None,
+        by: Literal["distance", "success"] = "distance",
     ) -> None:
         terrain = _terrain(env)
         built = (term.instance for term in env.managers["events"].terms.values())
@@ -138,6 +144,7 @@ class TerrainLevels(Term):
             message = f"needs one event place_terrain, there are {len(places)}"
             raise ConfigError([Problem("", message)])
         self._place, self._of, self._command = places[0], of, command_name
+        self._by_success = by == "success"
         self._far = 0.5 * terrain.size if promote is None else promote
         self._share, self._seconds = demote, env.max_episode_steps * env.step_dt
         names = dict.fromkeys(terrain.kinds)
@@ -157,10 +164,14 @@ class TerrainLevels(Term):
         place, far = self._place, self._far
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         walked = norm(self._of.position()[ids, :2])
-        expected: Any = far
-        if self._command is not None:
-            expected = norm(self._command()[ids, :2]) * self._seconds
-        up, down = walked > far, walked < self._share * expected
+        if self._by_success:
+            success = env.arrays.of(env.is_task_success())[ids]
+            up, down = success & (walked > far), ~success
+        else:
+            expected: Any = far
+            if self._command is not None:
+                expected = norm(self._command()[ids, :2]) * self._seconds
+            up, down = walked > far, walked < self._share * expected
         began = env.arrays.of(env.elapsed_steps)[ids] > 0
         change = np.where(up, 1, np.where(down, -1, 0)) * began
         place.level[ids] = np.maximum(place.level[ids] + change, 0)
