@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import arms
+from benchmarks import arms, memory
 from benchmarks.arms import Arm
 from benchmarks.learners import DUMMY, LOOP, OURS, TRAIN
 from benchmarks.medians import sure
@@ -169,10 +169,21 @@ def test_the_plain_task_computes_what_the_yaml_task_does():
 
 
 def test_memory(tmp_path):
-    table, facts = run_apart("memory", "--sizes", "1", "3", out=tmp_path / "m.json")
+    table, facts = run_apart("memory", "--sizes", "3", out=tmp_path / "m.json")
     for found in facts["bytes"].values():
-        assert found["3"]["peak"] > found["1"]["imported"] > 0
+        assert found["3"]["peak"] > found["3"]["imported"] > 0
     assert table.count("| 3 |") == len(facts["bytes"])
+
+
+def test_memory_of_an_environment_is_what_others_add_to_the_first_size():
+    sizes = {
+        "1": {"persistent": True, "running": 100 * 2**20, "peak": 110 * 2**20},
+        "5": {"persistent": True, "running": 102 * 2**20, "peak": 120 * 2**20},
+    }
+    *_, first, second = memory.report({"bytes": {"mine": sizes}}).splitlines()
+    assert first.split() == "| mine | 1 | each | 100 | 110 | |".split()
+    # 2 MiB more for 4 more of them
+    assert second.split() == "| mine | 5 | each | 102 | 120 | 512.0 |".split()
 
 
 @pytest.mark.slow
