@@ -181,9 +181,9 @@ def test_memory_of_an_environment_is_what_others_add_to_the_first_size():
         "5": {"persistent": True, "running": 102 * 2**20, "peak": 120 * 2**20},
     }
     *_, first, second = memory.report({"bytes": {"mine": sizes}}).splitlines()
-    assert first.split() == "| mine | 1 | each | 100 | 110 | |".split()
+    assert first.replace(" ", "") == "|mine|1|each|100|110||"
     # 2 MiB more for 4 more of them
-    assert second.split() == "| mine | 5 | each | 102 | 120 | 512.0 |".split()
+    assert second.replace(" ", "") == "|mine|5|each|102|120|512.0|"
 
 
 @pytest.mark.slow
