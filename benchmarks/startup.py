@@ -38,6 +38,7 @@ def main() -> None:
     """Measure every command in turns and print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--cold", action="store_true", help="without a first round to warm up")
     parser.add_argument("--task", default="random_reach")
     parser.add_argument("--out", type=Path, help="JSON file for the figures")
     options = parser.parse_args()
@@ -54,7 +55,7 @@ def main() -> None:
             "embodichain list tasks": [*embodichain, "list", "tasks"],
             "embodichain --help": [*embodichain, "--help"],
         }
-        seconds = measure(commands, options.rounds, folder)
+        seconds = measure(commands, options.rounds, folder, options.cold)
     facts = {"rounds": options.rounds, "task": options.task, "cpu_seconds": seconds}
     print(report(facts))
     if options.out:
@@ -73,13 +74,13 @@ def report(facts: dict[str, Any]) -> str:
 
 
 def measure(
-    commands: dict[str, list[str]], rounds: int, folder: str | Path
+    commands: dict[str, list[str]], rounds: int, folder: str | Path, cold: bool = False
 ) -> dict[str, list[float]]:
-    """CPU seconds of every command in every round; a first round only warms the disk's cache."""
+    """CPU seconds of every command in every round, after one that warms the disk's cache."""
     order = random.Random(0)
     seconds: dict[str, list[float]] = {name: [] for name in commands}
     environment = {**os.environ, **ONE_THREAD}
-    for number in range(rounds + 1):
+    for number in range(cold, rounds + 1):
         for name in order.sample(list(commands), len(commands)):
             before = os.times()
             done = subprocess.run(

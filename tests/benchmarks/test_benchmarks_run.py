@@ -1,14 +1,16 @@
 """The benchmark scripts run, with sizes that measure nothing."""
 
 import json
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-from benchmarks import arms
+from benchmarks import arms, memory
 from benchmarks.arms import Arm
 from benchmarks.learners import DUMMY, LOOP, OURS, TRAIN
 from benchmarks.medians import sure
@@ -21,16 +23,31 @@ pytestmark = pytest.mark.unmeasured
 REPO = Path(__file__).parents[2]
 
 
-def run(module, *arguments, out):
+def run_apart(module, *arguments, out):
+    """In a process of its own: what starts processes itself, or measures its own."""
     command = [sys.executable, "-m", f"benchmarks.{module}", *arguments, "--out", str(out)]
     done = subprocess.run(command, cwd=REPO, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
     return done.stdout, json.loads(out.read_text())
 
 
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Executes `python -m benchmarks.MODULE` in this process, where torch is imported already."""
+    threads = torch.get_num_threads()
+
+    def execute(module, *arguments, out):
+        monkeypatch.setattr(sys, "argv", [module, *arguments, "--out", str(out)])
+        runpy.run_module(f"benchmarks.{module}", run_name="__main__", alter_sys=True)
+        return capsys.readouterr().out, json.loads(out.read_text())
+
+    yield execute
+    torch.set_num_threads(threads)
+
+
 def test_step_speed(tmp_path):
-    table, facts = run(
-        "step_speed", "--rounds=1", "--sizes", "2", "--log-sizes", "2", "--seconds=0",
+    table, facts = run_apart(
+        "step_speed", "--rounds=1", "--sizes", "1", "--log-sizes", "1", "--seconds=0",
         "--episode=3", out=tmp_path / "raw.json",
     )  # fmt: skip
     arms = {result["name"]: result for result in facts["results"]}
@@ -42,7 +59,7 @@ def test_step_speed(tmp_path):
     assert "host" not in facts["machine"]
 
 
-def test_small_batches(tmp_path):
+def test_small_batches(run, tmp_path):
     table, facts = run(
         "small_batches", "--rounds=1", "--steps=4", "--sizes", "1", "2", "--large=4",
         out=tmp_path / "raw.json",
@@ -52,7 +69,7 @@ def test_small_batches(tmp_path):
     assert "speed over DummyVecEnv" in table and "reach at N=4 over the floor" in table
 
 
-def test_action_cost(tmp_path):
+def test_action_cost(run, tmp_path):
     table, facts = run(
         "action_cost", "--rounds=1", "--calls=4", "--sizes", "1", "3", out=tmp_path / "raw.json"
     )
@@ -63,7 +80,7 @@ def test_action_cost(tmp_path):
     assert "| eef_pose, world, rpy |" in table
 
 
-def test_inverse_kinematics(tmp_path):
+def test_inverse_kinematics(run, tmp_path):
     table, facts = run("ik", "--poses=20", "--peer=5", out=tmp_path / "raw.json")
     assert [one["closed_form"] for one in facts] == [True, True, False, False, False]
     assert all(one["restarts_success"] >= 0.9 for one in facts)
@@ -72,7 +89,7 @@ def test_inverse_kinematics(tmp_path):
     assert "| panda |" in table and "| ur10, closed form |" in table
 
 
-def test_log_cost(tmp_path):
+def test_log_cost(run, tmp_path):
     table, facts = run(
         "log_cost", "--pairs=3", "--case", "2", "4", "--case", "3", "1", "--seconds=0",
         "--episode=3", out=tmp_path / "raw.json",
@@ -95,14 +112,14 @@ def test_how_sure_a_median_is():
     assert sure([1.0, 2.0, 3.0]) == (1.0, 3.0)
 
 
-def test_step_profile_accounts_for_every_part(tmp_path):
+def test_step_profile_accounts_for_every_part(run, tmp_path):
     _, facts = run("step_profile", "--rounds=1", "--sizes", "2", "--seconds=0", out=tmp_path / "p")
     parts = facts["microseconds"]["2"]
     # Every part of random_reach's step is called, so a part that was renamed shows as 0.
     assert all(value > 0 for name, value in parts.items() if name != "the rest of step()")
 
 
-def test_randomization(tmp_path):
+def test_randomization(run, tmp_path):
     table, facts = run(
         "randomization", "--rounds=1", "--sizes", "2", "--seconds=0", "--episode=4",
         out=tmp_path / "raw.json",
@@ -111,7 +128,7 @@ def test_randomization(tmp_path):
     assert table.count("| N=2, ") == 2
 
 
-def test_train(tmp_path):
+def test_train(run, tmp_path):
     table, facts = run(
         "train", "--rounds=1", "--seeds=1", "--rollouts=1", "--envs=8", "--limit=64",
         out=tmp_path / "t.json",
@@ -152,15 +169,26 @@ def test_the_plain_task_computes_what_the_yaml_task_does():
 
 
 def test_memory(tmp_path):
-    table, facts = run("memory", "--sizes", "1", "600", out=tmp_path / "m.json")
+    table, facts = run_apart("memory", "--sizes", "3", out=tmp_path / "m.json")
     for found in facts["bytes"].values():
-        assert found["600"]["peak"] > found["1"]["imported"] > 0
-    assert table.count("| 600 |") == len(facts["bytes"])
+        assert found["3"]["peak"] > found["3"]["imported"] > 0
+    assert table.count("| 3 |") == len(facts["bytes"])
+
+
+def test_memory_of_an_environment_is_what_others_add_to_the_first_size():
+    sizes = {
+        "1": {"persistent": True, "running": 100 * 2**20, "peak": 110 * 2**20},
+        "5": {"persistent": True, "running": 102 * 2**20, "peak": 120 * 2**20},
+    }
+    *_, first, second = memory.report({"bytes": {"mine": sizes}}).splitlines()
+    assert first.replace(" ", "") == "|mine|1|each|100|110||"
+    # 2 MiB more for 4 more of them
+    assert second.replace(" ", "") == "|mine|5|each|102|120|512.0|"
 
 
 @pytest.mark.slow
 def test_startup(tmp_path):
-    _, facts = run("startup", "--rounds=1", out=tmp_path / "s.json")
+    _, facts = run_apart("startup", "--rounds=1", "--cold", out=tmp_path / "s.json")
     assert len(facts["cpu_seconds"]["embodichain run, to its first step"]) == 1
 
 

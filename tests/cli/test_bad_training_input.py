@@ -140,7 +140,7 @@ def test_a_full_disk_while_training(run, capsys):
     assert wanted in done.stderr and done.stderr.count("error: ") == 1
     assert not list(folder.rglob("*.zip")) and not list(folder.rglob(".*"))
     assert files(run) == before
-    assert command(*lines).returncode == 0  # with room again
+    assert main(list(lines)) == 0  # with room again
 
 
 def test_a_full_disk_after_a_checkpoint_says_how_to_go_on(tmp_path, monkeypatch, capsys):

@@ -92,6 +92,7 @@ def test_more_later_into_the_same_folder(collection: Path) -> None:
     assert (folder / "config.yaml").read_text() == config
 
 
+@pytest.mark.unmeasured
 def test_a_killed_collection_goes_on(collection: Path) -> None:
     words = [*REACH, "episodes=4", "num_envs=2"]
     command = [sys.executable, "-m", "embodichain", "collect", *words]

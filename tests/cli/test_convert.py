@@ -1,4 +1,4 @@
-"""`convert` and `run --gym-config`, as people use them: in processes of their own."""
+"""`convert` and `run --gym-config`; the smallest config also in processes of their own."""
 
 import json
 import shutil
@@ -50,23 +50,30 @@ def test_convert_validate_run(
     source = Path(shutil.copy(CONFIGS / name, "."))
     shutil.copy(CONFIGS / "a_hand.urdf", ".")
     before = source.read_bytes()
-    converted = embodichain("convert", name, "-o", "conf/task/mine.yaml")
-    assert converted.returncode == 0, converted.stderr
-    assert "still wrong" not in converted.stderr
+
+    def call(*arguments: str) -> tuple[str, str]:
+        if name == "cart_pole.json":
+            done = embodichain(*arguments)
+            assert done.returncode == 0, done.stderr
+            return done.stdout, done.stderr
+        assert main(list(arguments)) == 0
+        said = capsys.readouterr()
+        return said.out, said.err
+
+    assert "still wrong" not in call("convert", name, "-o", "conf/task/mine.yaml")[1]
     assert main(["validate", "conf/task/mine.yaml"]) == 0
     assert capsys.readouterr().out == "conf/task/mine.yaml: ok\n"
     values = ("num_envs=2", "max_steps=5", "seed=1", "record=none", "--json")
-    theirs = embodichain("run", "--gym-config", name, *values)
-    assert theirs.returncode == 0, theirs.stderr
+    out, err = call("run", "--gym-config", name, *values)
     assert main(["run", "task=mine", *values]) == 0
-    first, second = json.loads(theirs.stdout), json.loads(capsys.readouterr().out)
+    first, second = json.loads(out), json.loads(capsys.readouterr().out)
     assert (first["control_steps"], first["diverged"]) == (5, 0)
     for key in ("control_steps", "return", "terminated", "diverged", "rewards"):
         assert first[key] == second[key]
     assert source.read_bytes() == before
     folder = Path(first["folder"])
     assert yaml.safe_load((folder / "config.yaml").read_text())["gym_config"] == name
-    assert (folder / "run.log").read_text().count("WARNING") >= theirs.stderr.count("warning: ") > 0
+    assert (folder / "run.log").read_text().count("WARNING") >= err.count("warning: ") > 0
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from embodichain.lab.gym.envs.managers.registry import KINDS
 HEAVY = {"torch", "tensordict", "stable_baselines3"}
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize(
     ("arguments", "light"),
     [

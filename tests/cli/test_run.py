@@ -104,6 +104,7 @@ def test_its_log_is_read_and_verified(finished, embodichain) -> None:
     assert verified.stdout == "verified: 15 steps of 2 environments are identical to the bit\n"
 
 
+@pytest.mark.unmeasured
 def test_same_seed_same_run(finished, embodichain, tmp_path: Path) -> None:
     """Without a log and with the closing table this time: neither changes what happens."""
     done, _ = finished
@@ -132,7 +133,7 @@ def test_hydras_run_dir_is_the_run_folder(tmp_path: Path, capsys) -> None:
 
 
 def test_sweep_runs_each_value_in_its_own_folder(embodichain, tmp_path: Path) -> None:
-    swept = ("run", "-m", *TINY[:3], "seed=0,1", "record=none", "--json")
+    swept = ("run", "-m", *TINY[:3], "seed=0,1", "record=none", "hydra/launcher=basic", "--json")
     done = embodichain(*swept, "episodes=1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     summaries = [json.loads(line) for line in done.stdout.splitlines()]
@@ -183,7 +184,9 @@ def started(tmp_path: Path):
             process.communicate()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.unmeasured)]
+)
 def test_interrupted_run_finishes_its_log(started, embodichain, tmp_path: Path, number) -> None:
     process, log = started()
     process.send_signal(number)
@@ -200,6 +203,7 @@ def test_interrupted_run_finishes_its_log(started, embodichain, tmp_path: Path, 
     assert data["steps"] == summary["control_steps"]
 
 
+@pytest.mark.unmeasured  # tests/learning/test_resume.py measures a training that a signal ends
 def test_interrupted_training_keeps_what_it_learned(tmp_path: Path) -> None:
     words = ("task=reach", "num_envs=4", "algo.n_steps=8", "algo.batch_size=16")
     process = subprocess.Popen(
@@ -225,6 +229,7 @@ def test_interrupted_training_keeps_what_it_learned(tmp_path: Path) -> None:
     assert (folder_of(tmp_path) / summary["checkpoint"]).is_file()
 
 
+@pytest.mark.unmeasured  # what a killed process has measured is lost
 def test_killed_run_leaves_a_log_that_reads_up_to_its_end(
     started, embodichain, tmp_path: Path
 ) -> None:

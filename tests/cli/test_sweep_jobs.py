@@ -130,6 +130,7 @@ def test_a_failed_job_is_shown_and_the_others_are_named(
     assert np.array_equal(learned(job), learned(reference / "0"))
 
 
+@pytest.mark.unmeasured
 def test_a_drawn_seed_is_kept(tmp_path: Path) -> None:
     search = ("algo.gamma=0.9,0.95", "total_timesteps=32", "eval.episodes=0", "--quiet")
     assert sweep(tmp_path, *search) == 0

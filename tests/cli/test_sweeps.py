@@ -34,7 +34,7 @@ def test_a_search_finds_the_best_of_its_trials(
 ) -> None:
     search = ("hydra/sweeper=optuna", "hydra.sweeper.n_trials=3", "hydra.sweeper.sampler.seed=1")
     space = ("algo.learning_rate=tag(log,interval(1e-4,1e-1))", "~task.metrics.success")
-    arguments = (*TINY, "seed=3", *space, f"output_dir={tmp_path}")
+    arguments = (*TINY, "seed=3", *space, "hydra/launcher=basic", f"output_dir={tmp_path}")
     assert main(["train", "-m", *search, *arguments]) == 0
     found = jobs(tmp_path)
     assert sorted(found) == ["0", "1", "2"]

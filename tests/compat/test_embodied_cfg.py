@@ -287,6 +287,7 @@ def test_a_registered_class_takes_it(build):
     env.close()
 
 
+@pytest.mark.unmeasured
 def test_the_tutorials_script_runs():
     env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run(

@@ -34,6 +34,7 @@ def python(code: str) -> str:
 # -- when the ids exist ----------------------------------------------------------------------------
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize(
     "imports",
     [

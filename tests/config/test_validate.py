@@ -85,6 +85,7 @@ def test_files_that_are_no_config(text: str | None, says: str, empty_cwd: Path) 
     assert str(problem).startswith(says)
 
 
+@pytest.mark.unmeasured
 def test_checking_needs_no_torch() -> None:
     code = (
         "import sys\n"

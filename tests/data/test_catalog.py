@@ -85,6 +85,7 @@ def test_the_catalogue_of_the_tests_covers_example_robot_data():
     assert REPAIRED.keys() <= LOADABLE.keys()
 
 
+@pytest.mark.unmeasured
 def test_listing_imports_neither_torch_nor_mujoco():
     code = (
         "import sys; from embodichain.data import list_robots; list_robots(); "

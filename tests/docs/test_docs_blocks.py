@@ -4,14 +4,13 @@ A Python block below ``<!-- from FILE -->`` is a part of that file, which anothe
 """
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
 from embodichain.config import resolve
+from tests.helpers.code_blocks import run_forked
 
 pytestmark = pytest.mark.unmeasured
 
@@ -39,10 +38,17 @@ ALONE = re.compile(r"^(?!.*outputs/latest)", re.DOTALL)  # the others need a run
 
 @pytest.mark.parametrize("code", [code for code in blocks("python") if ALONE.match(code.values[0])])
 def test_python_runs(code, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=200
-    )
-    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "block"
+    folder.mkdir()
+    status, said = run_forked(code, folder)
+    assert status == 0, said
+
+
+def test_a_block_that_fails_shows_its_traceback(tmp_path):
+    folder = tmp_path / "block"
+    folder.mkdir()
+    status, said = run_forked("import torch\n\nraise ValueError('mine')", folder)
+    assert status == 1 and 'block.py", line 3' in said and "ValueError: mine" in said
 
 
 @pytest.mark.parametrize(("text", "page"), blocks("yaml", with_page=True))

@@ -108,6 +108,7 @@ print(json.dumps([action.tolist(), json.loads(meta)["task"]]))
 """
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("form", FORMATS)
 def test_file_is_used_without_us(saved, tmp_path, form):
     path, model, vec_env = saved()

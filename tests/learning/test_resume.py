@@ -252,6 +252,7 @@ def resume(*overrides):
     return json.loads(done.stdout)
 
 
+@pytest.mark.unmeasured
 def test_killed_and_resumed_equals_uninterrupted(tmp_path, monkeypatch):
     monkeypatch.chdir(folder(tmp_path, "here"))
     process = start(*SMALL, "total_timesteps=1_000_000", "checkpoint.every_steps=32", "--quiet")
@@ -271,7 +272,9 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path, monkeypatch):
     np.testing.assert_array_equal(everything(Path(summary["folder"])), everything(whole))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.unmeasured)]
+)
 def test_signals_write_a_checkpoint_and_end_with_130(tmp_path, monkeypatch, number):
     monkeypatch.chdir(folder(tmp_path, "here"))
     process = start(*SMALL, "total_timesteps=1_000_000", "checkpoint.every_steps=32", "--quiet")

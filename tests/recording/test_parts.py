@@ -273,6 +273,7 @@ for step in range(1000):
 """
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("moment", ["new", "manifest"])
 def test_killed_while_it_rolls_it_is_readable(tmp_path, moment):
     done = subprocess.run(
@@ -299,6 +300,7 @@ def test_killed_while_it_rolls_it_is_readable(tmp_path, moment):
     assert saved.steps == summary.steps
 
 
+@pytest.mark.unmeasured
 def test_another_process_reads_what_is_there_while_it_grows(tmp_path):
     code = (
         "import sys\n"

@@ -232,6 +232,7 @@ def test_models_that_hide_state_are_marked(record, option):
     assert why_unverifiable(MODEL, "all") == ""
 
 
+@pytest.mark.unmeasured
 def test_verifies_in_another_process_from_an_empty_folder(record, tmp_path):
     folder = tmp_path / "elsewhere"
     folder.mkdir()

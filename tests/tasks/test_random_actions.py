@@ -11,11 +11,16 @@ pytestmark = pytest.mark.unmeasured
 
 TASKS = list_options("task")
 ENVIRONMENTS, STEPS = 50, 10_000
+CAMERAS = {"lift_vision": ("room", "wrist"), "reach_vision": ("front", "side")}
+"""They move nothing, and drawing their pictures takes most of the time."""
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_ten_thousand_steps_of_random_actions_do_not_diverge(task):
-    env = embodichain.make(task, num_envs=ENVIRONMENTS, overrides=["seed=0"])
+    without = [
+        f"~task.{of}.{c}" for c in CAMERAS.get(task, ()) for of in ("sensors", "observations")
+    ]
+    env = embodichain.make(task, num_envs=ENVIRONMENTS, overrides=["seed=0", *without])
     obs, _ = env.reset()
     reached = np.zeros_like(env.single_action_space.low), np.zeros_like(env.single_action_space.low)
     for _ in range(STEPS // ENVIRONMENTS):

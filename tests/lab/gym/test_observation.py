@@ -107,6 +107,7 @@ def test_an_overriding_hook_gets_what_was_observed_before_it(make_env):
     np.testing.assert_array_equal(flat(obs)[:, :18], flat(expected))
 
 
+@pytest.mark.unmeasured
 def test_stepping_imports_neither_tensordict_nor_dynamo():
     code = (
         "import sys, torch, embodichain; env = embodichain.make('reach');"

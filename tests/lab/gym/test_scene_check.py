@@ -271,6 +271,7 @@ def test_what_mujoco_refuses_in_the_end_is_a_problem_too():
     assert problem.message.startswith("MuJoCo cannot compile the scene: ")
 
 
+@pytest.mark.unmeasured
 def test_checking_a_scene_imports_no_torch():
     code = (
         "import sys\n"

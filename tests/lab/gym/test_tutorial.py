@@ -92,6 +92,7 @@ def test_our_own_script_says_that_cuda_is_not_there(run_own):
         run_own("--headless --device cuda")
 
 
+@pytest.mark.unmeasured
 def test_our_own_script_runs_as_a_process():
     done = _run(OWN, "--headless --num_envs 2")
     assert done.returncode == 0, done.stderr

@@ -60,6 +60,7 @@ def test_every_parameter_of_a_builtin_term_is_typed() -> None:
                 assert name in hints
 
 
+@pytest.mark.unmeasured
 def test_listing_terms_imports_neither_torch_nor_mujoco() -> None:
     script = (
         "from embodichain.lab.gym.envs.managers import TERMS\n"

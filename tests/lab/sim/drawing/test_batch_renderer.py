@@ -118,6 +118,7 @@ def test_a_field_of_one_environment_changes_its_picture_alone(engine, renderer, 
     assert (before[3] != after[3]).any()
 
 
+@pytest.mark.unmeasured
 def test_pictures_of_another_process_are_the_same(engine, renderer, tmp_path):
     state = tmp_path / "qpos.npy"
     np.save(state, engine.state("qpos"))
@@ -167,6 +168,7 @@ def test_what_memory_has_no_room_for_is_refused(engine, renderer, size, look, co
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**16  # KiB
 
 
+@pytest.mark.unmeasured
 def test_renderers_that_are_closed_leave_no_memory():
     code = f"""
 import sys; sys.path.insert(0, {os.fspath(Path(__file__).parent)!r})

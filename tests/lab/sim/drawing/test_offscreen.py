@@ -259,6 +259,7 @@ renderer.pictures(engine, "front", (64, 48))
     assert "ignored" not in done.stderr
 
 
+@pytest.mark.unmeasured
 def test_nothing_loads_opengl_until_something_draws():
     script = """
 import sys

@@ -79,6 +79,7 @@ def test_a_forked_process_is_refused_and_ends():
 SCENE = "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"
 
 
+@pytest.mark.unmeasured
 @pytest.mark.parametrize("last", ["", "renderer.close()", "del renderer", "fork()", "1 / 0"])
 def test_the_process_ends(last):
     """With an open renderer, a closed one, one that is garbage, a fork, and an exception."""

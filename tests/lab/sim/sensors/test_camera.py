@@ -201,6 +201,7 @@ def test_a_reading_stays_until_something_changes(scene):
     assert [bool((moved[i] != first[i]).any()) for i in range(3)] == [False, True, False]
 
 
+@pytest.mark.unmeasured
 def test_a_camera_that_is_not_read_loads_no_opengl():
     script = """
         import sys

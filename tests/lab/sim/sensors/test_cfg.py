@@ -72,6 +72,7 @@ def test_a_wrong_config_is_refused_with_what_exists(given, path, match):
     assert [p.path for p in error.value.problems] == [path]
 
 
+@pytest.mark.unmeasured
 def test_configs_need_neither_torch_nor_mujoco():
     code = (
         "import sys; from embodichain.lab.sim.sensors import ContactSensorCfg, ImuSensorCfg; "
