@@ -64,11 +64,14 @@ def same_log_columns(run):
 @pytest.mark.parametrize(
     "algo",
     [
-        PPO,
+        pytest.param(PPO, marks=pytest.mark.unmeasured),
         (*PPO, *BOTH),
-        (*PPO, "algo.use_sde=true", "algo.learning_rate=lin_1e-3"),
-        A2C,
-        (*A2C, *BOTH),
+        pytest.param(
+            (*PPO, "algo.use_sde=true", "algo.learning_rate=lin_1e-3"),
+            marks=pytest.mark.unmeasured,
+        ),
+        pytest.param(A2C, marks=pytest.mark.unmeasured),
+        pytest.param((*A2C, *BOTH), marks=pytest.mark.unmeasured),
         (*LSTM, *BOTH),
     ],
     ids=["ppo", "ppo-normalized", "ppo-sde-schedule", "a2c", "a2c-normalized", "recurrent"],
