@@ -4,6 +4,7 @@ Coverage adds half to the CPU time of a test. Tests of whole pages, of benchmark
 whose lines the tests of single modules cover, are marked `unmeasured`.
 """
 
+import gc
 import os
 import sys
 import threading
@@ -20,6 +21,12 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 # xdist sets it, and tables would be folded to it: commands are tested as in a pipe.
 os.environ.pop("COLUMNS", None)
+
+
+def pytest_collection_finish() -> None:
+    """Spares the garbage collector what stays until the end: modules and thousands of tests."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)
