@@ -34,7 +34,7 @@ EXTRAS = {
     "wandb": ("trainings in Weights & Biases", "wandb"),
     "sweep": (
         "sweeps in parallel, and searches with Optuna",
-        *("hydra-joblib-launcher", "hydra-optuna-sweeper", "alembic", "sqlalchemy"),
+        *("hydra-joblib-launcher", "hydra-optuna-sweeper", "joblib", "alembic", "sqlalchemy"),
     ),
     "slurm": ("sweeps on Slurm: hydra/launcher=slurm", "submitit"),
     "ray": ("many machines: sim.backend=ray, hydra/launcher=ray", "ray", "cloudpickle"),

@@ -61,7 +61,7 @@ class Move(Instruction):
     """Moves the tool along a straight line, at a share of the largest speed.
 
     `tolerance` is how near the measured pose must come to the goal, in metres, at rest if it is
-    below `EXACT`; With None it continues as soon as the goal was asked for.
+    below `EXACT`; with None it continues as soon as the goal was asked for.
     """
 
     goal: Goal
