@@ -71,7 +71,7 @@ def _resolved(path: Path, lines: list[str]) -> Resolved:
         raise ConfigError(f"values are given as key=value: {', '.join(bare)}")
     changes = parsed_changes(lines, (*MAY_CHANGE, "seed", "task"), "an augmented collection")
     if "resume" in changes:
-        raise ConfigError("an augmented collection continues by embodichain collect resume=FOLDER")
+        raise ConfigError("to continue an augmented collection: embodichain collect resume=FOLDER")
     with RecordedLog(path) as log:
         tree, task = dict(log.config), log.task
     if "task" not in tree:

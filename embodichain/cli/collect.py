@@ -245,7 +245,7 @@ def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
         "finished": "complete",
         "max_steps": "max_steps reached",
         "gave_up": "gave up: too many failures in a row",
-        "interrupted": f"interrupted ({summary['signal']}); resume by resume={summary['folder']}",
+        "interrupted": f"interrupted ({summary['signal']}); continue: resume={summary['folder']}",
     }
     share = summary["yield"]
     rows: list[tuple[str, Any]] = [

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from embodichain.config import resolve
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import (
     CurriculumCfg,
@@ -164,7 +165,7 @@ def test_levels_rise_with_distance_and_fall_without() -> None:
         "level/stairs": 0.0,
     }
     saved = env.state_dict()
-    # Environment 3 is at the highest level: it goes on at one that is drawn.
+    # Environment 3 is at the highest level: it continues at one that is drawn.
     later = [reset_at(env, *[1.5] * 6)[0] for _ in range(6)]
     assert [found[1] for found in later[:2]] == [1, 2]
     assert len({found[3] for found in later}) > 1
@@ -230,6 +231,14 @@ def test_a_part_of_a_batch_is_on_the_patches_of_the_whole() -> None:
 def test_what_does_not_fit_is_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         BaseEnv(task(2, **changes))
+
+
+@pytest.mark.parametrize(("name", "value"), [("demote", "0.5"), ("command_name", "velocity")])
+def test_parameters_of_the_other_rule_are_refused(name: str, value: str) -> None:
+    given = f"+task.curriculum.level.params.{name}={value}"
+    words = rf"curriculum\.level\.params\.{name}: has no meaning with by: success"
+    with pytest.raises(ConfigError, match=words):
+        resolve(["task=quadruped_rough", given])
 
 
 def test_terms_need_a_terrain() -> None:

@@ -119,8 +119,8 @@ class TerrainLevels(Term):
         of: The robot.
         promote: m; None is half the edge of a patch.
         demote: The share of the distance that is expected, below which the level falls. Expected is
-            the commanded speed x `max_episode_steps`, or `promote` without a command. By success
-            it has no meaning.
+            the commanded speed x `max_episode_steps`, or `promote` without a command. Not to be
+            given by success.
         command_name: A command whose first two columns are vx and vy, m/s; likewise.
         by: ``distance`` or ``success``.
 
@@ -153,11 +153,15 @@ class TerrainLevels(Term):
 
     @classmethod
     def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
-        """Return mistakes that depend on the whole task: whether an event places the terrain."""
+        """Return mistakes that depend on the whole task, and parameters without a meaning."""
+        given = [name for name in ("demote", "command_name") if name in params]
+        message = "has no meaning with by: success; remove it"
+        by_success = params.get("by") == "success"
+        problems = [Problem(name, message) for name in given if by_success]
         count = sum(event.func == "place_terrain" for event in task.events.values())
-        if count == 1:
-            return []
-        return [Problem("", f"needs one event place_terrain, there are {count}")]
+        if count != 1:
+            problems.append(Problem("", f"needs one event place_terrain, there are {count}"))
+        return problems
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> Mapping[str, float]:
         """Change the levels of environments whose episodes end."""
