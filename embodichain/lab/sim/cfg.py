@@ -47,6 +47,7 @@ __all__ = [
     "RigidBodyAttributesCfg",
     "RigidObjectCfg",
     "RobotCfg",
+    "SelfCollisionCfg",
     "SimulationManagerCfg",
     "SolverCfg",
     "URDFCfg",
@@ -275,6 +276,19 @@ class CollisionShapeCfg(ObjectBaseCfg):
 
 
 @configclass
+class SelfCollisionCfg:
+    """Pairs of links that collide, or do not, whatever the rule of the robot's file is.
+
+    An entry is two link regexes. `include` is stronger than `exclude`.
+    """
+
+    exclude: list[tuple[str, str]] = dataclasses.field(default_factory=list)
+    """Pairs that do not collide with each other."""
+    include: list[tuple[str, str]] = dataclasses.field(default_factory=list)
+    """Pairs that do, even if the rule, `disable_self_collision` or `exclude` leaves them out."""
+
+
+@configclass
 class ArticulationCfg(ObjectBaseCfg):
     """A jointed mechanism read from a URDF or MJCF file."""
 
@@ -288,7 +302,10 @@ class ArticulationCfg(ObjectBaseCfg):
     and inertia come from the file."""
     fix_base: bool = True
     """Whether the root is fixed (overrides the file); False gives it a free joint."""
-    disable_self_collision: bool = True
+    disable_self_collision: bool = False
+    """Whether no links collide with each other. EmbodiChain's default is True; here an MJCF decides
+    for itself, and links of a URDF collide, except for parent and child and for links that overlap
+    at the start."""
     init_qpos: Any = None
     """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else zeros
     clamped to the limits. With `attach`, a list may give those of the robot's own file alone."""
@@ -323,6 +340,10 @@ class ArticulationCfg(ObjectBaseCfg):
         default_factory=dict, kw_only=True
     )
     """Joint regex -> position (rad or m) at which joints of a URDF are fixed, no longer joints."""
+    self_collision: SelfCollisionCfg = dataclasses.field(
+        default_factory=SelfCollisionCfg, kw_only=True
+    )
+    """Pairs of links that collide, or do not, instead of what the rule of the file says."""
 
 
 @configclass

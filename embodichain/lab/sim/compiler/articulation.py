@@ -43,6 +43,8 @@ from embodichain.lab.sim.compiler.robot_joints import (
     resolve_qpos,
 )
 from embodichain.lab.sim.compiler.robot_links import (
+    RobotModel,
+    Tool,
     add_attachments,
     add_tools,
     check_attachments,
@@ -50,6 +52,11 @@ from embodichain.lab.sim.compiler.robot_links import (
     prepare_file,
     resolve_tools,
     set_root,
+)
+from embodichain.lab.sim.compiler.self_collision import (
+    LinkOrigins,
+    SelfCollision,
+    set_self_collision,
 )
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_conjugate, quat_rotate
@@ -103,6 +110,7 @@ class ParsedArticulation:
         init_act: (K,) initial activations, in the order of its actuators.
         keyframe: The file's keyframe, for the root and ball joints, or None.
         attached_options: Path of each attached file, and an empty model with its physics options.
+        self_collision: Which of its links collide with each other.
         notes: Messages for the user about the file, one line each.
     """
 
@@ -145,6 +153,7 @@ class ParsedArticulation:
     init_act: F64
     keyframe: Keyframe | None
     attached_options: tuple[tuple[str, mujoco.MjSpec], ...]
+    self_collision: SelfCollision
     notes: tuple[str, ...]
 
     @property
@@ -261,6 +270,13 @@ def parse_with_problems(
             body.simple = 0  # its centre of mass may move: see `add_object`
         spec, root = set_root(file.spec, cfg.fix_base)
         model = compile_quietly(spec)
+        collision = SelfCollision()
+        if not problems:
+            origins = _origins(cfg, robot, root, tools)
+            start = _start(model, qpos, keyframe)
+            collision, problems, changed = set_self_collision(spec, model, cfg, origins, start)
+            model = compile_quietly(spec) if changed else model
+            notes += [f"{file.path}: {note}" for note in [collision.note()] if note]
         added = np.zeros(len(joints.names))
         if step is not None and not problems:
             added, said = _quieten(spec, model, joints.names, gains, qpos, parts, step, changes)
@@ -318,10 +334,35 @@ def parse_with_problems(
             init_act=init_act,
             keyframe=keyframe,
             attached_options=robot.attached_options,
+            self_collision=collision,
             notes=tuple(notes),
         ),
         problems,
     )
+
+
+def _origins(
+    cfg: ArticulationCfg, robot: RobotModel, root: str, tools: Mapping[str, Tool]
+) -> LinkOrigins:
+    """Return which file each link is from; the world of a file is the root, if one was added."""
+    model = robot.model
+    links = [model.body(i).name for i in range(model.nbody)]
+    static: set[str] = set()
+    if cfg.fix_base:
+        static = {links[i] for i in np.flatnonzero(model.body_weldid == 0).tolist()}
+        static |= set() if root in links else {root}
+    added = {*cfg.attachments, *(tool.link for tool in tools.values() if tool.pose is not None)}
+    return LinkOrigins(robot.is_urdf, added, static)
+
+
+def _start(model: mujoco.MjModel, qpos: F64, keyframe: Keyframe | None) -> F64:
+    """Return (nq,) positions of all joints at the start, the root where the file has it."""
+    start = model.qpos0.copy()
+    start[model.jnt_qposadr[movable_joints(model)]] = qpos
+    for name, (quat, _) in (keyframe.balls if keyframe is not None else {}).items():
+        first = int(model.joint(name).qposadr[0])
+        start[first : first + 4] = quat
+    return start
 
 
 def _overloaded(

@@ -232,8 +232,9 @@ def attach_files(
     joints = read_joints(model, velocity, urdf, tuple(prefix for prefix in parts if prefix))
     keyframe = _joined(parts, joints.names)
     notes = [*dict.fromkeys(notes)]  # two grippers of one file
+    is_urdf = {prefix: part.is_urdf[""] for prefix, part in parts.items()}
     whole = RobotModel(
-        spec, model, joints, read_mimics(model), keyframe, tuple(notes), tuple(options)
+        spec, model, joints, read_mimics(model), keyframe, tuple(notes), tuple(options), is_urdf
     )
     return whole, problems
 

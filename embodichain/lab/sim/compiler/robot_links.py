@@ -6,7 +6,7 @@ A config adds shapes fixed on links (`attachments`) and tool points of control p
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -27,7 +27,6 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     add_shape,
     check_pose,
     check_shape,
-    collides,
     initial_pose,
     set_contact,
 )
@@ -45,7 +44,6 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate, rotvec_to_quat
 
 __all__ = [
-    "MAX_MASKED",
     "ROOT_NAME",
     "WHOLE",
     "RobotModel",
@@ -56,14 +54,10 @@ __all__ = [
     "lock_joints",
     "prepare_file",
     "resolve_tools",
-    "separate",
     "set_root",
     "strip_world",
 ]
 
-MAX_MASKED = 30
-"""Maximum number of articulations without self-collision: one contype bit each, except bit 0."""
-_ALL_BITS = 0x7FFFFFFF
 ROOT_NAME = "root"
 """Name of the body added if a file's world has several bodies, or one with joints."""
 
@@ -81,6 +75,8 @@ class RobotModel:
         notes: Messages for the user, one line each.
         attached_options: Path of each attached file, and an empty model with its physics options,
             which have no effect.
+        is_urdf: Prefix of names of an attached file ("" is the robot's own) -> whether it is a
+            URDF; else it is an MJCF.
     """
 
     spec: mujoco.MjSpec
@@ -90,6 +86,7 @@ class RobotModel:
     keyframe: Keyframe | None
     notes: tuple[str, ...]
     attached_options: tuple[tuple[str, mujoco.MjSpec], ...] = ()
+    is_urdf: Mapping[str, bool] = field(default_factory=dict)
 
 
 def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
@@ -105,7 +102,15 @@ def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
         file.spec.delete(key)
     prepare_shapes(file.spec, attrs, file.is_urdf)
     notes = (*file.notes, *(f"{file.path}: {line}" for line in said))
-    return RobotModel(file.spec, file.model, joints, read_mimics(file.model), keyframe, notes)
+    return RobotModel(
+        file.spec,
+        file.model,
+        joints,
+        read_mimics(file.model),
+        keyframe,
+        notes,
+        is_urdf={"": file.is_urdf},
+    )
 
 
 def _unused(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
@@ -150,22 +155,6 @@ def prepare_shapes(spec: mujoco.MjSpec, attrs: RigidBodyAttributesCfg, is_urdf: 
                 geom.group = COLLISION_GROUP
 
 
-def separate(spec: mujoco.MjSpec, number: int) -> None:
-    """Disable collisions among the shapes of a spec; other collisions do not change.
-
-    Two geoms collide if one's contype matches the other's conaffinity: each articulation has one
-    contype bit and accepts all bits but that one.
-
-    Args:
-        spec: The articulation.
-        number: 1 to `MAX_MASKED`, different for each articulation.
-    """
-    bit = 1 << number
-    for geom in spec.geoms:
-        if collides(geom):
-            geom.contype, geom.conaffinity = bit, _ALL_BITS & ~bit
-
-
 def strip_world(spec: mujoco.MjSpec) -> list[str]:
     """Remove lights, and planes in the world, from a robot file.
 
@@ -186,8 +175,8 @@ def set_root(spec: mujoco.MjSpec, fixed: bool) -> tuple[mujoco.MjSpec, str]:
 
     A fixed base is a mocap body, so its pose is state and can differ between environments. It has
     no degrees of freedom and behaves as if fixed to the world, with one exception: MuJoCo lets the
-    children of a fixed body collide with it, but not those of a mocap body. Shapes that overlap at
-    the first joint are therefore harmless.
+    children of a fixed body collide with it, but not those of a mocap body. For an MJCF
+    `set_self_collision` lets them collide.
 
     Raises:
         ConfigError: If the file is empty, or has several bodies of which one floats.
