@@ -156,7 +156,7 @@ class Scene:
                 self.world,
             )
             self.compiled = self._prepared.take_scene(parts) or compile_scene(*parts)
-            notes = [f"{parsed.uid}: {note}" for parsed in articulations for note in parsed.notes]
+            notes = [f"{p.uid}: {note}" for p in articulations for note in p.all_notes]
             for note in (*notes, *self.compiled.notes):
                 _log.warning("%s", note)
         return self.compiled

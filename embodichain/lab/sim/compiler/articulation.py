@@ -23,6 +23,7 @@ from embodichain.lab.sim.compiler.drives import (
 )
 from embodichain.lab.sim.compiler.index import F64, Mask
 from embodichain.lab.sim.compiler.names import exact_pattern, match
+from embodichain.lab.sim.compiler.postures import start_posture
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
 from embodichain.lab.sim.compiler.robot_files import (
@@ -161,6 +162,12 @@ class ParsedArticulation:
         """Its sites that have a name."""
         return tuple(site.name for site in self.spec.sites if site.name)
 
+    @property
+    def all_notes(self) -> tuple[str, ...]:
+        """Messages about the file, and about links that do not collide with each other."""
+        left_out = self.self_collision.note()
+        return (*self.notes, f"{self.path}: {left_out}") if left_out else self.notes
+
     def with_given_armature(self, armature: Mapping[str, float]) -> ParsedArticulation:
         """Return it as if the config gave the added armature: joint -> kg m^2 or kg."""
         drives = self.cfg.drive_pros
@@ -273,10 +280,9 @@ def parse_with_problems(
         collision = SelfCollision()
         if not problems:
             origins = _origins(cfg, robot, root, tools)
-            start = _start(model, qpos, keyframe)
+            start = start_posture(model, qpos, keyframe)
             collision, problems, changed = set_self_collision(spec, model, cfg, origins, start)
             model = compile_quietly(spec) if changed else model
-            notes += [f"{file.path}: {note}" for note in [collision.note()] if note]
         added = np.zeros(len(joints.names))
         if step is not None and not problems:
             added, said = _quieten(spec, model, joints.names, gains, qpos, parts, step, changes)
@@ -353,16 +359,6 @@ def _origins(
         static |= set() if root in links else {root}
     added = {*cfg.attachments, *(tool.link for tool in tools.values() if tool.pose is not None)}
     return LinkOrigins(robot.is_urdf, added, static)
-
-
-def _start(model: mujoco.MjModel, qpos: F64, keyframe: Keyframe | None) -> F64:
-    """Return (nq,) positions of all joints at the start, the root where the file has it."""
-    start = model.qpos0.copy()
-    start[model.jnt_qposadr[movable_joints(model)]] = qpos
-    for name, (quat, _) in (keyframe.balls if keyframe is not None else {}).items():
-        first = int(model.joint(name).qposadr[0])
-        start[first : first + 4] = quat
-    return start
 
 
 def _overloaded(

@@ -17,15 +17,17 @@ from embodichain.lab.sim.cfg import ArticulationCfg
 from embodichain.lab.sim.compiler.index import F64, Ids, Mask
 from embodichain.lab.sim.compiler.link_siblings import Pair, sibling_pairs
 from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.compiler.postures import DEPTH, deepest_contacts, draw_postures
 from embodichain.utils.errors import Problem
 
-__all__ = ["DEPTH", "LinkOrigins", "SelfCollision", "deepest_contacts", "set_self_collision"]
+__all__ = ["LinkOrigins", "SelfCollision", "set_self_collision"]
 
-DEPTH = 1e-3
-"""Metres: links that are deeper in each other overlap."""
 _OFF = "off: disable_self_collision"
 _MJCF = "its file decides"
 _URDF = "not parent and child, not links that overlap at the start"
+_NEAR = 0.01
+"""Metres between shapes that are near each other."""
+_WITH_PARENTS = int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
 _MEMORY = 2**30
 """Bytes for contacts, where MuJoCo's own estimate is too small."""
 
@@ -156,7 +158,8 @@ def set_self_collision(
     left_out = (left_out | {pair for pair in excluded if colliding[pair]}) - included
     wanted = {p for p in included if links.meet[p] and not links.paired[p]}
     if not off:
-        wanted |= _of_static_base(origins, links) - excluded
+        lost = _of_static_base(origins, links) - excluded
+        wanted |= _within_reach(model, qpos, lost)
     changed = _leave_out(spec, model, left_out, links)
     changed |= _let_collide(spec, model, wanted, links)
 
@@ -274,28 +277,6 @@ def _overlapping(
     }
 
 
-def deepest_contacts(model: mujoco.MjModel, data: mujoco.MjData, qpos: F64) -> dict[Pair, float]:
-    """Return pairs of bodies that touch at a position -> the depth of the deepest contact, m.
-
-    Args:
-        model: The model; options that switch contacts off have no effect.
-        data: Its state, which changes.
-        qpos: (nq,) the position.
-    """
-    flags = model.opt.disableflags, model.opt.enableflags
-    model.opt.disableflags = model.opt.enableflags = 0
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_collision(model, data)
-    model.opt.disableflags, model.opt.enableflags = flags
-    bodies = np.sort(model.geom_bodyid[data.contact.geom], axis=1).tolist()
-    found: dict[Pair, float] = {}
-    for (a, b), distance in zip(bodies, data.contact.dist.tolist(), strict=True):
-        found[a, b] = max(found.get((a, b), -np.inf), -distance)
-    return found
-
-
 def _of_static_base(origins: LinkOrigins, links: _Links) -> set[Pair]:
     """Return pairs of an MJCF that collide only because the file fixes one of them to the world.
 
@@ -310,6 +291,33 @@ def _of_static_base(origins: LinkOrigins, links: _Links) -> set[Pair]:
         first, second = (origins.of_mjcf(links.names[link]) for link in pair)
         if first is not None and first == second:
             found.add(pair)
+    return found
+
+
+def _within_reach(model: mujoco.MjModel, qpos: F64, pairs: set[Pair]) -> set[Pair]:
+    """Return those of some pairs of a fixed body and its child that can come near each other.
+
+    Most arms turn on their base without ever touching it: a contact pair would cost time in
+    every step. Joints that are not drawn (ball joints, slides without limits) reach everything.
+    """
+    if not pairs:
+        return pairs
+    postures = draw_postures(model, qpos)
+    drawn = np.ptp(postures, axis=0) > 0
+    unlimited = {
+        int(model.jnt_bodyid[joint])
+        for joint in range(model.njnt)
+        if not drawn[model.jnt_qposadr[joint]]
+    }
+    found = {pair for pair in pairs if unlimited & set(pair)}
+    low, high = postures.min(axis=0), postures.max(axis=0)
+    margins = model.geom_margin.copy(), model.body_margin.copy()
+    model.geom_margin += _NEAR / 2
+    model.body_margin += _NEAR / 2
+    data = mujoco.MjData(model)
+    for posture in (qpos, low, high, *postures):
+        found |= pairs & set(deepest_contacts(model, data, posture, _WITH_PARENTS))
+    model.geom_margin[:], model.body_margin[:] = margins
     return found
 
 
