@@ -142,11 +142,12 @@ def test_self_collision_is_said_by_run_validate_and_show(task, capsys):
     folder = task(FOLDED, robot={"drive_pros": {"stiffness": 10}})
     words = ["task=mine", "--config-dir", folder]
     told = "base and left_tip (50 mm); those named like pairs that are: base and right_tip"
-    for verb in (["run", "max_steps=2", "episodes=1", "--quiet"], ["validate"], ["show"]):
+    for verb in (["run", "max_steps=2", "episodes=1", "--quiet"], ["validate"]):
         assert main([*verb, *words]) == 0
         assert told in capsys.readouterr().err
     assert main(["show", *words, "--json"]) == 0
     tables = json.loads(capsys.readouterr().out)
+    assert any(told in row["note"] for row in tables["notes on files"])
     (row,) = tables["self-collision"]
     assert row["overlap at the start"] == "base - left_tip, base - right_tip"
     include = "+task.robot.self_collision.include=[[base, .*_tip]]"

@@ -45,20 +45,23 @@ class _Name:
     numbers: tuple[int, ...]
 
 
-def sibling_pairs(pairs: Iterable[Pair], names: Sequence[str], depths: Sequence[int]) -> set[Pair]:
+def sibling_pairs(pairs: Iterable[Pair], names: Sequence[str], parents: Sequence[int]) -> set[Pair]:
     """Return the mirrored and repeated pairs of links, without the pairs themselves.
 
     A pair is a sibling of another if both of its names differ from those of the other only by
     sides (``left``, ``L``, ``FL``, ``front``) and numbers, if one renaming of sides and one shift
-    of numbers make both names, and if the links are as far from the root. So ``FR_hip, FR_calf``
-    is a sibling of ``FL_hip, FL_calf``, and ``FL_hip, FR_calf`` is not.
+    of numbers make both names, and if the links have the same places in the tree. So ``FR_hip,
+    FR_calf`` is a sibling of ``FL_hip, FL_calf``, and ``FL_hip, FR_calf`` is not.
 
     Args:
         pairs: Pairs of links.
         names: The names of all links.
-        depths: How many bodies each link is from the root.
+        parents: The parent of each link, which comes before it; the first is its own.
     """
     known = [_split(name) for name in names]
+    depths = [0]
+    for parent in parents[1:]:
+        depths.append(depths[parent] + 1)
     alike: dict[tuple[str, int], list[int]] = {}
     for link, (name, depth) in enumerate(zip(known, depths, strict=True)):
         alike.setdefault((name.stem, depth), []).append(link)
@@ -67,10 +70,24 @@ def sibling_pairs(pairs: Iterable[Pair], names: Sequence[str], depths: Sequence[
     for a, b in given:
         firsts = alike[known[a].stem, depths[a]]
         seconds = alike[known[b].stem, depths[b]]
+        meet = depths[_common((a, b), parents)]
         for first, second in product(firsts, seconds):
-            if first != second and _is_renamed(known, (a, b), (first, second)):
+            if first == second or not _is_renamed(known, (a, b), (first, second)):
+                continue
+            if depths[_common((first, second), parents)] == meet:
                 found.add((min(first, second), max(first, second)))
     return found - given
+
+
+def _common(pair: Pair, parents: Sequence[int]) -> int:
+    """The last link above both links of a pair, or one of them."""
+    first, second = pair
+    while first != second:
+        if first < second:
+            second = parents[second]
+        else:
+            first = parents[first]
+    return first
 
 
 def _is_renamed(known: Sequence[_Name], old: Pair, new: Pair) -> bool:
@@ -81,8 +98,8 @@ def _is_renamed(known: Sequence[_Name], old: Pair, new: Pair) -> bool:
         for place, value in before.sides.items():
             if renamed.setdefault((place, value), after.sides[place]) != after.sides[place]:
                 return False
-        for place, (number, other) in enumerate(zip(before.numbers, after.numbers, strict=True)):
-            if shifts.setdefault(place, other - number) != other - number:
+        for order, (number, other) in enumerate(zip(before.numbers, after.numbers, strict=True)):
+            if shifts.setdefault(order, other - number) != other - number:
                 return False
     made = [(place, value) for (place, _), value in renamed.items()]
     return len(made) == len(set(made))  # two sides do not become one
@@ -106,7 +123,7 @@ def _split(name: str) -> _Name:
             return add("fore", text[0])
         if kind != "leg":
             return add("side", text[0])
-        first, second = text
+        first, second = text[0], text[1]
         if first in "lr" and second not in "lr":  # LF, RH
             return add("side", first) + add("fore", second)
         return add("fore", first) + add("side", second)

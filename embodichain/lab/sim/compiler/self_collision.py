@@ -148,10 +148,10 @@ def set_self_collision(
         return SelfCollision(), problems, False
     off, colliding = cfg.disable_self_collision, links.colliding
     overlapping = {} if off else _overlapping(spec, model, qpos, origins, links)
-    depths = _depths(model)
+    parents = model.body_parentid.tolist()
     alike = {
         pair
-        for pair in sibling_pairs(overlapping, links.names, depths)
+        for pair in sibling_pairs(overlapping, links.names, parents)
         if colliding[pair] and _by_urdf_rule(pair, origins, links)
     }
     left_out = set(_pairs(colliding)) if off else {*overlapping, *alike}
@@ -236,13 +236,6 @@ def _pairs(mask: Mask) -> Iterator[Pair]:
     """Pairs of a symmetric mask, in ascending order."""
     rows, columns = np.nonzero(np.triu(mask, 1))
     yield from zip(rows.tolist(), columns.tolist(), strict=True)
-
-
-def _depths(model: mujoco.MjModel) -> list[int]:
-    depths = [0]
-    for parent in model.body_parentid[1:].tolist():  # parents come first
-        depths.append(depths[parent] + 1)
-    return depths
 
 
 # ---------------------------------------------------------------------------------------- the rules

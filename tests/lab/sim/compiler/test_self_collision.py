@@ -280,12 +280,12 @@ def test_more_than_thirty_robots_can_be_switched_off(tmp_path, fingers):
 
 
 def test_an_attached_file_keeps_its_own_rule(tmp_path, path):
-    # The pads are in each other and in the arm above the hand that they are fixed on.
+    # The pads are in each other, and the left one in the arm above the hand that it is fixed on.
     text = FINGERS.format(more="").replace('pos="-0.06', 'pos="0.045').replace("0 0 0.5", "0 0 0")
     hand = write(tmp_path / "hand.xml", text.replace("0 0 0.08", "0 0 0"))
     gripper = AttachedFileCfg(fpath=hand, to="left_hand", pos=(0, -0.2, 0))
     parsed = parse_articulation("h", RobotCfg(fpath=path, attach={"grip": gripper}))
-    assert pairs_of(parsed) == {frozenset({"left_arm", f"grip/{pad}"}) for pad in "lr"}
+    assert pairs_of(parsed) == {frozenset({"left_arm", "grip/l"})}
     rule = parsed.self_collision.rule
     assert "grip/: its file decides" in rule
 
@@ -314,13 +314,19 @@ def test_attachments_follow_the_rule_of_a_urdf(fingers):
     ],
 )
 def test_mirrored_and_repeated_pairs_are_found_by_name(names, pair, others):
-    links = names.split()
-    assert sibling_pairs([pair], links, [1] * len(links)) == others
+    links = ["world", *names.split()]
+    found = sibling_pairs([(pair[0] + 1, pair[1] + 1)], links, [0] * len(links))
+    assert {(a - 1, b - 1) for a, b in found} == others
 
 
 def test_links_of_one_chain_are_no_siblings():
     names = [f"link_{i}" for i in range(6)]
-    assert sibling_pairs([(1, 3)], names, range(6)) == set()
+    assert sibling_pairs([(1, 3)], names, [0, 0, 1, 2, 3, 4]) == set()
+
+
+def test_a_gripper_on_one_arm_is_no_mirror_of_the_other_arm():
+    names = ["trunk", "left_arm", "right_arm", "grip/l", "grip/r"]
+    assert sibling_pairs([(1, 3)], names, [0, 0, 0, 1, 1]) == set()
 
 
 # -- real robots ---------------------------------------------------------------------------------
@@ -355,9 +361,10 @@ def test_a_g1_without_torques_falls_on_itself_as_in_mujoco():
 def test_links_that_overlap_in_many_postures_are_named(tmp_path):
     # A ball 0.2 m from the axis meets a post of the base within +-2 asin(0.1 / 0.4) of its place:
     # in 2 * 2 asin(0.25) / 2 pi = 16.1 % of a turn.
-    text = """<mujoco><worldbody><body name="base"><freejoint/><geom size="0.01" contype="0" conaffinity="0"/>
-      <body name="hub"><joint name="h" range="-0.001 0.001"/><geom size="0.01" contype="0" conaffinity="0"/>
-      <body name="arm"><joint name="a"/><geom size="0.01" contype="0" conaffinity="0"/>
+    text = """<mujoco><default><default class="none"><geom size="0.01" contype="0" conaffinity="0"/>
+      </default></default><worldbody><body name="base"><freejoint/><geom class="none"/>
+      <body name="hub"><joint name="h" range="-0.001 0.001"/><geom class="none"/>
+      <body name="arm"><joint name="a"/><geom class="none"/>
       <body name="ball" pos="0.2 0 0"><joint name="b" range="-0.001 0.001"/>
        <geom name="ball" size="0.05"/></body></body></body>
       <body name="post" pos="-0.2 0 0"><joint name="p" range="-0.001 0.001"/>
