@@ -276,7 +276,17 @@ class CollisionShapeCfg(ObjectBaseCfg):
 
 @configclass
 class ArticulationCfg(ObjectBaseCfg):
-    """A jointed mechanism read from a URDF or MJCF file."""
+    """A jointed mechanism read from a URDF or MJCF file.
+
+    The pose of a floating base (`fix_base` false) is that of its root in the scene; a position or a
+    rotation that is not given is that of the file or its keyframe. The pose of a fixed base is that
+    of the file's world in the scene.
+    """
+
+    init_pos: Vec3 | None = None  # type: ignore[assignment]
+    """Metres; None is the file's."""
+    init_rot: Vec3 | None = None  # type: ignore[assignment]
+    """Euler angles in degrees, intrinsic XYZ (R = Rx Ry Rz); None is the file's."""
 
     fpath: str | None = None
     """A .urdf or .xml file, found by `embodichain.data.get_data_path`."""
@@ -290,8 +300,9 @@ class ArticulationCfg(ObjectBaseCfg):
     """Whether the root is fixed (overrides the file); False gives it a free joint."""
     disable_self_collision: bool = True
     init_qpos: Any = None
-    """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else zeros
-    clamped to the limits. With `attach`, a list may give those of the robot's own file alone."""
+    """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else an MJCF's
+    `qpos0` (zeros, or each joint's `ref`), a URDF's zeros clamped to the limits. With `attach`, a
+    list may give those of the robot's own file alone."""
     sleep_threshold: float = 0.005
     """No effect."""
     min_position_iters: int = 4

@@ -357,6 +357,8 @@ def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]
         entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
         for param, quantity in getattr(func, "drive_ranges", {}).items():
             bounds, operation = _bounds(params.get(param)), _operation(params, quantity)
+            if quantity == "com" and params.get(param) is not None:
+                bounds, operation = (0.0, 0.0), "add"
             for entity in entities if bounds is not None and operation is not None else ():
                 fields = entity if isinstance(entity, Mapping) else getattr(entity, "__dict__", {})
                 if fields:
@@ -370,7 +372,7 @@ def _names(
     fields: Mapping[str, Any], quantity: str, params: Mapping[str, Any]
 ) -> tuple[str, ...] | None:
     """The patterns of the picked links or joints; None is all."""
-    if quantity == "mass":
+    if quantity in ("mass", "com"):
         given = [params.get("link_names") or fields.get("link_names")]
     else:
         given = [fields.get("joint_names"), fields.get("control_parts")]

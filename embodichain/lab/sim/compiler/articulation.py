@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import ArticulationCfg, RobotCfg, URDFCfg
+from embodichain.lab.sim.compiler.base_contacts import restore_base_contacts
 from embodichain.lab.sim.compiler.collision_shapes import replace_shapes, resolve_shapes
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
@@ -22,6 +23,7 @@ from embodichain.lab.sim.compiler.drives import (
     resolve_drives,
 )
 from embodichain.lab.sim.compiler.index import F64, Mask
+from embodichain.lab.sim.compiler.kept_inertias import HullLimit
 from embodichain.lab.sim.compiler.names import exact_pattern, match
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
@@ -49,8 +51,8 @@ from embodichain.lab.sim.compiler.robot_links import (
     lock_joints,
     prepare_file,
     resolve_tools,
-    set_root,
 )
+from embodichain.lab.sim.compiler.robot_root import Placement, Root, place, set_root
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_conjugate, quat_rotate
 from embodichain.utils.suggest import listing
@@ -74,7 +76,7 @@ class ParsedArticulation:
             included: they are simulated, but have no columns in joint arrays.
         link_names: Bodies, parents before children.
         root_link_name: The body with the articulation's pose.
-        root_pose: (7,) pose of the root in the file's own world: x, y, z, qw, qx, qy, qz.
+        placement: Where its root and its file's world are in the scene.
         fixed_base: Whether the root is fixed (a mocap body) or floats on a free joint.
         qpos_limits: (D, 2) rad or m; infinite where there is none.
         qvel_limits, qf_limits: From the file; inf where it has none.
@@ -104,6 +106,9 @@ class ParsedArticulation:
         keyframe: The file's keyframe, for the root and ball joints, or None.
         attached_options: Path of each attached file, and an empty model with its physics options.
         notes: Messages for the user about the file, one line each.
+        floors: Floors of its file, still in `spec`: see `compiler.floors`.
+        attached_floors: Floors of attached files.
+        hulls: Meshes whose convex hull is limited.
     """
 
     uid: str
@@ -114,7 +119,7 @@ class ParsedArticulation:
     joint_names: tuple[str, ...]
     link_names: tuple[str, ...]
     root_link_name: str
-    root_pose: F64
+    placement: Placement
     fixed_base: bool
     qpos_limits: F64
     qvel_limits: F64
@@ -146,6 +151,9 @@ class ParsedArticulation:
     keyframe: Keyframe | None
     attached_options: tuple[tuple[str, mujoco.MjSpec], ...]
     notes: tuple[str, ...]
+    floors: tuple[str, ...]
+    attached_floors: tuple[str, ...]
+    hulls: tuple[HullLimit, ...]
 
     @property
     def site_names(self) -> tuple[str, ...]:
@@ -213,7 +221,9 @@ def parse_with_problems(
             p if p.path.startswith("urdf_cfg") else Problem("fpath", str(p), "")
             for p in error.problems
         ]
-    problems = [*_unsupported(cfg), *check_pose(cfg)]
+    misplaced = check_pose(cfg)
+    placed = ArticulationCfg(fix_base=cfg.fix_base) if misplaced else cfg
+    problems = [*_unsupported(cfg), *misplaced]
     try:
         wrong = lock_joints(file, cfg.locked_joints)
     except MUJOCO_ERRORS as error:
@@ -258,9 +268,15 @@ def parse_with_problems(
         for body in file.spec.bodies[1:]:
             if cfg.gravcomp is not None:
                 body.gravcomp = float(cfg.gravcomp)
-            body.simple = 0  # its centre of mass may move: see `add_object`
-        spec, root = set_root(file.spec, cfg.fix_base)
+        _unsimplify(file.spec, changes)
+        start = None if keyframe is None else keyframe.root
+        root = set_root(file.spec, cfg.fix_base, robot.planes, start)
+        spec = root.spec
+        notes += [f"{file.path}: {line}" for line in root.notes]
         model = compile_quietly(spec)
+        as_file = not file.is_urdf and not cfg.disable_self_collision
+        if cfg.fix_base and as_file and restore_base_contacts(spec, model, root.name):
+            model = compile_quietly(spec)
         added = np.zeros(len(joints.names))
         if step is not None and not problems:
             added, said = _quieten(spec, model, joints.names, gains, qpos, parts, step, changes)
@@ -283,8 +299,8 @@ def parse_with_problems(
             model=model,
             joint_names=tuple(model.joint(i).name for i in movable_joints(model)),
             link_names=tuple(model.body(i).name for i in range(1, model.nbody)),
-            root_link_name=root,
-            root_pose=_root_pose(model, root, keyframe),
+            root_link_name=root.name,
+            placement=place(placed, _root_pose(model, root, keyframe)),
             fixed_base=cfg.fix_base,
             qpos_limits=joints.qpos_limits,
             qvel_limits=joints.qvel_limits,
@@ -319,6 +335,9 @@ def parse_with_problems(
             keyframe=keyframe,
             attached_options=robot.attached_options,
             notes=tuple(notes),
+            floors=robot.floors,
+            attached_floors=robot.attached_floors,
+            hulls=robot.hulls,
         ),
         problems,
     )
@@ -443,11 +462,29 @@ def _of_own_joints(init_qpos: Any, names: Sequence[str]) -> Any:
     return dict(zip(map(exact_pattern, names), init_qpos, strict=True)) if own else init_qpos
 
 
-def _root_pose(model: mujoco.MjModel, root: str, keyframe: Keyframe | None) -> F64:
-    if keyframe is not None and keyframe.root is not None:
+def _root_pose(model: mujoco.MjModel, root: Root, keyframe: Keyframe | None) -> F64:
+    """Return (7,) the root's pose in the file's world at the start."""
+    if keyframe is not None and keyframe.root is not None and not root.wrapped:
         return keyframe.root
-    body = model.body(root).id
-    return np.concatenate([model.body_pos[body], model.body_quat[body]])
+    body = model.body(root.name)
+    if body.jntnum[0]:
+        at = int(model.jnt_qposadr[body.jntadr[0]])
+        start: F64 = model.qpos0[at : at + 7].copy()
+        return start
+    return np.concatenate([body.pos, body.quat])
+
+
+def _unsimplify(spec: mujoco.MjSpec, changes: Sequence[DriveChange]) -> None:
+    """Let MuJoCo treat no body as "simple" whose centre of mass events move.
+
+    The mass matrix of a simple body is stored as its diagonal, which a centre of mass beside the
+    joint would not be.
+    """
+    bodies = spec.bodies[1:]  # the first is the world
+    names = [body.name for body in bodies]
+    for change in changes:
+        for index in change.bounds("com", names, {}):
+            bodies[index].simple = 0
 
 
 def _ctrl_limits(model: mujoco.MjModel, drives: Sequence[str], qpos_limits: F64) -> F64:

@@ -327,13 +327,15 @@ class DriveChange:
     """Values that an event may draw for the drives or links of one articulation.
 
     Attributes:
-        quantity: The drawn quantity; ``strength`` multiplies gains and limit.
-        names: Regexes or control parts that pick joints (links for ``mass``); None picks all.
-        ranges: (low, high) for all picked ones, or by regex.
+        quantity: The drawn quantity; ``strength`` multiplies gains and limit, ``com`` moves the
+            centre of mass.
+        names: Regexes or control parts that pick joints (links for ``mass`` and ``com``); None
+            picks all.
+        ranges: (low, high) for all picked ones, or by regex; without a meaning for ``com``.
         operation: ``abs`` replaces the compiled value, ``scale`` and ``add`` change it.
     """
 
-    quantity: Literal["stiffness", "damping", "max_effort", "strength", "armature", "mass"]
+    quantity: Literal["stiffness", "damping", "max_effort", "strength", "armature", "mass", "com"]
     names: tuple[str, ...] | None
     ranges: tuple[float, float] | Mapping[str, tuple[float, float]]
     operation: DriveOperation = "abs"

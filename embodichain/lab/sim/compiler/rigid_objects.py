@@ -49,6 +49,7 @@ __all__ = [
     "check_shape",
     "collides",
     "damping_of",
+    "given_pose",
     "inertia_about_axes",
     "initial_pose",
     "set_contact",
@@ -69,16 +70,23 @@ _PALETTE = (
     (0.58, 0.44, 0.69),
 )
 _GEOM, _INERTIA = mujoco.mjtGeom, mujoco.mjtMeshInertia
+_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def initial_pose(cfg: ObjectBaseCfg) -> tuple[F64, F64]:
-    """Return position (3,) in metres and unit wxyz quaternion (4,).
+    """Return position (3,) in metres and unit wxyz quaternion (4,); what is not given is no change.
 
     `init_local_pose` overrides `init_quat`, which overrides `init_rot` (degrees, intrinsic XYZ).
 
     Raises:
         ConfigError: If a value has the wrong shape, is not finite, or is not a rotation.
     """
+    pos, quat = given_pose(cfg)
+    return np.zeros(3) if pos is None else pos, _NO_TURN.copy() if quat is None else quat
+
+
+def given_pose(cfg: ObjectBaseCfg) -> tuple[F64 | None, F64 | None]:
+    """As `initial_pose`; None for a position or an orientation that the config does not give."""
     if cfg.init_local_pose is not None:
         matrix = _vector(cfg.init_local_pose, 16, "init_local_pose").reshape(4, 4)
         rotation = matrix[:3, :3]
@@ -87,14 +95,19 @@ def initial_pose(cfg: ObjectBaseCfg) -> tuple[F64, F64]:
             message = "must be a 4x4 rigid transform: a rotation, a translation, last row 0 0 0 1"
             raise ConfigError([Problem("init_local_pose", message)])
         return matrix[:3, 3].copy(), matrix_to_quat(rotation)
-    pos = _vector(cfg.init_pos, 3, "init_pos")
+    # Both are None in an `ArticulationCfg` that does not give them.
+    at: object = cfg.init_pos
+    turned: object = cfg.init_rot
+    pos = None if at is None else _vector(at, 3, "init_pos")
     if cfg.init_quat is not None:
         quat = _vector(cfg.init_quat, 4, "init_quat")
         try:
             return pos, normalize_quat(quat)
         except ValueError as error:
             raise ConfigError([Problem("init_quat", f"{error}, got {quat.tolist()}")]) from error
-    return pos, euler_xyz_to_quat(_vector(cfg.init_rot, 3, "init_rot") * (math.pi / 180.0))
+    if turned is None:
+        return pos, None
+    return pos, euler_xyz_to_quat(_vector(turned, 3, "init_rot") * (math.pi / 180.0))
 
 
 def _vector(value: object, size: int, key: str) -> F64:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import AttachedFileCfg, ObjectBaseCfg
+from embodichain.lab.sim.compiler.floors import move_to_world, without_references
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import no_such
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
@@ -27,6 +28,11 @@ from embodichain.lab.sim.compiler.robot_joints import (
     resolve_qpos,
 )
 from embodichain.lab.sim.compiler.robot_links import RobotModel, prepare_file
+from embodichain.lab.sim.compiler.robot_root import (
+    bind_to_body,
+    remove_free_joint,
+    take_sizes,
+)
 from embodichain.lab.sim.urdf_cfg import COMPONENTS, URDFCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -217,14 +223,20 @@ def attach_files(
             continue
         prefix = f"{name}/"
         part = parts[prefix] = prepare_file(file, cfg.attrs)
-        notes += [*part.notes, *_loosen(file)]
+        notes += [*part.notes, *_loosen(file), *_without_walls(file, part)]
         urdf |= {f"{prefix}{n}" for n, u in _from_urdf(part) if u}
         velocity |= {f"{prefix}{n}": limit for n, limit in file.velocity_limits.items()}
         options.append((f"{file.path} (attach.{name})", mujoco.MjSpec()))
         options[-1][1].option = file.spec.option
         # The scene's options apply: MuJoCo would warn about each that differs.
         file.spec.option = spec.option
-        attach(spec, file.spec, cfg.to, *initial_pose(_pose(cfg)), prefix)
+        take_sizes(spec, file.spec)
+        equalities = len(spec.equalities)
+        pos, quat = initial_pose(_pose(cfg))
+        attach(spec, file.spec, cfg.to, pos, quat, prefix)
+        bind_to_body(list(spec.equalities)[equalities:], cfg.to, pos, quat)
+        for plane in part.floors:  # planes cannot move; the scene's ground takes their place
+            move_to_world(spec, f"{prefix}{plane}", *part.planes[plane])
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
@@ -232,8 +244,28 @@ def attach_files(
     joints = read_joints(model, velocity, urdf, tuple(prefix for prefix in parts if prefix))
     keyframe = _joined(parts, joints.names)
     notes = [*dict.fromkeys(notes)]  # two grippers of one file
+    attached_parts = {prefix: part for prefix, part in parts.items() if prefix}
     whole = RobotModel(
-        spec, model, joints, read_mimics(model), keyframe, tuple(notes), tuple(options)
+        spec,
+        model,
+        joints,
+        read_mimics(model),
+        keyframe,
+        tuple(notes),
+        tuple(options),
+        planes=robot.planes,
+        floors=robot.floors,
+        attached_floors=tuple(
+            f"{prefix}{plane}" for prefix, part in attached_parts.items() for plane in part.floors
+        ),
+        hulls=(
+            *robot.hulls,
+            *(
+                replace(hull, mesh=f"{prefix}{hull.mesh}")
+                for prefix, part in attached_parts.items()
+                for hull in part.hulls
+            ),
+        ),
     )
     return whole, problems
 
@@ -279,9 +311,21 @@ def _loosen(file: ModelFile) -> list[str]:
         if free or body.mocap:
             notes.append(f"{file.path}: its free body {body.name!r} is fixed on the robot's link")
         for joint in free:
-            file.spec.delete(joint)
+            left_out = remove_free_joint(file.spec, joint)
+            if left_out:
+                notes.append(f"{file.path}: left out with its free joint: {', '.join(left_out)}")
         body.mocap = False
     return notes
+
+
+def _without_walls(file: ModelFile, part: RobotModel) -> list[str]:
+    """Remove planes that are no floors, and what names them: planes cannot move."""
+    walls = [plane for plane in part.planes if plane not in part.floors]
+    removed = without_references(file.spec, walls)
+    for wall in walls:
+        file.spec.delete(file.spec.geom(wall))
+    names = ", ".join([*(f"plane {wall!r}" for wall in walls), *removed])
+    return [f"{file.path}: left out, for a plane cannot move: {names}"] if walls else []
 
 
 def _joined(parts: Mapping[str, RobotModel], names: tuple[str, ...]) -> Keyframe | None:

@@ -9,7 +9,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from xml.parsers import expat
 
 import mujoco
 import numpy as np
@@ -23,6 +22,7 @@ from embodichain.lab.sim.compiler.mjcf_meshes import (
     split_meshes,
 )
 from embodichain.lab.sim.compiler.rigid_objects import collides
+from embodichain.lab.sim.compiler.xml_text import XmlError, parse_xml, root_tag
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler
 from embodichain.lab.sim.meshes.mesh_conversion import (
     MAX_STL_FACES,
@@ -117,39 +117,17 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
         source = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    if root_tag(source) == "mujoco":
+        return _read_mjcf(path, convex_parts)
     try:
         root, line_of = parse_xml(source)
-    except expat.ExpatError as error:
-        message = str(error).split(":")[0]
-        raise ConfigError(f"{path}:{error.lineno}: not well-formed XML: {message}") from error
-    if root.tag == "mujoco":
-        return _read_mjcf(path, convex_parts)
+    except XmlError as error:
+        raise ConfigError(f"{path}:{error.line}: not well-formed XML: {error}") from error
     if root.tag != "robot":
         raise ConfigError(
             f"{path}: neither URDF nor MJCF: its root is <{root.tag}>, not <robot> or <mujoco>"
         )
     return _read_urdf(path, root, line_of, convex_parts)
-
-
-def parse_xml(source: bytes) -> tuple[ET.Element, dict[ET.Element, int]]:
-    """Return the root of an XML text, and the line of every element, in document order.
-
-    Tags and attributes keep their namespace prefixes.
-
-    Raises:
-        xml.parsers.expat.ExpatError: If it is not well-formed.
-    """
-    builder, lines = ET.TreeBuilder(), dict[ET.Element, int]()
-    parser = expat.ParserCreate()
-
-    def begin(tag: str, attributes: dict[str, str]) -> None:
-        lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
-
-    parser.StartElementHandler = begin
-    parser.EndElementHandler = builder.end
-    parser.CharacterDataHandler = builder.data
-    parser.Parse(source, True)
-    return builder.close(), lines
 
 
 def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -184,6 +184,9 @@ class FileJoints:
     armature: F64
     inertia: F64
     """Joint-space inertia at qpos0 (`dof_M0`), kg m^2 or kg."""
+    home: F64
+    """Where joints start without a keyframe, rad or m: an MJCF's `qpos0` (`ref` of a joint); for a
+    URDF, the value nearest zero within the limits."""
     servos: Servos
     """Servos of the files."""
     from_urdf: Mask
@@ -229,15 +232,18 @@ def read_joints(
     limited = model.jnt_limited[ids].astype(np.bool_)[:, None]
     from_urdf = np.array([name in urdf for name in names], np.bool_)
     actuators = [model.actuator(i).name for i in range(model.nactuator)]
+    limits = np.where(limited, model.jnt_range[ids], [[-np.inf, np.inf]])
+    qpos0 = model.qpos0[model.jnt_qposadr[ids]]
     return FileJoints(
         names=names,
-        qpos_limits=np.where(limited, model.jnt_range[ids], [[-np.inf, np.inf]]),
+        qpos_limits=limits,
         qvel_limits=np.array([velocity_limits.get(name, np.inf) for name in names], np.float64),
         qf_limits=_effort_limits(model, ids),
         damping=model.dof_damping[dofs].copy(),
         friction=model.dof_frictionloss[dofs].copy(),
         armature=model.dof_armature[dofs].copy(),
         inertia=model.dof_M0[dofs].copy(),
+        home=np.where(from_urdf, np.clip(np.zeros(len(ids)), *limits.T), qpos0),
         servos=read_servos(model, ids),
         from_urdf=from_urdf,
         by_name=np.array([name.startswith(attached) for name in names], np.bool_) & ~from_urdf,
@@ -432,8 +438,8 @@ def resolve_qpos(
 ) -> tuple[F64, list[Problem]]:
     """Return initial joint positions (D,) in rad or m, and every mistake in the config.
 
-    Joints that the config does not name take the keyframe's value, else the value nearest zero
-    within their limits; mimic joints follow their leader.
+    Joints that the config does not name take the keyframe's value, else `FileJoints.home`; mimic
+    joints follow their leader if the config names it, those of a URDF always.
 
     Args:
         value: `ArticulationCfg.init_qpos`: None, D values, or a map by joint regex.
@@ -442,12 +448,13 @@ def resolve_qpos(
         keyframe: The file's keyframe, if it has one.
     """
     low, high = joints.qpos_limits.T
-    qpos = np.clip(np.zeros(len(low)), low, high) if keyframe is None else keyframe.qpos.copy()
+    qpos = (joints.home if keyframe is None else keyframe.qpos).copy()
     named, problems = _take_qpos(value, joints.names, qpos)
     for i, parent, slope, offset in zip(
         mimics.ids, mimics.parents, mimics.multipliers, mimics.offsets, strict=True
     ):
-        if not named[i] and (keyframe is None or named[parent]):
+        as_drawn = keyframe is not None or not joints.from_urdf[i]
+        if not named[i] and (named[parent] or not as_drawn):
             qpos[i] = slope * qpos[parent] + offset
     within = (qpos >= low - _TOLERANCE) & (qpos <= high + _TOLERANCE)  # NaN is not
     problems += [

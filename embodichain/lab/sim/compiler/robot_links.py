@@ -6,7 +6,7 @@ A config adds shapes fixed on links (`attachments`) and tool points of control p
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -18,7 +18,9 @@ from embodichain.lab.sim.cfg import (
     RigidBodyAttributesCfg,
     SolverCfg,
 )
+from embodichain.lab.sim.compiler.floors import Plane, floors_of, planes_of
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.kept_inertias import HullLimit, keep_inertias, limit_hulls
 from embodichain.lab.sim.compiler.names import match, no_such
 from embodichain.lab.sim.compiler.rigid_objects import (
     COLLISION_GROUP,
@@ -40,13 +42,13 @@ from embodichain.lab.sim.compiler.robot_joints import (
     read_keyframe,
     read_mimics,
 )
+from embodichain.lab.sim.compiler.robot_root import leave_out_lights
 from embodichain.lab.sim.shapes import PlaneCfg
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import Problem
 from embodichain.utils.math import quat_multiply, quat_rotate, rotvec_to_quat
 
 __all__ = [
     "MAX_MASKED",
-    "ROOT_NAME",
     "WHOLE",
     "RobotModel",
     "Tool",
@@ -57,15 +59,11 @@ __all__ = [
     "prepare_file",
     "resolve_tools",
     "separate",
-    "set_root",
-    "strip_world",
 ]
 
 MAX_MASKED = 30
 """Maximum number of articulations without self-collision: one contype bit each, except bit 0."""
 _ALL_BITS = 0x7FFFFFFF
-ROOT_NAME = "root"
-"""Name of the body added if a file's world has several bodies, or one with joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +79,10 @@ class RobotModel:
         notes: Messages for the user, one line each.
         attached_options: Path of each attached file, and an empty model with its physics options,
             which have no effect.
+        planes: Planes of the world of the robot's own file.
+        floors: Its horizontal planes, in whose place the scene's ground is.
+        attached_floors: Those of the attached files.
+        hulls: Meshes whose convex hull is limited.
     """
 
     spec: mujoco.MjSpec
@@ -90,40 +92,89 @@ class RobotModel:
     keyframe: Keyframe | None
     notes: tuple[str, ...]
     attached_options: tuple[tuple[str, mujoco.MjSpec], ...] = ()
+    planes: Mapping[str, Plane] = field(default_factory=dict)
+    floors: tuple[str, ...] = ()
+    attached_floors: tuple[str, ...] = ()
+    hulls: tuple[HullLimit, ...] = ()
 
 
 def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
     """Read joints and keyframe of a file, and prepare its spec, which changes.
 
-    Lights, planes and keyframes are removed, and shapes are given groups and attributes.
+    Lights and keyframes are removed, hulls of meshes limited, and shapes are given groups and
+    attributes. Masses and inertias stay those of the file.
     """
-    urdf = [joint.name for joint in file.spec.joints] if file.is_urdf else ()
-    joints = read_joints(file.model, file.velocity_limits, urdf)
-    keyframe = read_keyframe(file.spec, file.model)
-    said = [*strip_world(file.spec), *_unused(file.spec, keyframe)]
-    for key in list(file.spec.keys):
-        file.spec.delete(key)
-    prepare_shapes(file.spec, attrs, file.is_urdf)
-    notes = (*file.notes, *(f"{file.path}: {line}" for line in said))
-    return RobotModel(file.spec, file.model, joints, read_mimics(file.model), keyframe, notes)
+    spec, model = file.spec, file.model
+    urdf = [joint.name for joint in spec.joints] if file.is_urdf else ()
+    joints = read_joints(model, file.velocity_limits, urdf)
+    keyframe = read_keyframe(spec, model)
+    planes = planes_of(spec, model)
+    floors = floors_of(planes)
+    said = [*leave_out_lights(spec), *_unused_keyframes(spec, keyframe), *_unused_sizes(spec)]
+    for key in list(spec.keys):
+        spec.delete(key)
+    spec.nkey = 0  # `<size nkey>` asks for empty keyframes
+    prepare_shapes(spec, attrs, file.is_urdf, planes)
+    hulls = limit_hulls(spec, model)
+    keep_inertias(spec, model, hulls)
+    notes = (
+        *file.notes,
+        *(f"{file.path}: {line}" for line in (*said, *_limited(hulls, file.is_urdf))),
+    )
+    return RobotModel(
+        spec,
+        model,
+        joints,
+        read_mimics(model),
+        keyframe,
+        notes,
+        planes=planes,
+        floors=floors,
+        hulls=tuple(hulls),
+    )
 
 
-def _unused(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
-    """Return messages about unused keyframes and about mocap bodies, which do not move."""
-    said: list[str] = []
+def _unused_keyframes(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
+    """Return a message about keyframes that are not used."""
     others = [repr(key.name) for key in spec.keys if keyframe is None or key.name != keyframe.name]
-    if others:
-        used = keyframe.name if keyframe is not None else ""
-        said.append(f"it starts at its keyframe {used!r}; left out: {', '.join(others)}")
-    tops = list(spec.worldbody.bodies)
-    mocap = [repr(body.name) for body in tops if body.mocap]
-    if mocap and len(tops) > 1:
-        said.append(f"mocap bodies are fixed to its base: {', '.join(mocap)}")
-    return said
+    if not others:
+        return []
+    used = keyframe.name if keyframe is not None else ""
+    return [f"it starts at its keyframe {used!r}; left out: {', '.join(others)}"]
 
 
-def prepare_shapes(spec: mujoco.MjSpec, attrs: RigidBodyAttributesCfg, is_urdf: bool) -> None:
+_SIZES = "nconmax", "njmax", "nstack", "nuserdata"
+
+
+def _unused_sizes(spec: mujoco.MjSpec) -> list[str]:
+    """Return a message about sizes that a scene of several files cannot take from one."""
+    given = [f"{name}={getattr(spec, name)}" for name in _SIZES if getattr(spec, name) > 0]
+    for name in _SIZES:
+        setattr(spec, name, 0 if name == "nuserdata" else -1)
+    return [f"<size> left out: {', '.join(given)}"] if given else []
+
+
+def _limited(hulls: Sequence[HullLimit], is_urdf: bool) -> list[str]:
+    """Return a message about meshes whose hull is limited; `show` lists each."""
+    if not hulls:
+        return []
+    largest = max(hulls, key=lambda hull: hull.vertices)
+    message = (
+        f"{len(hulls)} of its meshes collide as hulls of at most {HULL_VERTICES} vertices (the "
+        f"largest, {largest.mesh!r}, has {largest.vertices})"
+    )
+    return [message if is_urdf else f"{message}; <mesh maxhullvert> sets another limit"]
+
+
+def prepare_shapes(
+    spec: mujoco.MjSpec,
+    attrs: RigidBodyAttributesCfg,
+    is_urdf: bool,
+    planes: Collection[str] = (),
+) -> None:
     """Set groups of visual and collision shapes, and apply a config's attributes.
+
+    Planes of its world are not of the robot: attributes do not concern them.
 
     A URDF has no friction: `attrs.dynamic_friction` is used. An MJCF keeps its own unless the
     config's differs from the default.
@@ -131,13 +182,12 @@ def prepare_shapes(spec: mujoco.MjSpec, attrs: RigidBodyAttributesCfg, is_urdf: 
     friction = float(attrs.dynamic_friction)
     own_friction = not is_urdf and friction == RigidBodyAttributesCfg().dynamic_friction
     for geom in spec.geoms:
+        if geom.name in planes:
+            continue
         if not own_friction:
             geom.friction[0] = friction
         if not attrs.enable_collision:
             geom.contype = geom.conaffinity = 0
-    for mesh in spec.meshes:
-        if mesh.maxhullvert < 0:
-            mesh.maxhullvert = HULL_VERTICES
     for body in spec.bodies if is_urdf else ():
         # MuJoCo's URDF reader gives visual shapes no contact bits and group 1; collision shapes
         # that the config has switched off are recognized by group 0.
@@ -162,68 +212,9 @@ def separate(spec: mujoco.MjSpec, number: int) -> None:
     """
     bit = 1 << number
     for geom in spec.geoms:
-        if collides(geom):
+        in_world = geom.type == mujoco.mjtGeom.mjGEOM_PLANE
+        if collides(geom) and not in_world:
             geom.contype, geom.conaffinity = bit, _ALL_BITS & ~bit
-
-
-def strip_world(spec: mujoco.MjSpec) -> list[str]:
-    """Remove lights, and planes in the world, from a robot file.
-
-    The scene has its own lights and ground. Other shapes of the file's world are kept.
-
-    Returns:
-        One line about removed planes, if any.
-    """
-    planes = [g for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]
-    names = ", ".join(repr(plane.name) for plane in planes)
-    for element in (*spec.lights, *planes):
-        spec.delete(element)
-    return [f"planes {names} of its world left out: the scene has its own ground"] if planes else []
-
-
-def set_root(spec: mujoco.MjSpec, fixed: bool) -> tuple[mujoco.MjSpec, str]:
-    """Make the root a mocap or free body; return the spec to use from now on and the root's name.
-
-    A fixed base is a mocap body, so its pose is state and can differ between environments. It has
-    no degrees of freedom and behaves as if fixed to the world, with one exception: MuJoCo lets the
-    children of a fixed body collide with it, but not those of a mocap body. Shapes that overlap at
-    the first joint are therefore harmless.
-
-    Raises:
-        ConfigError: If the file is empty, or has several bodies of which one floats.
-    """
-    tops = list(spec.worldbody.bodies)
-    if not tops:
-        raise ConfigError("the file contains no bodies")
-    root = tops[0]
-    floats = any(j.type == mujoco.mjtJoint.mjJNT_FREE for body in tops for j in body.joints)
-    if floats and len(tops) > 1:
-        names = ", ".join(repr(body.name) for body in tops)
-        message = f"one articulation is one tree, but the file contains free bodies: {names}"
-        raise ConfigError(message)
-    if not floats and (len(tops) > 1 or root.joints):
-        spec, root = _wrapped(spec)
-    for joint in list(root.joints):
-        spec.delete(joint)
-    root.mocap = fixed
-    if not fixed:
-        root.add_freejoint(name="free")
-    return spec, root.name
-
-
-def _wrapped(spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
-    """Attach the whole world of a spec to a new body in a new spec."""
-    for body in spec.worldbody.bodies:
-        body.mocap = False
-    outer = mujoco.MjSpec()
-    outer.compiler.fusestatic = False
-    name = ROOT_NAME
-    while spec.body(name) is not None:
-        name = f"{name}_"
-    root = outer.worldbody.add_body(name=name)
-    outer.option = spec.option
-    outer.attach(spec, frame=root.add_frame(), prefix="")
-    return outer, root
 
 
 # ------------------------------------------------------------------------------------ locked joints

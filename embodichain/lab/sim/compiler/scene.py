@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from embodichain.lab.sim.compiler.appearance import (
     set_look,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
+from embodichain.lab.sim.compiler.floors import bind_floors, strangers_to
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
 from embodichain.lab.sim.compiler.rigid_objects import (
@@ -29,6 +30,7 @@ from embodichain.lab.sim.compiler.rigid_objects import (
 )
 from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, compile_quietly
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
+from embodichain.lab.sim.compiler.robot_root import take_sizes
 from embodichain.lab.sim.compiler.scene_sensors import (
     CameraIndex,
     SensorIndex,
@@ -42,7 +44,7 @@ from embodichain.lab.sim.compiler.world import PREFIX, World, add_world, start_w
 from embodichain.lab.sim.scene_cfg import GroundCfg
 from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.math import quat_multiply, quat_rotate
+from embodichain.utils.math import quat_rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.terrain import Terrain
@@ -227,6 +229,7 @@ def compile_scene(
         terrain = add_terrain(spec, sim_cfg.scene.terrain, sim_cfg.scene.ground or GroundCfg())
     elif sim_cfg.has_ground:
         add_ground(spec, sim_cfg.scene.ground or GroundCfg())
+    notes += _bind_floors(spec, sim_cfg, articulations, world)
     for number, (uid, cfg) in enumerate(objects.items()):
         add_object(spec, uid, cfg, number)
     table = sim_cfg.scene.table
@@ -256,6 +259,8 @@ def compile_scene(
             model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
     if world is not None:
         entities |= _index_world(model, world)
+    if sim_cfg.has_ground:
+        notes += _strangers_to_ground(model, entities)
     data = _start(model, articulations, entities, world)
     row = np.zeros(mujoco.mj_stateSize(model, _STATE))
     mujoco.mj_getState(model, data, row, _STATE)
@@ -313,10 +318,48 @@ def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulatio
     notes = _options(child, spec, f"{parsed.uid}: {parsed.path}")
     for path, options in parsed.attached_options:
         notes += _options(options.copy(), spec, f"{parsed.uid}: {path}")
-    pos, quat = initial_pose(parsed.cfg)
-    frame = spec.worldbody.add_frame(pos=pos, quat=quat)
+    place = parsed.placement
+    frame = spec.worldbody.add_frame(pos=place.world_pos, quat=place.world_quat)
+    take_sizes(spec, child)
     spec.attach(child, frame=frame, prefix=f"{parsed.uid}/")
     return notes
+
+
+def _bind_floors(
+    spec: mujoco.MjSpec,
+    sim_cfg: SimulationManagerCfg,
+    articulations: Sequence[ParsedArticulation],
+    world: World | None,
+) -> list[str]:
+    """Put the scene's ground in the place of the floors of robots' files; return messages."""
+    ground = GROUND if sim_cfg.has_ground else None
+    if ground is None and world is not None and world.floors:
+        ground = f"{PREFIX}{world.floors[0]}"
+    notes: list[str] = []
+    given: Collection[str] | None = () if sim_cfg.has_ground else None
+    chosen = sim_cfg.scene.ground is not None or sim_cfg.scene.terrain is not None
+    for parsed in articulations:
+        at_height = not chosen and given is not None and parsed.placement.is_unmoved
+        floors, attached = (
+            [f"{parsed.uid}/{name}" for name in names]
+            for names in (parsed.floors, parsed.attached_floors)
+        )
+        said = bind_floors(spec, ground, floors, attached, given, at_height=at_height)
+        notes += [f"{parsed.uid}: {message}" for message in said]
+        if floors:
+            given = None  # the ground has the parameters of the first file's floor
+    return notes
+
+
+def _strangers_to_ground(
+    model: mujoco.MjModel, entities: Mapping[str, EntityIndex]
+) -> Iterator[str]:
+    """Yield a message about each robot and object that falls through the ground."""
+    geoms = {uid: index.geom_ids.tolist() for uid, index in entities.items()}
+    ground = model.geom(GROUND)
+    for uid in strangers_to(model, ground.id, geoms):
+        bits = f"contype {ground.contype[0]}, conaffinity {ground.conaffinity[0]}"
+        yield f"{uid}: no shape of it can touch the ground, whose bits are {bits}"
 
 
 def _options(child: mujoco.MjSpec, spec: mujoco.MjSpec, file: str) -> list[str]:
@@ -338,15 +381,14 @@ def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> En
         np.int64,
     )
     root = int(model.body(prefix + parsed.root_link_name).id)
-    pos, quat = initial_pose(parsed.cfg)
     free = -1 if parsed.fixed_base else int(model.body_jntadr[root])
     return EntityIndex(
         uid=parsed.uid,
         kind="articulation",
         body_ids=bodies,
         root_body_id=root,
-        pos0=pos + quat_rotate(quat, parsed.root_pose[:3]),
-        quat0=quat_multiply(quat, parsed.root_pose[3:]),
+        pos0=parsed.placement.root_pos,
+        quat0=parsed.placement.root_quat,
         geom_ids=np.flatnonzero(np.isin(model.geom_bodyid, bodies)).astype(np.int64),
         mocap_id=int(model.body_mocapid[root]),
         free_qpos_adr=int(model.jnt_qposadr[free]) if free >= 0 else -1,
@@ -470,7 +512,7 @@ def _start(
         start = index.free_qvel_adr
         if start >= 0:
             velocity = parsed.keyframe.root_qvel
-            data.qvel[start : start + 3] = quat_rotate(initial_pose(parsed.cfg)[1], velocity[:3])
+            data.qvel[start : start + 3] = quat_rotate(parsed.placement.turn, velocity[:3])
             data.qvel[start + 3 : start + 6] = velocity[3:]
         for name, (quat, speed) in parsed.keyframe.balls.items():
             joint = model.joint(f"{parsed.uid}/{name}")

@@ -105,8 +105,9 @@ class Randomize:
         "armature": "armature",
         "strength": "strength",
         "mass": "mass",
+        "com": "com",
     }
-    """Parameters that may make drives chatter; see `drive_changes`."""
+    """Parameters that may make drives chatter, or move a centre of mass; see `drive_changes`."""
 
     def __init__(
         self,
