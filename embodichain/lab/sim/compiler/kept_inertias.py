@@ -31,6 +31,11 @@ class HullLimit:
     mesh: str
     vertices: int
 
+    @property
+    def text(self) -> str:
+        """One line about it."""
+        return f"mesh {self.mesh!r}: its hull of {self.vertices} vertices has {HULL_VERTICES} here"
+
 
 def limit_hulls(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[HullLimit]:
     """Limit the convex hulls of meshes that have no limit of their own.

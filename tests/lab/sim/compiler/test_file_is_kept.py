@@ -412,5 +412,5 @@ def test_urdf_text_that_ros_and_mujoco_read_is_read(tmp_path, text):
 def test_text_that_is_no_xml_is_an_error_with_its_line(tmp_path):
     path = tmp_path / "r.urdf"
     path.write_text(f"<!-- a -- b\n -->\n{URDF.replace('</joint>', '</link>')}")
-    with pytest.raises(ConfigError, match=r"r\.urdf:5: not well-formed XML: mismatched tag"):
+    with pytest.raises(ConfigError, match=r"r\.urdf:6: not well-formed XML: mismatched tag"):
         parse_articulation("r", RobotCfg(fpath=str(path)))
