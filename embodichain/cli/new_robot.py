@@ -150,6 +150,10 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
     data = mujoco.MjData(parsed.model)
     for name, value in zip(names, home, strict=True):
         data.joint(name).qpos = value
+    root = parsed.placement.root_pos
+    if floating:
+        at = int(parsed.model.jnt_qposadr[parsed.model.body(parsed.root_link_name).jntadr[0]])
+        data.qpos[at : at + 7] = [0.0, 0.0, root[2], *parsed.placement.root_quat]
     mujoco.mj_kinematics(parsed.model, data)
     lowest = _lowest(parsed.model, data)
     lift = math.ceil(100 * (-lowest if floating else max(0.0, -lowest)) - 1e-6) / 100
@@ -160,7 +164,7 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
     words = _words(
         uid=uid,
         fpath=fpath,
-        height=lift,
+        height=lift + float(root[2]) if floating else lift,
         home=[round(float(value), 4) for value in home],
         tool=tool,
         marker=[round(value, 2) + 0.0 for value in (x, y, z + lift)],

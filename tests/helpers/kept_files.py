@@ -107,17 +107,33 @@ class Twin:
         there = list(range(getattr(self.alone, size)))
         if kind in _UNNAMED:
             here = list(range(getattr(self.model, size)))
-        if kind in ("pair", "exclude"):  # the robot's come first
-            return list(zip(there, here, strict=False))
+        if kind in ("pair", "exclude"):  # some are added, and MuJoCo sorts them
+            known = {self._ends(self.model, kind, i): i for i in here}
+            return [(i, known[self._ends(self.alone, kind, i)]) for i in there]
         if kind == "body":
             there = there[1:]
             here = here[len(here) - len(there) :]  # without an added root
         if kind == "geom":
             there = [i for i in there if i not in floors_in(self.alone)]
+        if len(here) < len(there) == len(names):  # without names of their own
+            here = list(range(len(names)))
         if len(here) != len(there):
             there_names = [self._names(self.alone, kind)[i] for i in there]
             raise AssertionError(f"{kind}: {there_names} alone, {[names[i] for i in here]} here")
         return list(zip(there, here, strict=True))
+
+    def _ends(self, model: mujoco.MjModel, kind: str, i: int) -> frozenset[str]:
+        """The names of the two geoms of a pair, or of the two bodies of an exclude."""
+        if kind == "exclude":
+            signature = int(model.exclude_signature[i])
+            bodies = signature >> 16, signature & 0xFFFF
+            named = [model.body(body).name for body in bodies]
+        else:
+            geoms = int(model.pair_geom1[i]), int(model.pair_geom2[i])
+            named = [model.geom(geom).name or f"geom_{geom}" for geom in geoms]
+        floors = {self.alone.geom(i).name for i in floors_in(self.alone)}
+        own = [name.removeprefix(f"{UID}/") for name in named]
+        return frozenset("default_plane" if name in floors else name for name in own)
 
     def _names(self, model: mujoco.MjModel, kind: str) -> list[str]:
         obj, _, size = _KINDS[kind]

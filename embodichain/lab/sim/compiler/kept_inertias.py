@@ -1,7 +1,7 @@
 """Masses and inertias of a file's bodies, where the scene would compile others from its elements.
 
 MuJoCo scales to `settotalmass` only the model that is compiled, not one that is attached to it, and
-computes the inertia of a mesh with ``inertia="convex"`` from a hull whose vertices a limit reduces.
+computes the inertia of some meshes (``inertia="convex"``) from a hull whose vertices a limit reduces.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from embodichain.lab.sim.compiler.rigid_objects import HULL_VERTICES
 
 __all__ = ["HullLimit", "keep_inertias", "limit_hulls"]
 
-_AUTO = 2
-"""`inertiafromgeom`: only of bodies without an inertia of their own."""
+_ALWAYS, _AUTO = 1, 2
+"""`inertiafromgeom`: of all bodies, or only of those without an inertia of their own."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def limit_hulls(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[HullLimit]:
     """
     limited: list[HullLimit] = []
     for mesh in spec.meshes:
-        if mesh.maxhullvert >= 0:
+        if mesh.maxhullvert >= 0 or mesh.plugin.active:  # a distance field needs no hull
             continue
         mesh.maxhullvert = HULL_VERTICES
         start = int(model.mesh_graphadr[model.mesh(mesh.name).id])
@@ -67,15 +67,16 @@ def keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel, limited: list[Hull
         model: The file, compiled before it was changed.
         limited: Meshes whose hull changed.
     """
-    convex = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-    hulls_weigh = any(spec.mesh(limit.mesh).inertia == convex for limit in limited)
-    if not hulls_weigh and spec.compiler.settotalmass <= 0:
+    scaled = spec.compiler.settotalmass > 0
+    if not scaled and not limited:
         return
+    from_geoms = spec.compiler.inertiafromgeom == _ALWAYS
     spec.compiler.settotalmass = -1.0
     spec.compiler.inertiafromgeom = _AUTO
     for body in spec.bodies[1:]:  # the first is the world
         compiled = model.body(body.name)
-        if compiled.mass[0] == 0:
+        inferred = from_geoms or not body.explicitinertial
+        if compiled.mass[0] == 0 or not (scaled or inferred):
             continue
         body.explicitinertial = True
         body.mass = float(compiled.mass[0])
