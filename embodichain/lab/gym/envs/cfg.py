@@ -21,6 +21,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     Vec3,
 )
+from embodichain.lab.sim.physics_cfg import OptionsCfg
 from embodichain.lab.sim.scene_cfg import SceneCfg, ViewCfg
 from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
@@ -208,7 +209,7 @@ class CurriculumCfg(TermCfg):
 
 
 @configclass
-class PhysicsTaskCfg:
+class PhysicsTaskCfg(OptionsCfg):
     """Physics options of a task; None keeps the value of `sim_cfg`."""
 
     physics_dt: Annotated[float, Field(gt=0)] | None = None

@@ -28,7 +28,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
-from embodichain.lab.sim.compiler.appearance import check_light
+from embodichain.lab.sim.compiler.appearance import check_ground, check_light
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
@@ -39,6 +39,7 @@ from embodichain.lab.sim.compiler.drives import (
 from embodichain.lab.sim.compiler.furniture import check_furniture, furniture_of
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
+from embodichain.lab.sim.compiler.physics_options import check_options
 from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
 from embodichain.lab.sim.compiler.scene import compile_scene
@@ -112,7 +113,8 @@ def _surroundings(cfg: EnvCfg) -> list[_Entity]:
 
 def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
     scene = _scene(cfg)
-    found = check_furniture(scene, _base(cfg)) if scene.table or scene.pedestal else []
+    found = check_ground(scene)
+    found += check_furniture(scene, _base(cfg)) if scene.table or scene.pedestal else []
     return [problem.below("scene") for problem in found]
 
 
@@ -237,6 +239,7 @@ def describe(
     incomplete = open_scene or None in known.values()
     found = check_views(physics.views, *places_of_views(known, world, incomplete))
     problems += [p.below("views") for p in found]
+    problems += [p.below("physics") for p in check_options(physics.physics_config)]
     problems += check_references(cfg, known, open_scene=open_scene)
     sensors: dict[str, SensorPlan] = {}
     if cfg.sensors:

@@ -35,6 +35,7 @@ class World:
         start: Its initial state: that of the keyframe, else MuJoCo's reset state.
         objects: The bodies of its world as rigid objects, by name; their poses are those of
             `start`. Joints below them are simulated, but no handle reads them.
+        options: The physics options that it gives, see `given_options`.
         notes: Messages for the user, one line each: what of the file is not used.
     """
 
@@ -43,6 +44,7 @@ class World:
     model: mujoco.MjModel
     start: mujoco.MjData
     objects: Mapping[str, RigidObjectCfg]
+    options: frozenset[str]
     notes: tuple[str, ...]
 
 
@@ -88,7 +90,7 @@ def read_world(cfg: SceneCfg) -> World:
     notes = [f"{file.path}: {what} {', '.join(map(repr, names))}" for names, what in said if names]
     bodies = [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
     objects = {model.body(i).name: _object(model, start, i) for i in bodies}
-    return World(file.path, spec, model, start, objects, (*file.notes, *notes))
+    return World(file.path, spec, model, start, objects, file.options, (*file.notes, *notes))
 
 
 def _object(model: mujoco.MjModel, start: mujoco.MjData, body: int) -> RigidObjectCfg:
