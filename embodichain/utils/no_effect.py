@@ -11,7 +11,15 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, get_args, get_type_hints
 
-__all__ = ["NO_EFFECT", "NoEffect", "config_nodes", "no_effect_fields"]
+from embodichain.utils.defaults import is_given
+
+__all__ = [
+    "NO_EFFECT",
+    "NoEffect",
+    "changed_without_effect",
+    "config_nodes",
+    "no_effect_fields",
+]
 
 
 @dataclass(frozen=True)
@@ -33,14 +41,34 @@ class NoEffect:
 NO_EFFECT = NoEffect()
 
 
+def no_effect_fields(cfg: Any) -> Mapping[str, NoEffect]:
+    """Return the fields of a config that change nothing, by name."""
+    kind: Any = type(cfg)
+    return _marked(kind)
+
+
 @cache
-def no_effect_fields(cls: type) -> Mapping[str, NoEffect]:
-    """Return the fields of a config class that change nothing, by name."""
+def _marked(cls: Any) -> Mapping[str, NoEffect]:
     hints = get_type_hints(cls, include_extras=True)
     marks = {
         name: [m for m in get_args(hint) if isinstance(m, NoEffect)] for name, hint in hints.items()
     }
     return {name: found[0] for name, found in marks.items() if found}
+
+
+def changed_without_effect(cfg: Any) -> list[tuple[str, NoEffect]]:
+    """Return the fields of a config made in Python that differ from the default and change nothing.
+
+    Such a config cannot say whether a value that equals its default was given; that one changes
+    nothing either way.
+    """
+    usual = type(cfg)()
+    return [
+        (name, mark)
+        for name, mark in no_effect_fields(cfg).items()
+        if is_given(getattr(cfg, name))
+        and (not is_given(getattr(usual, name)) or getattr(cfg, name) != getattr(usual, name))
+    ]
 
 
 def config_nodes(

@@ -158,6 +158,7 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
     if cfg.episode_length_s is not None:
         step_dt = sim_cfg.physics_dt * cfg.sim_steps_per_control
         cfg.max_episode_steps = max(1, math.ceil(cfg.episode_length_s / step_dt - 1e-9))
+    cfg.max_episode_steps = int(cfg.max_episode_steps)
     if cfg.max_episode_steps == -1:
         cfg.max_episode_steps = NO_LIMIT
     return cfg

@@ -21,6 +21,7 @@ from embodichain.utils.errors import Problem
 __all__ = [
     "FIXED_PRIORITY",
     "ContactParameters",
+    "bouncing_solref",
     "check_contact",
     "check_fixed_contact",
     "check_solref",
@@ -122,6 +123,20 @@ def fixed_contact(
     if base is None:
         base = ContactParameters(priority=FIXED_PRIORITY if given.friction is None else 0)
     return given.over(base)
+
+
+def bouncing_solref(restitution: float) -> tuple[float, float]:
+    """Return a solref with which a body bounces back with about this share of its speed.
+
+    A damped spring that is touched for half a period returns exp(-pi z / sqrt(1 - z^2)) of the
+    speed for its damping ratio z. The frequency is that of MuJoCo's default solref, 1 / 0.02 s.
+
+    Args:
+        restitution: More than 0 and less than 1.
+    """
+    decay = math.log(restitution)
+    ratio = -decay / math.hypot(math.pi, decay)
+    return 0.02 / ratio, ratio
 
 
 # ------------------------------------------------------------------------------------------- checks
