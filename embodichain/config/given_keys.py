@@ -77,13 +77,16 @@ def _mistakes(cfg: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
 
 def _refusal(name: str, value: float) -> Problem:
     """What is wrong with a coefficient that MuJoCo does not have, and what to write instead."""
-    from embodichain.lab.sim.compiler.contact_parameters import bouncing_solref
+    from embodichain.lab.sim.compiler.contact_parameters import (  # imports MuJoCo
+        LEAST_RESTITUTION,
+        bouncing_solref,
+    )
 
     if name == "static_friction":
         message = "MuJoCo has one sliding coefficient: give dynamic_friction, and leave this out"
         return Problem(name, f"{message}; got {value:g}")
     message = f"MuJoCo has no restitution coefficient: must be 0, got {value:g}"
-    if not 0 < value < 1:
+    if not LEAST_RESTITUTION < value < 1:
         return Problem(name, message)
     time, ratio = bouncing_solref(value)
     instead = f"`contact: {{solref: [{time:.4g}, {ratio:.4g}]}}` bounces back with about this share"

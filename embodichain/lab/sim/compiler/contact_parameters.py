@@ -20,6 +20,7 @@ from embodichain.utils.errors import Problem
 
 __all__ = [
     "FIXED_PRIORITY",
+    "LEAST_RESTITUTION",
     "ContactParameters",
     "bouncing_solref",
     "check_contact",
@@ -31,6 +32,8 @@ __all__ = [
 
 FIXED_PRIORITY = -1
 """Priority of a collider that does not move and was given no friction."""
+LEAST_RESTITUTION = math.exp(-2.0)
+"""That of a critically damped spring."""
 _DECIDED = ("condim", "solref", "solimp", "solmix")
 """Parameters beside friction that act only with a priority that is not too low."""
 _LARGEST_IMPEDANCE = 0.9999
@@ -128,15 +131,25 @@ def fixed_contact(
 def bouncing_solref(restitution: float) -> tuple[float, float]:
     """Return a solref with which a body bounces back with about this share of its speed.
 
-    A damped spring that is touched for half a period returns exp(-pi z / sqrt(1 - z^2)) of the
-    speed for its damping ratio z. The frequency is that of MuJoCo's default solref, 1 / 0.02 s.
+    The body leaves a damped spring when that would pull (Schwager and Poeschel 2007, "Coefficient
+    of restitution and linear-dashpot model revisited", eq. 21). The frequency is that of MuJoCo's
+    default solref, 1 / 0.02 s.
 
     Args:
-        restitution: More than 0 and less than 1.
+        restitution: More than `LEAST_RESTITUTION` and less than 1.
     """
-    decay = math.log(restitution)
-    ratio = -decay / math.hypot(math.pi, decay)
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        ratio = 0.5 * (low + high)
+        low, high = (ratio, high) if _restitution(ratio) > restitution else (low, ratio)
     return 0.02 / ratio, ratio
+
+
+def _restitution(ratio: float) -> float:
+    """The share of its speed that a body has after a spring with this damping ratio below 1."""
+    root = math.sqrt(1.0 - ratio**2)
+    angle = math.atan2(2.0 * ratio * root, 1.0 - 2.0 * ratio**2)
+    return math.exp(-ratio / root * (math.pi - angle))
 
 
 # ------------------------------------------------------------------------------------------- checks
