@@ -71,8 +71,8 @@ class Resolved:
         tree: Frozen plain mappings and tuples, as written to files (`dump_yaml`).
         overrides: As typed.
         task_name: The option of the group `task`.
-        notes: What was left out or changed in converting a gym config, and derived values that
-            change the physics.
+        notes: What was left out or changed in converting a gym config, given keys that change
+            nothing, and derived values that change the physics.
         source: Function from a key path to where the key was set, or an empty string.
         prepared: The scene that the check compiled, reused by the first environment.
     """
@@ -210,7 +210,7 @@ def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], 
     if found.problems:
         raise ConfigError(found.problems)
     tree, notes = _with_armature(_with_defaults(found.types.tree, verb), found.scene)
-    return Resolved(freeze(tree), (), task_name, notes, source, found.scene)
+    return Resolved(freeze(tree), (), task_name, (*found.notes, *notes), source, found.scene)
 
 
 def _with_pretrained(resolved: Resolved) -> Resolved:

@@ -21,6 +21,7 @@ from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.no_effect import changed_without_effect
 
 __all__ = ["Entity", "Scene"]
 
@@ -157,9 +158,23 @@ class Scene:
             )
             self.compiled = self._prepared.take_scene(parts) or compile_scene(*parts)
             notes = [f"{parsed.uid}: {note}" for parsed in articulations for note in parsed.notes]
+            if self._cfg.prepared_scene is None:  # else the check of the task's file has said them
+                notes += self._without_effect()
             for note in (*notes, *self.compiled.notes):
                 _log.warning("%s", note)
         return self.compiled
+
+    def _without_effect(self) -> list[str]:
+        """Messages about values of configs made in Python that change nothing."""
+        said: list[str] = []
+        for uid, entity in {**self.jointed, **self.rigid_objects}.items():
+            if uid in self.inside:
+                continue
+            own: Any = entity.cfg
+            for where, cfg in (("", own), ("attrs.", own.attrs)):
+                found = changed_without_effect(cfg)
+                said += [f"{uid}: {where}{name} {mark.message}" for name, mark in found]
+        return said
 
     def bind(self, engine: Engine) -> None:
         """Give every handle the engine and its indices in the compiled model."""

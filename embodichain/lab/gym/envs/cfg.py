@@ -21,9 +21,11 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     Vec3,
 )
+from embodichain.lab.sim.physics_cfg import OptionsCfg
 from embodichain.lab.sim.scene_cfg import SceneCfg, ViewCfg
 from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
+from embodichain.utils.defaults import KEEP_DEFAULT, DefaultInt
 
 __all__ = [
     "NO_LIMIT",
@@ -208,7 +210,7 @@ class CurriculumCfg(TermCfg):
 
 
 @configclass
-class PhysicsTaskCfg:
+class PhysicsTaskCfg(OptionsCfg):
     """Physics options of a task; None keeps the value of `sim_cfg`."""
 
     physics_dt: Annotated[float, Field(gt=0)] | None = None
@@ -264,7 +266,7 @@ class EnvCfg:
     sim_steps_per_control: Annotated[int, Field(ge=1)] = 4
     """Physics steps a control step (K)."""
     ignore_terminations: bool = False
-    max_episode_steps: int = 300
+    max_episode_steps: Annotated[int, KEEP_DEFAULT] = DefaultInt(300)
     """Control steps; -1 is no limit."""
     first_env: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
     """Number of the first environment: environment *i* has the random streams of first_env + i."""

@@ -28,7 +28,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
-from embodichain.lab.sim.compiler.appearance import check_light
+from embodichain.lab.sim.compiler.appearance import check_ground, check_light
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
@@ -39,6 +39,7 @@ from embodichain.lab.sim.compiler.drives import (
 from embodichain.lab.sim.compiler.furniture import check_furniture, furniture_of
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
+from embodichain.lab.sim.compiler.physics_options import check_options
 from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
 from embodichain.lab.sim.compiler.scene import compile_scene
@@ -112,7 +113,8 @@ def _surroundings(cfg: EnvCfg) -> list[_Entity]:
 
 def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
     scene = _scene(cfg)
-    found = check_furniture(scene, _base(cfg)) if scene.table or scene.pedestal else []
+    found = check_ground(scene)
+    found += check_furniture(scene, _base(cfg)) if scene.table or scene.pedestal else []
     return [problem.below("scene") for problem in found]
 
 
@@ -156,6 +158,7 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
     if cfg.episode_length_s is not None:
         step_dt = sim_cfg.physics_dt * cfg.sim_steps_per_control
         cfg.max_episode_steps = max(1, math.ceil(cfg.episode_length_s / step_dt - 1e-9))
+    cfg.max_episode_steps = int(cfg.max_episode_steps)
     if cfg.max_episode_steps == -1:
         cfg.max_episode_steps = NO_LIMIT
     return cfg
@@ -237,6 +240,7 @@ def describe(
     incomplete = open_scene or None in known.values()
     found = check_views(physics.views, *places_of_views(known, world, incomplete))
     problems += [p.below("views") for p in found]
+    problems += [p.below("physics") for p in check_options(physics.physics_config)]
     problems += check_references(cfg, known, open_scene=open_scene)
     sensors: dict[str, SensorPlan] = {}
     if cfg.sensors:
@@ -297,6 +301,8 @@ def _parse(
                 found.append(Problem("disable_self_collision", message))
         elif isinstance(cfg, RigidObjectCfg):
             found = check_object(cfg)
+            if path.startswith("scene."):  # `check_furniture` names the keys of table and pedestal
+                found = [p for p in found if not p.path.startswith("contact.")]
         elif isinstance(cfg, LightCfg):
             found = check_light(cfg)
         problems += [p.below(path) for p in found]

@@ -13,6 +13,7 @@ import numpy as np
 from embodichain.lab.sim.cfg import ArticulationCfg, RobotCfg, URDFCfg
 from embodichain.lab.sim.compiler.base_contacts import restore_base_contacts
 from embodichain.lab.sim.compiler.collision_shapes import replace_shapes, resolve_shapes
+from embodichain.lab.sim.compiler.contact_patterns import apply_contacts, check_contacts
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
     DriveGains,
@@ -45,6 +46,7 @@ from embodichain.lab.sim.compiler.robot_joints import (
     resolve_qpos,
 )
 from embodichain.lab.sim.compiler.robot_links import (
+    AttachedOptions,
     add_attachments,
     add_tools,
     check_attachments,
@@ -104,7 +106,9 @@ class ParsedArticulation:
         init_ctrl: (M,) initial controls.
         init_act: (K,) initial activations, in the order of its actuators.
         keyframe: The file's keyframe, for the root and ball joints, or None.
-        attached_options: Path of each attached file, and an empty model with its physics options.
+        options: The physics options that its own file gives, see `given_options`.
+        attached_options: Path of each attached file, an empty model with its physics options, and
+            the names of those it gives.
         notes: Messages for the user about the file, one line each.
         floors: Floors of its file, still in `spec`: see `compiler.floors`.
         attached_floors: Floors of attached files.
@@ -149,7 +153,8 @@ class ParsedArticulation:
     init_ctrl: F64
     init_act: F64
     keyframe: Keyframe | None
-    attached_options: tuple[tuple[str, mujoco.MjSpec], ...]
+    options: frozenset[str]
+    attached_options: tuple[AttachedOptions, ...]
     notes: tuple[str, ...]
     floors: tuple[str, ...]
     attached_floors: tuple[str, ...]
@@ -264,6 +269,9 @@ def parse_with_problems(
         if not problems:
             replace_shapes(file.spec, shapes, cfg.attrs)
             add_attachments(file.spec, cfg.attachments)
+        problems += check_contacts(file.spec, cfg.contact, list(cfg.attachments))
+        if not problems:
+            apply_contacts(file.spec, cfg.contact)
             add_tools(file.spec, tools)
         for body in file.spec.bodies[1:]:
             if cfg.gravcomp is not None:
@@ -333,6 +341,7 @@ def parse_with_problems(
             init_ctrl=init_ctrl,
             init_act=init_act,
             keyframe=keyframe,
+            options=file.options,
             attached_options=robot.attached_options,
             notes=tuple(notes),
             floors=robot.floors,

@@ -97,8 +97,12 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
         problems.append(Problem("camera", "a stereo_camera has two cameras: leave it out"))
     own = {"fovy": cfg.fovy, "intrinsics": cfg.intrinsics, "entity_cfg": cfg.entity_cfg.uid}
     own["extrinsics"] = cfg.extrinsics != ExtrinsicsCfg()
-    message = f"camera {cfg.camera!r} has its own: leave it out"
+    message = HAS_ITS_OWN.format(cfg.camera)
     return problems + [Problem(key, message) for key, given in own.items() if given]
+
+
+HAS_ITS_OWN = "camera {!r} has its own: leave it out"
+SAID_BY_EYE = "eye and target are given as well: leave one of them out"
 
 
 def _check_lens(cfg: CameraCfg) -> list[Problem]:
@@ -138,8 +142,7 @@ def _check_extrinsics(cfg: ExtrinsicsCfg) -> list[Problem]:
     default = ExtrinsicsCfg()
     for key in ("pos", "quat"):
         if list(getattr(cfg, key)) != list(getattr(default, key)):
-            message = "eye and target are given as well: leave one of them out"
-            problems.append(Problem(f"extrinsics.{key}", message))
+            problems.append(Problem(f"extrinsics.{key}", SAID_BY_EYE))
     if not problems:
         try:
             look_at(*_points(cfg))

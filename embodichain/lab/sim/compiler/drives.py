@@ -29,7 +29,8 @@ from embodichain.lab.sim.cfg import SimulationManagerCfg
 from embodichain.lab.sim.compiler.index import F64, Ids, Mask
 from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.compiler.robot_joints import JOINT_TRANSMISSIONS, FileJoints
-from embodichain.lab.sim.drive_cfg import NO_LIMIT, FileFirst, JointDrivePropertiesCfg
+from embodichain.lab.sim.drive_cfg import NO_LIMIT, JointDrivePropertiesCfg
+from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import Problem
 from embodichain.utils.random import RandomStreams
 from embodichain.utils.suggest import did_you_mean, listing
@@ -77,8 +78,8 @@ def resolve_drives(
     """Return one value of each property per joint, and every mistake in the config.
 
     A map's keys are joint regexes or control-part names; parts are applied last. Mimic joints have
-    no drive. A `friction` of 0 (the default) keeps the file's; a map
-    with 0 clears it. ``acceleration`` multiplies both gains by the joint's inertia at qpos0.
+    no drive. A `friction` that is not given keeps the file's.
+    ``acceleration`` multiplies both gains by the joint's inertia at qpos0.
 
     In a URDF every other joint has a drive, with the fields' defaults where no key names it. In an
     MJCF, joints that `stiffness` or `damping` names have one (a number names the joints that the
@@ -97,7 +98,7 @@ def resolve_drives(
             return default.copy(), no_joint
         found = _per_joint(name, wanted, joints.names, parts, problems)
         given = ~np.isnan(found)
-        if isinstance(wanted, FileFirst):
+        if not is_given(wanted):
             given &= urdf
         elif not isinstance(wanted, Mapping):
             given &= ~joints.by_name
@@ -119,7 +120,7 @@ def resolve_drives(
     files = ~urdf | (cfg.max_effort == "file")
     effort, limited = value("max_effort", np.where(files, joints.qf_limits, 1e10))
     friction = joints.friction.copy()
-    if isinstance(cfg.friction, Mapping) or cfg.friction != 0:
+    if is_given(cfg.friction):
         friction, _ = value("friction", friction)
     armature, armed = joints.armature.copy(), no_joint
     if cfg.armature is not None:

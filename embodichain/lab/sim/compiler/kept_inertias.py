@@ -1,7 +1,7 @@
 """Masses and inertias of a file's bodies, where the scene would compile others from its elements.
 
 MuJoCo scales to `settotalmass` only the model that is compiled, not one that is attached to it, and
-computes the inertia of some meshes (``inertia="convex"``) from a hull whose vertices a limit reduces.
+computes the inertia of some meshes (``inertia="convex"``) from a hull whose vertices are limited.
 """
 
 from __future__ import annotations

@@ -12,8 +12,10 @@ import numpy as np
 
 from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.lab.sim.cfg import ObjectBaseCfg, RigidObjectCfg, VariantCfg
+from embodichain.lab.sim.compiler.contact_parameters import set_contact_parameters
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import check_uid
+from embodichain.lab.sim.compiler.object_contacts import check_object_contact, object_contact
 from embodichain.lab.sim.compiler.textures import add_textures, check_textures
 from embodichain.lab.sim.meshes.mesh_conversion import (
     MadePart,
@@ -35,12 +37,15 @@ from embodichain.lab.sim.shapes import (
     SphereCfg,
     VisualMaterialCfg,
 )
+from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, matrix_to_quat, normalize_quat
 
 __all__ = [
     "COLLISION_GROUP",
+    "HAS_SHAPES",
     "HULL_VERTICES",
+    "OF_EACH_SHAPE",
     "VISUAL_GROUP",
     "add_object",
     "add_shape",
@@ -52,7 +57,7 @@ __all__ = [
     "given_pose",
     "inertia_about_axes",
     "initial_pose",
-    "set_contact",
+    "set_collision",
     "shapes_of",
 ]
 
@@ -131,12 +136,13 @@ def check_pose(cfg: ObjectBaseCfg) -> list[Problem]:
 
 def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     """Return every mistake in an object's config, with paths below it."""
-    problems = check_pose(cfg) + _check_attrs(cfg)
+    problems = check_pose(cfg) + _check_attrs(cfg) + check_object_contact(cfg)
     if cfg.any_of:
-        for name in ("shape", "body_scale", "max_convex_hull_num", "collision"):
+        # A config made in Python cannot say whether a default was given; for YAML, see
+        # `config.given_keys`.
+        for name in OF_EACH_SHAPE:
             if not _same(getattr(cfg, name), getattr(RigidObjectCfg(), name)):
-                message = "the object has any_of: give each of its shapes there"
-                problems.append(Problem(name, message))
+                problems.append(Problem(name, HAS_SHAPES))
     for name, one in shapes_of(cfg).items():
         if not cfg.any_of:
             return problems + _check_shape(one)
@@ -144,6 +150,11 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
         problems += check_uid(name, path, {})
         problems += [p.below(path) for p in _check_place(cfg.any_of[name]) + _check_shape(one)]
     return problems
+
+
+OF_EACH_SHAPE = ("shape", "body_scale", "max_convex_hull_num", "collision")
+"""Fields of an object that each shape of `any_of` has instead."""
+HAS_SHAPES = "the object has any_of: give each of its shapes there"
 
 
 def _same(a: object, b: object) -> bool:
@@ -181,6 +192,9 @@ def shapes_of(cfg: RigidObjectCfg) -> dict[str, RigidObjectCfg]:
 
 def _check_shape(cfg: RigidObjectCfg) -> list[Problem]:
     problems: list[Problem] = []
+    if cfg.collision == "decompose" and _given_parts(cfg) == 1:
+        message = "1 part is the hull, but collision is decompose: leave one of them out"
+        problems.append(Problem("max_convex_hull_num", message))
     scale = np.asarray(cfg.body_scale, np.float64)
     if scale.shape != (3,) or not (scale > 0).all():
         problems.append(Problem("body_scale", f"must be 3 positive numbers, got {scale.tolist()}"))
@@ -219,9 +233,15 @@ def _check_attrs(cfg: RigidObjectCfg) -> list[Problem]:
 
 def _convex_parts(cfg: RigidObjectCfg) -> int | None:
     """Maximum number of convex parts of a mesh; 1 is its hull, None as many as needed."""
-    if cfg.max_convex_hull_num > 1:
-        return int(cfg.max_convex_hull_num)
+    given = _given_parts(cfg)
+    if given is not None:
+        return given
     return None if cfg.collision == "decompose" else 1
+
+
+def _given_parts(cfg: RigidObjectCfg) -> int | None:
+    number = cfg.max_convex_hull_num
+    return int(number) if is_given(number) else None
 
 
 def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> list[Problem]:
@@ -290,7 +310,8 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
         else:
             geom.density = float(attrs.density)
         geoms = body.geoms[before:]
-        set_contact(geoms, float(attrs.dynamic_friction), attrs.enable_collision)
+        set_contact_parameters(geoms, object_contact(one))
+        set_collision(geoms, attrs.enable_collision)
         if name:
             body.userdata = [0.0]  # the index of the shape, as a field of each environment
             place = initial_pose(_place(cfg.any_of[name]))
@@ -444,12 +465,10 @@ def collides(geom: mujoco.MjsGeom) -> bool:
     return bool(geom.contype or geom.conaffinity)
 
 
-def set_contact(geoms: Sequence[mujoco.MjsGeom], friction: float, enabled: bool) -> None:
-    """Set the sliding friction of geoms, and whether they collide."""
-    for geom in geoms:
-        geom.friction[0] = friction
-        if not enabled:
-            geom.contype = geom.conaffinity = 0
+def set_collision(geoms: Sequence[mujoco.MjsGeom], enabled: bool) -> None:
+    """Let geoms collide with nothing unless they are enabled."""
+    for geom in geoms if not enabled else ():
+        geom.contype = geom.conaffinity = 0
 
 
 def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import AttachedFileCfg, ObjectBaseCfg
+from embodichain.lab.sim.compiler.contact_patterns import apply_contacts, check_contacts
 from embodichain.lab.sim.compiler.floors import move_to_world, without_references
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import no_such
@@ -27,7 +28,11 @@ from embodichain.lab.sim.compiler.robot_joints import (
     read_mimics,
     resolve_qpos,
 )
-from embodichain.lab.sim.compiler.robot_links import RobotModel, prepare_file
+from embodichain.lab.sim.compiler.robot_links import (
+    AttachedOptions,
+    RobotModel,
+    prepare_file,
+)
 from embodichain.lab.sim.compiler.robot_root import (
     bind_to_body,
     remove_free_joint,
@@ -214,7 +219,7 @@ def attach_files(
     """
     spec, problems = robot.spec, list[Problem]()
     parts, urdf = {"": robot}, {n for n, u in _from_urdf(robot) if u}
-    options: list[tuple[str, mujoco.MjSpec]] = []
+    options: list[AttachedOptions] = []
     velocity, notes = dict(velocity_limits), [*robot.notes]
     for name, cfg in attached.items():
         found, file = _check(name, cfg, spec)
@@ -223,10 +228,14 @@ def attach_files(
             continue
         prefix = f"{name}/"
         part = parts[prefix] = prepare_file(file, cfg.attrs)
+        wrong = check_contacts(file.spec, cfg.contact)
+        problems += [p.below(f"attach.{name}") for p in wrong]
+        if not wrong:
+            apply_contacts(file.spec, cfg.contact)
         notes += [*part.notes, *_loosen(file), *_without_walls(file, part)]
         urdf |= {f"{prefix}{n}" for n, u in _from_urdf(part) if u}
         velocity |= {f"{prefix}{n}": limit for n, limit in file.velocity_limits.items()}
-        options.append((f"{file.path} (attach.{name})", mujoco.MjSpec()))
+        options.append((f"{file.path} (attach.{name})", mujoco.MjSpec(), file.options))
         options[-1][1].option = file.spec.option
         # The scene's options apply: MuJoCo would warn about each that differs.
         file.spec.option = spec.option

@@ -7,13 +7,14 @@ import re
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from embodichain.data import DataNotFoundError, get_data_path, resolve_package_uri
+from embodichain.lab.sim.compiler.file_options import given_options
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.mjcf_meshes import (
     convert_meshes,
@@ -74,6 +75,7 @@ class ModelFile:
         velocity_limits: Joint name -> limit; URDF only.
         last_link: The last link in the order of the URDF text, not of the tree.
         notes: Messages for the user, one line each.
+        options: The physics options that it gives, see `given_options`.
     """
 
     path: Path
@@ -83,6 +85,7 @@ class ModelFile:
     velocity_limits: dict[str, float] = field(default_factory=dict)
     last_link: str = ""
     notes: list[str] = field(default_factory=list)
+    options: frozenset[str] = frozenset()
 
 
 def locate(fpath: str | None) -> Path:
@@ -118,16 +121,27 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     if root_tag(source) == "mujoco":
-        return _read_mjcf(path, convex_parts)
+        file = _read_mjcf(path, convex_parts)
+        return replace(file, options=_options_of(source, path.parent))
     try:
         root, line_of = parse_xml(source)
     except XmlError as error:
         raise ConfigError(f"{path}:{error.line}: not well-formed XML: {error}") from error
+    options = given_options(root, path.parent)
     if root.tag != "robot":
         raise ConfigError(
             f"{path}: neither URDF nor MJCF: its root is <{root.tag}>, not <robot> or <mujoco>"
         )
-    return _read_urdf(path, root, line_of, convex_parts)
+    return replace(_read_urdf(path, root, line_of, convex_parts), options=options)
+
+
+def _options_of(source: bytes, folder: Path) -> frozenset[str]:
+    """Return the options that an MJCF gives; none if only MuJoCo can read its text."""
+    try:
+        root, _ = parse_xml(source)
+    except XmlError:
+        return frozenset()
+    return given_options(root, folder)
 
 
 def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:

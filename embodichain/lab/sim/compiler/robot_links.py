@@ -18,6 +18,11 @@ from embodichain.lab.sim.cfg import (
     RigidBodyAttributesCfg,
     SolverCfg,
 )
+from embodichain.lab.sim.compiler.contact_parameters import (
+    ContactParameters,
+    check_contact,
+    set_contact_parameters,
+)
 from embodichain.lab.sim.compiler.floors import Plane, floors_of, planes_of
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.kept_inertias import HullLimit, keep_inertias, limit_hulls
@@ -31,7 +36,7 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     check_shape,
     collides,
     initial_pose,
-    set_contact,
+    set_collision,
 )
 from embodichain.lab.sim.compiler.robot_files import ModelFile, compile_quietly
 from embodichain.lab.sim.compiler.robot_joints import (
@@ -44,12 +49,14 @@ from embodichain.lab.sim.compiler.robot_joints import (
 )
 from embodichain.lab.sim.compiler.robot_root import leave_out_lights
 from embodichain.lab.sim.shapes import PlaneCfg
+from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import Problem
 from embodichain.utils.math import quat_multiply, quat_rotate, rotvec_to_quat
 
 __all__ = [
     "MAX_MASKED",
     "WHOLE",
+    "AttachedOptions",
     "RobotModel",
     "Tool",
     "add_attachments",
@@ -64,6 +71,7 @@ __all__ = [
 MAX_MASKED = 30
 """Maximum number of articulations without self-collision: one contype bit each, except bit 0."""
 _ALL_BITS = 0x7FFFFFFF
+AttachedOptions = tuple[str, mujoco.MjSpec, frozenset[str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +85,8 @@ class RobotModel:
         mimics: Joints that follow others.
         keyframe: Initial values that the file gives, or None.
         notes: Messages for the user, one line each.
-        attached_options: Path of each attached file, and an empty model with its physics options,
-            which have no effect.
+        attached_options: Path of each attached file, an empty model with its physics options, which
+            have no effect, and the names of those it gives.
         planes: Planes of the world of the robot's own file.
         floors: Its horizontal planes, in whose place the scene's ground is.
         attached_floors: Those of the attached files.
@@ -91,7 +99,7 @@ class RobotModel:
     mimics: Mimics
     keyframe: Keyframe | None
     notes: tuple[str, ...]
-    attached_options: tuple[tuple[str, mujoco.MjSpec], ...] = ()
+    attached_options: tuple[AttachedOptions, ...] = ()
     planes: Mapping[str, Plane] = field(default_factory=dict)
     floors: tuple[str, ...] = ()
     attached_floors: tuple[str, ...] = ()
@@ -176,16 +184,15 @@ def prepare_shapes(
 
     Planes of its world are not of the robot: attributes do not concern them.
 
-    A URDF has no friction: `attrs.dynamic_friction` is used. An MJCF keeps its own unless the
-    config's differs from the default.
+    A URDF has no friction: `attrs.dynamic_friction` is used. An MJCF keeps its own unless that is
+    given.
     """
-    friction = float(attrs.dynamic_friction)
-    own_friction = not is_urdf and friction == RigidBodyAttributesCfg().dynamic_friction
+    friction = attrs.dynamic_friction
     for geom in spec.geoms:
         if geom.name in planes:
             continue
-        if not own_friction:
-            geom.friction[0] = friction
+        if is_urdf or is_given(friction):
+            geom.friction[0] = float(friction)
         if not attrs.enable_collision:
             geom.contype = geom.conaffinity = 0
     for body in spec.bodies if is_urdf else ():
@@ -301,6 +308,11 @@ def check_attachments(
         if isinstance(cfg.shape, PlaneCfg):
             problems.append(Problem(f"{path}.shape", "a Plane cannot move"))
         found = [*check_shape(cfg.shape, _UNSCALED), *check_pose(cfg)]
+        if cfg.contact is not None:
+            found += [p.below("contact") for p in check_contact(cfg.contact)]
+            if cfg.contact.friction is not None and is_given(cfg.dynamic_friction):
+                message = "dynamic_friction is given as well: leave one of them out"
+                found.append(Problem("contact.friction", message))
         problems += [p.below(path) for p in found]
     return problems
 
@@ -312,7 +324,10 @@ def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg
         body = spec.body(cfg.link).add_body(name=name, pos=pos, quat=quat)
         geom = add_shape(spec, body, name, cfg.shape, _UNSCALED, number)
         geom.mass = float(cfg.mass)
-        set_contact(body.geoms, float(cfg.dynamic_friction), cfg.enable_collision)
+        usual = ContactParameters(friction=(float(cfg.dynamic_friction),))
+        given = ContactParameters.of_config(cfg.contact)
+        set_contact_parameters(body.geoms, given.over(usual))
+        set_collision(body.geoms, cfg.enable_collision)
 
 
 @dataclass(frozen=True)

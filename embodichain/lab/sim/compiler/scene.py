@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -18,9 +18,11 @@ from embodichain.lab.sim.compiler.appearance import (
     set_look,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
+from embodichain.lab.sim.compiler.contact_parameters import given_parameters
 from embodichain.lab.sim.compiler.floors import bind_floors, strangers_to
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
+from embodichain.lab.sim.compiler.physics_options import apply_options, replace_options
 from embodichain.lab.sim.compiler.rigid_objects import (
     add_object,
     check_object,
@@ -50,88 +52,6 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.terrain import Terrain
 
 __all__ = ["CompiledScene", "SceneParts", "compile_scene"]
-
-_INTEGRATORS = {
-    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
-    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
-    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
-}
-_SOLVERS = {
-    "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
-    "CG": mujoco.mjtSolver.mjSOL_CG,
-    "PGS": mujoco.mjtSolver.mjSOL_PGS,
-}
-_CONES = {
-    "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
-    "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
-}
-_ENUMS: dict[str, type[Any]] = {
-    "integrator": mujoco.mjtIntegrator,
-    "solver": mujoco.mjtSolver,
-    "cone": mujoco.mjtCone,
-    "jacobian": mujoco.mjtJacobian,
-}
-_FLAGS: dict[str, type[Any]] = {
-    "disableflags": mujoco.mjtDisableBit,
-    "enableflags": mujoco.mjtEnableBit,
-}
-
-
-def _apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
-    """Set a scene's physics options.
-
-    Auto-reset is off: it would reset a diverged simulation to qpos0 within a step.
-
-    Raises:
-        ConfigError: If the timestep is not positive.
-    """
-    if not cfg.physics_dt > 0:
-        raise ConfigError([Problem("physics_dt", f"must be positive, got {cfg.physics_dt}")])
-    physics, option = cfg.physics_config, spec.option
-    option.timestep = float(cfg.physics_dt)
-    option.gravity = [float(g) for g in physics.gravity]
-    option.integrator = int(_INTEGRATORS[physics.integrator])
-    option.solver = int(_SOLVERS[physics.solver])
-    option.iterations = int(physics.iterations)
-    option.cone = int(_CONES[physics.cone])
-    option.impratio = float(physics.impratio)
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-
-
-def _replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
-    """Replace a child's options by the scene's.
-
-    Returns:
-        ``name: value in the file -> value of the scene`` for each option of the file that differs
-        from MuJoCo's default and from the scene.
-    """
-    default = mujoco.MjSpec().option
-    replaced: list[str] = []
-    for name in (name for name in dir(default) if not name.startswith("_")):
-        old, new = getattr(child.option, name), getattr(scene.option, name)
-        if name in _FLAGS:
-            theirs = int(old) & ~int(new)
-            if theirs:
-                replaced.append(f"{name} {_flags(name, theirs)} -> off")
-        elif not np.array_equal(old, new) and not np.array_equal(old, getattr(default, name)):
-            replaced.append(f"{name} {_show(name, old)} -> {_show(name, new)}")
-        setattr(child.option, name, new)
-    return replaced
-
-
-def _show(name: str, value: Any) -> str:
-    if name in _ENUMS:
-        return str(_ENUMS[name](int(value)).name.split("_")[-1].lower())
-    array = np.asarray(value, np.float64).reshape(-1)
-    return " ".join(f"{x:g}" for x in array)
-
-
-def _flags(name: str, bits: int) -> str:
-    known = [flag for flag in _FLAGS[name].__members__.values() if int(flag) & bits]
-    names = [flag.name.split("_")[-1].lower() for flag in known if int(flag).bit_count() == 1]
-    return ", ".join(names) or hex(bits)
-
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
@@ -207,12 +127,15 @@ def compile_scene(
     spec = mujoco.MjSpec()
     spec.modelname = "embodichain"
     spec.compiler.degree = False
-    _apply_options(spec, sim_cfg)
+    apply_options(spec, sim_cfg)
     masked = 0
     notes: list[str] = []
     if world is not None:
         child = world.spec.copy()
-        notes += [*world.notes, *_options(child, spec, f"scene.fpath: {world.path}")]
+        notes += [
+            *world.notes,
+            *replace_options(child, spec, f"scene.fpath: {world.path}", world.options),
+        ]
         add_world(spec, child)
     set_look(spec, sim_cfg.scene)
     add_lights(spec, lights)
@@ -315,9 +238,9 @@ def _broken_meshes(objects: Mapping[str, RigidObjectCfg]) -> list[Problem]:
 
 def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:
     """Attach an articulation at its pose; return messages for the user."""
-    notes = _options(child, spec, f"{parsed.uid}: {parsed.path}")
-    for path, options in parsed.attached_options:
-        notes += _options(options.copy(), spec, f"{parsed.uid}: {path}")
+    notes = replace_options(child, spec, f"{parsed.uid}: {parsed.path}", parsed.options)
+    for path, options, given in parsed.attached_options:
+        notes += replace_options(options.copy(), spec, f"{parsed.uid}: {path}", given)
     place = parsed.placement
     frame = spec.worldbody.add_frame(pos=place.world_pos, quat=place.world_quat)
     take_sizes(spec, child)
@@ -336,8 +259,10 @@ def _bind_floors(
     if ground is None and world is not None and world.floors:
         ground = f"{PREFIX}{world.floors[0]}"
     notes: list[str] = []
-    given: Collection[str] | None = () if sim_cfg.has_ground else None
-    chosen = sim_cfg.scene.ground is not None or sim_cfg.scene.terrain is not None
+    declared = sim_cfg.scene.terrain or sim_cfg.scene.ground
+    chosen = declared is not None
+    given: Collection[str] | None = given_parameters(declared or GroundCfg())
+    given = given if sim_cfg.has_ground else None
     for parsed in articulations:
         at_height = not chosen and given is not None and parsed.placement.is_unmoved
         floors, attached = (
@@ -360,12 +285,6 @@ def _strangers_to_ground(
     for uid in strangers_to(model, ground.id, geoms):
         bits = f"contype {ground.contype[0]}, conaffinity {ground.conaffinity[0]}"
         yield f"{uid}: no shape of it can touch the ground, whose bits are {bits}"
-
-
-def _options(child: mujoco.MjSpec, spec: mujoco.MjSpec, file: str) -> list[str]:
-    """Replace a file's options by the scene's; return a message about those that differ."""
-    what = "; ".join(_replace_options(child, spec))
-    return [f"{file}: the scene's physics replaces its options: {what}"] if what else []
 
 
 def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> EntityIndex:

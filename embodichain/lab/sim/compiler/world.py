@@ -36,6 +36,7 @@ class World:
         start: Its initial state: that of the keyframe, else MuJoCo's reset state.
         objects: The bodies of its world as rigid objects, by name; their poses are those of
             `start`. Joints below them are simulated, but no handle reads them.
+        options: The physics options that it gives, see `given_options`.
         notes: Messages for the user, one line each: what of the file is not used.
         floors: Its horizontal planes.
     """
@@ -45,6 +46,7 @@ class World:
     model: mujoco.MjModel
     start: mujoco.MjData
     objects: Mapping[str, RigidObjectCfg]
+    options: frozenset[str]
     notes: tuple[str, ...]
     floors: tuple[str, ...] = ()
 
@@ -92,7 +94,9 @@ def read_world(cfg: SceneCfg) -> World:
     bodies = [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
     objects = {model.body(i).name: _object(model, start, i) for i in bodies}
     floors = floors_of(planes_of(spec, model))
-    return World(file.path, spec, model, start, objects, (*file.notes, *notes), floors)
+    return World(
+        file.path, spec, model, start, objects, file.options, (*file.notes, *notes), floors
+    )
 
 
 def _object(model: mujoco.MjModel, start: mujoco.MjData, body: int) -> RigidObjectCfg:

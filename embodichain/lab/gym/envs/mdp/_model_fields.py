@@ -51,6 +51,8 @@ class Values:
         lowest: The smallest valid value; None is any.
         unlimited: Why a default may be infinite, for messages.
         needs_default: Whether an infinite default is an error for every operation.
+        geoms: (k,) geoms of which it is a friction; empty if it is none.
+        axis: 0 is sliding, 1 torsional, 2 rolling friction.
     """
 
     names: Sequence[str]
@@ -59,6 +61,8 @@ class Values:
     lowest: float | None = None
     unlimited: str = ""
     needs_default: bool = False
+    geoms: Sequence[NDArray[np.int64]] = ()
+    axis: int = 0
 
 
 @dataclass(frozen=True)
@@ -262,7 +266,8 @@ def _coefficients(
 
     first = [int(geoms[0]) for _, geoms in groups]
     names = [name for name, _ in groups]
-    return Values(names, engine.model.geom_friction[first, axis], write, 0.0)
+    default = engine.model.geom_friction[first, axis]
+    return Values(names, default, write, 0.0, geoms=[own for _, own in groups], axis=axis)
 
 
 # -- joints ----------------------------------------------------------------------------------------
