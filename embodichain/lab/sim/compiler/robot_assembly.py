@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import AttachedFileCfg, ObjectBaseCfg
+from embodichain.lab.sim.compiler.couplings import read_couplings
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import no_such
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
@@ -23,7 +24,6 @@ from embodichain.lab.sim.compiler.robot_files import (
 from embodichain.lab.sim.compiler.robot_joints import (
     Keyframe,
     read_joints,
-    read_mimics,
     resolve_qpos,
 )
 from embodichain.lab.sim.compiler.robot_links import RobotModel, prepare_file
@@ -232,9 +232,8 @@ def attach_files(
     joints = read_joints(model, velocity, urdf, tuple(prefix for prefix in parts if prefix))
     keyframe = _joined(parts, joints.names)
     notes = [*dict.fromkeys(notes)]  # two grippers of one file
-    whole = RobotModel(
-        spec, model, joints, read_mimics(model), keyframe, tuple(notes), tuple(options)
-    )
+    couplings = read_couplings(model, joints.names, urdf)
+    whole = RobotModel(spec, model, joints, *couplings, keyframe, tuple(notes), tuple(options))
     return whole, problems
 
 
@@ -291,7 +290,7 @@ def _joined(parts: Mapping[str, RobotModel], names: tuple[str, ...]) -> Keyframe
         return None
     qpos, qvel = dict[str, float](), dict[str, float]()
     for prefix, part in parts.items():
-        at, _ = resolve_qpos(None, part.joints, part.mimics, part.keyframe)
+        at, _ = resolve_qpos(None, part.joints, part.mimics, part.keyframe, part.equalities)
         speeds = np.zeros(len(at)) if part.keyframe is None else part.keyframe.qvel
         for name, value, speed in zip(part.joints.names, at, speeds, strict=True):
             qpos[f"{prefix}{name}"], qvel[f"{prefix}{name}"] = value, speed

@@ -30,7 +30,6 @@ __all__ = [
     "movable_joints",
     "read_joints",
     "read_keyframe",
-    "read_mimics",
     "read_servos",
     "resolve_qpos",
 ]
@@ -274,27 +273,6 @@ def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
     return float(np.inf)
 
 
-def read_mimics(model: mujoco.MjModel) -> Mimics:
-    """Return linear joint equalities as mimics (MuJoCo converts URDF's ``mimic`` to one).
-
-    MuJoCo's equality is ``y - y0 = a0 + a1 (x - x0)`` about the joints' reference positions.
-    """
-    number = {int(joint): i for i, joint in enumerate(movable_joints(model))}
-    rows: dict[int, tuple[int, int, float, float]] = {}
-    for eq in range(model.neq):
-        if model.eq_type[eq] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[eq]:
-            continue
-        follower, leader = int(model.eq_obj1id[eq]), int(model.eq_obj2id[eq])
-        a = model.eq_data[eq, :5]
-        if follower in number and leader in number and not a[2:].any():
-            y0 = float(model.qpos0[model.jnt_qposadr[follower]])
-            x0 = float(model.qpos0[model.jnt_qposadr[leader]])
-            offset = y0 + float(a[0]) - float(a[1]) * x0
-            rows[follower] = number[follower], number[leader], float(a[1]), offset
-    columns = zip(*sorted(rows.values()), strict=True)  # by joint
-    return Mimics(*columns) if rows else Mimics()
-
-
 # ----------------------------------------------------------------------------------- initial state
 
 
@@ -428,18 +406,24 @@ def _integrated(model: mujoco.MjModel, i: int, qpos: F64) -> float:
 
 
 def resolve_qpos(
-    value: Any, joints: FileJoints, mimics: Mimics, keyframe: Keyframe | None
+    value: Any,
+    joints: FileJoints,
+    mimics: Mimics,
+    keyframe: Keyframe | None,
+    equalities: Mimics | None = None,
 ) -> tuple[F64, list[Problem]]:
     """Return initial joint positions (D,) in rad or m, and every mistake in the config.
 
     Joints that the config does not name take the keyframe's value, else the value nearest zero
-    within their limits; mimic joints follow their leader.
+    within their limits; mimic joints follow their leader. Of two joints that an equality of an MJCF
+    couples, the one that the config does not name follows the one that it names.
 
     Args:
         value: `ArticulationCfg.init_qpos`: None, D values, or a map by joint regex.
         joints: The file's joints.
         mimics: Which of them follow others.
         keyframe: The file's keyframe, if it has one.
+        equalities: Joint equalities of MJCF files.
     """
     low, high = joints.qpos_limits.T
     qpos = np.clip(np.zeros(len(low)), low, high) if keyframe is None else keyframe.qpos.copy()
@@ -449,6 +433,7 @@ def resolve_qpos(
     ):
         if not named[i] and (keyframe is None or named[parent]):
             qpos[i] = slope * qpos[parent] + offset
+    _follow(equalities or Mimics(), named, qpos)
     within = (qpos >= low - _TOLERANCE) & (qpos <= high + _TOLERANCE)  # NaN is not
     problems += [
         Problem(
@@ -460,6 +445,26 @@ def resolve_qpos(
     ]
     # Only given values are checked against limits; rounding beyond limits is clamped.
     return np.where(named, np.clip(qpos, low, high), qpos), problems
+
+
+def _follow(equalities: Mimics, named: Mask, qpos: F64) -> None:
+    """Write the positions of joints that are coupled to named ones into `qpos`."""
+    known = named.copy()
+    rows = [
+        *zip(
+            equalities.ids,
+            equalities.parents,
+            equalities.multipliers,
+            equalities.offsets,
+            strict=True,
+        )
+    ]
+    for _ in rows:  # a chain may be given from any of its joints
+        for i, other, slope, offset in rows:
+            if known[other] and not known[i]:
+                qpos[i], known[i] = slope * qpos[other] + offset, True
+            elif known[i] and not known[other] and slope != 0:
+                qpos[other], known[other] = (qpos[i] - offset) / slope, True
 
 
 def _take_qpos(value: Any, names: tuple[str, ...], qpos: F64) -> tuple[Mask, list[Problem]]:

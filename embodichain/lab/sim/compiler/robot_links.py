@@ -18,6 +18,7 @@ from embodichain.lab.sim.cfg import (
     RigidBodyAttributesCfg,
     SolverCfg,
 )
+from embodichain.lab.sim.compiler.couplings import read_couplings
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import match, no_such
 from embodichain.lab.sim.compiler.rigid_objects import (
@@ -38,7 +39,6 @@ from embodichain.lab.sim.compiler.robot_joints import (
     Mimics,
     read_joints,
     read_keyframe,
-    read_mimics,
 )
 from embodichain.lab.sim.shapes import PlaneCfg
 from embodichain.utils.errors import ConfigError, Problem
@@ -76,7 +76,8 @@ class RobotModel:
         spec: The edited file; names of an attached file begin with ``NAME/``.
         model: The file's model, before it was edited.
         joints: Data of its joints.
-        mimics: Joints that follow others.
+        mimics: Joints that follow others, in URDF files.
+        equalities: Joints that are coupled to others, in MJCF files.
         keyframe: Initial values that the file gives, or None.
         notes: Messages for the user, one line each.
         attached_options: Path of each attached file, and an empty model with its physics options,
@@ -87,6 +88,7 @@ class RobotModel:
     model: mujoco.MjModel
     joints: FileJoints
     mimics: Mimics
+    equalities: Mimics
     keyframe: Keyframe | None
     notes: tuple[str, ...]
     attached_options: tuple[tuple[str, mujoco.MjSpec], ...] = ()
@@ -105,7 +107,8 @@ def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
         file.spec.delete(key)
     prepare_shapes(file.spec, attrs, file.is_urdf)
     notes = (*file.notes, *(f"{file.path}: {line}" for line in said))
-    return RobotModel(file.spec, file.model, joints, read_mimics(file.model), keyframe, notes)
+    mimics, equalities = read_couplings(file.model, joints.names, urdf)
+    return RobotModel(file.spec, file.model, joints, mimics, equalities, keyframe, notes)
 
 
 def _unused(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
