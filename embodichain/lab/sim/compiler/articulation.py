@@ -41,6 +41,7 @@ from embodichain.lab.sim.compiler.robot_files import (
     read_model,
 )
 from embodichain.lab.sim.compiler.robot_joints import (
+    FileJoints,
     Keyframe,
     Mimics,
     Servos,
@@ -238,7 +239,7 @@ def parse_with_problems(
         robot = prepare_file(file, cfg.attrs)
         if attached:
             init_qpos = _of_own_joints(init_qpos, robot.joints.names)
-            robot, wrong = attach_files(robot, attached, file.velocity_limits)
+            robot, wrong = attach_files(robot, attached)
             if wrong:  # which names the robot has is unknown
                 return None, [*problems, *wrong]
     except ConfigError as error:
@@ -265,6 +266,7 @@ def parse_with_problems(
         if joints.names and not driven and isinstance(cfg, RobotCfg):  # a door needs no drive
             replaced.append("no joint is driven: it has no actuators, drive_pros names no joint")
         notes = [*robot.notes, *(f"{file.path}: {line}" for line in replaced)]
+        notes += _without_effort(cfg, joints, mimics)
         if not problems:
             replace_shapes(file.spec, shapes, cfg.attrs)
             add_attachments(file.spec, cfg.attachments)
@@ -273,6 +275,7 @@ def parse_with_problems(
             if cfg.gravcomp is not None:
                 body.gravcomp = float(cfg.gravcomp)
             body.simple = 0  # its centre of mass may move: see `add_object`
+        notes += _fixed(cfg, file)
         spec, root = set_root(file.spec, cfg.fix_base)
         model = compile_quietly(spec)
         added = np.zeros(count)
@@ -289,6 +292,8 @@ def parse_with_problems(
             notes += _overloaded(cfg, model, gains, qpos)
     except (ConfigError, *MUJOCO_ERRORS) as error:
         text = str(error) if isinstance(error, ConfigError) else as_line(error)[0]
+        if "mjMINVAL" in text and not cfg.fix_base:
+            text += ": a base without mass cannot float; fix_base: true fixes it"
         return None, [*problems, Problem("fpath", f"{file.path}: {text}")]
     servos = read_servos(model, movable_joints(model))
     # Convert damping ratios to gains here: inertias may have changed.
@@ -344,6 +349,35 @@ def parse_with_problems(
         ),
         problems,
     )
+
+
+def _fixed(cfg: ArticulationCfg, file: ModelFile) -> list[str]:
+    """Return a message about free joints of the file that `fix_base` leaves out."""
+    free = [
+        f"{joint.name!r} of {body.name!r}"
+        for body in file.spec.worldbody.bodies
+        for joint in body.joints
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE
+    ]
+    if not cfg.fix_base or not free:
+        return []
+    why = "the base is fixed (fix_base: true, the default); fix_base: false lets it float"
+    return [f"{file.path}: free joint {', '.join(free)} left out: {why}"]
+
+
+def _without_effort(cfg: ArticulationCfg, joints: FileJoints, mimics: Mimics) -> list[str]:
+    """Return a message about joints of URDF files whose effort limit, which is taken, is 0."""
+    zero = joints.limits.zero_effort
+    driven = [n for i, n in enumerate(joints.names) if i not in mimics.ids and n in zero]
+    if cfg.drive_pros.max_effort != "file" or not driven:
+        return []
+    places = ", ".join(f"{name!r} ({zero[name]})" for name in driven)
+    entries = ", ".join(f"{exact_pattern(name)}: N" for name in driven)
+    return [
+        f'effort="0" is taken as no limit for joints {places}: write their limits into the file, '
+        f"or drive_pros.max_effort: {{{entries}}}, in N m or N; a joint that shall not push needs "
+        "stiffness 0 and damping 0"
+    ]
 
 
 def _overloaded(

@@ -31,7 +31,14 @@ from embodichain.lab.sim.compiler.drives import (
 from embodichain.lab.sim.compiler.index import F64, Mask
 from embodichain.lab.sim.compiler.robot_joints import Mimics, movable_joints
 
-__all__ = ["Rigidity", "couple", "moving_mimics", "read_couplings", "rigid_armature", "shown_mimics"]
+__all__ = [
+    "Rigidity",
+    "couple",
+    "moving_mimics",
+    "read_couplings",
+    "rigid_armature",
+    "shown_mimics",
+]
 
 _TOLERANCE = 1e-2  # relative; smaller needs are ignored
 _IMPEDANCE = 0.9999  # MuJoCo's largest, mjMAXIMP
@@ -158,7 +165,7 @@ def _leaders(mimics: Mimics) -> dict[int, tuple[int, float]]:
 
 
 def moving_mimics(model: mujoco.MjModel, names: Collection[str], mimics: Mimics) -> Mask:
-    """(D,) joints that move a mimic joint or its leader: these, and those between them and the root.
+    """(D,) mimic joints, their leaders, and joints between them and the root, which move them.
 
     Args:
         model: The articulation.

@@ -115,7 +115,14 @@ def resolve_drives(
         velocity = np.minimum(joints.qvel_limits, 1e10)
     elif cfg.max_velocity is not None:
         velocity, _ = value("max_velocity", velocity)
-    if not (velocity > 0).all():
+    still = joints.limits.zero_velocity if cfg.max_velocity == "file" else {}
+    for name in (name for name in joints.names if name in still):
+        message = (
+            f'{still[name]}: joint {name!r} has velocity="0": it could never move. Write its speed '
+            "into the file, or a map (joint: rad/s or m/s) or null (no limit) here"
+        )
+        problems.append(Problem("max_velocity", message))
+    if not (velocity > 0).all() and not still:
         problems.append(Problem("max_velocity", "must be positive; null is no limit"))
     files = ~urdf | (cfg.max_effort == "file")
     effort, limited = value("max_effort", np.where(files, joints.qf_limits, 1e10))

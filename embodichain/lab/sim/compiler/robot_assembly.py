@@ -27,6 +27,7 @@ from embodichain.lab.sim.compiler.robot_joints import (
     resolve_qpos,
 )
 from embodichain.lab.sim.compiler.robot_links import RobotModel, prepare_file
+from embodichain.lab.sim.compiler.urdf_reading import UrdfLimits
 from embodichain.lab.sim.urdf_cfg import COMPONENTS, URDFCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -91,7 +92,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
     spec.worldbody.add_body(name=cfg.base_link_name)
     carrying: dict[str, str] = {}
     links, joints = {cfg.base_link_name: cfg.base_link_name}, dict[str, str]()
-    velocity: dict[str, float] = {}
+    limits = UrdfLimits()
     for kind, prefix in cfg.prefixes().items():
         if kind not in files:
             continue
@@ -106,7 +107,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
         new_joints = _renamed(own_joints, prefix, "", case.get("joint"), set(joints.values()))
         links |= {f"{kind}{_SEPARATOR}{old}": new for old, new in new_links.items()}
         joints |= {f"{kind}{_SEPARATOR}{old}": new for old, new in new_joints.items()}
-        velocity |= {new_joints[old]: v for old, v in file.velocity_limits.items()}
+        limits = limits.joined(file.limits.renamed(new_joints))
         last = own_links[0] if kind in _ON_FIRST else file.last_link
         carrying[kind] = f"{kind}{_SEPARATOR}{last}"
     # The only references in a URDF are mimics, which are equalities.
@@ -118,7 +119,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
         equality.name1, equality.name2 = joints[equality.name1], joints[equality.name2]
     path = next(iter(files.values())).path
     notes = [note for file in files.values() for note in file.notes]
-    return ModelFile(path, True, spec, compile_quietly(spec), velocity, notes=notes)
+    return ModelFile(path, True, spec, compile_quietly(spec), limits, notes=notes)
 
 
 def _read(
@@ -187,7 +188,7 @@ def _renamed(
 
 
 def attach_files(
-    robot: RobotModel, attached: Mapping[str, AttachedFileCfg], velocity_limits: dict[str, float]
+    robot: RobotModel, attached: Mapping[str, AttachedFileCfg]
 ) -> tuple[RobotModel, list[Problem]]:
     """Fix files on links of a robot.
 
@@ -197,7 +198,6 @@ def attach_files(
     Args:
         robot: The robot's own file; its spec changes.
         attached: Name -> file, in order; a later one may be fixed on a link of an earlier one.
-        velocity_limits: Joint name -> limit of the robot's own file.
 
     Returns:
         The robot without the files that are wrong, and every mistake, with paths that begin with
@@ -209,7 +209,7 @@ def attach_files(
     spec, problems = robot.spec, list[Problem]()
     parts, urdf = {"": robot}, {n for n, u in _from_urdf(robot) if u}
     options: list[tuple[str, mujoco.MjSpec]] = []
-    velocity, notes = dict(velocity_limits), [*robot.notes]
+    limits, notes = robot.joints.limits, [*robot.notes]
     for name, cfg in attached.items():
         found, file = _check(name, cfg, spec)
         problems += found
@@ -219,7 +219,8 @@ def attach_files(
         part = parts[prefix] = prepare_file(file, cfg.attrs)
         notes += [*part.notes, *_loosen(file)]
         urdf |= {f"{prefix}{n}" for n, u in _from_urdf(part) if u}
-        velocity |= {f"{prefix}{n}": limit for n, limit in file.velocity_limits.items()}
+        names = {name: f"{prefix}{name}" for name in part.joints.names}
+        limits = limits.joined(file.limits.renamed(names))
         options.append((f"{file.path} (attach.{name})", mujoco.MjSpec()))
         options[-1][1].option = file.spec.option
         # The scene's options apply: MuJoCo would warn about each that differs.
@@ -229,7 +230,7 @@ def attach_files(
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError([Problem("attach", as_line(error)[0])]) from error
-    joints = read_joints(model, velocity, urdf, tuple(prefix for prefix in parts if prefix))
+    joints = read_joints(model, limits, urdf, tuple(prefix for prefix in parts if prefix))
     keyframe = _joined(parts, joints.names)
     notes = [*dict.fromkeys(notes)]  # two grippers of one file
     couplings = read_couplings(model, joints.names, urdf)

@@ -23,6 +23,13 @@ from embodichain.lab.sim.compiler.mjcf_meshes import (
     split_meshes,
 )
 from embodichain.lab.sim.compiler.rigid_objects import collides
+from embodichain.lab.sim.compiler.urdf_reading import (
+    UrdfLimits,
+    check_joints,
+    check_text,
+    planar_notes,
+    read_limits,
+)
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler
 from embodichain.lab.sim.meshes.mesh_conversion import (
     MAX_STL_FACES,
@@ -71,7 +78,7 @@ class ModelFile:
         is_urdf: Whether it is a URDF; else MJCF.
         spec: The parsed file, unedited; it compiles.
         model: The file's model.
-        velocity_limits: Joint name -> limit; URDF only.
+        limits: Limits of its joints that the model does not have; URDF only.
         last_link: The last link in the order of the URDF text, not of the tree.
         notes: Messages for the user, one line each.
     """
@@ -80,7 +87,7 @@ class ModelFile:
     is_urdf: bool
     spec: mujoco.MjSpec
     model: mujoco.MjModel
-    velocity_limits: dict[str, float] = field(default_factory=dict)
+    limits: UrdfLimits = field(default_factory=UrdfLimits)
     last_link: str = ""
     notes: list[str] = field(default_factory=list)
 
@@ -212,11 +219,13 @@ def _read_urdf(
     path: Path, root: ET.Element, line_of: Mapping[ET.Element, int], convex_parts: bool
 ) -> ModelFile:
     """Compile a URDF, after editing its tree in place so that MuJoCo reads it correctly."""
-    if any("xacro" in element.tag for element in line_of):
-        raise ConfigError(f"{path}: xacro has to be expanded to URDF first: `xacro {path.name}`")
+    check_text(path, root, line_of)
     links = root.findall("link")
     if not links:
         raise ConfigError(f"{path}: the robot has no <link>")
+    check_joints(path, root, line_of)
+    limits = read_limits(path, root, line_of)
+    planar = planar_notes(root, line_of)
     meshes = _UrdfMeshes(path, convex_parts)
     meshes.prepare(root)
     _drop_repeated_names(root)
@@ -226,7 +235,8 @@ def _read_urdf(
         spec = mujoco.MjSpec.from_string(text)
         _name_elements(spec)
         meshes.finish(spec)
-        notes = [f"{path}: {note}" for note in (*meshes.notes, *_set_masses(spec, root))]
+        notes = [f"{path}: {note}" for note in (*limits.notes, *planar, *meshes.notes)]
+        notes += [f"{path}: {note}" for note in _set_masses(spec, root)]
         model = _compile_repaired(path, spec, notes)
     except MUJOCO_ERRORS as error:
         message, line = as_line(error)
@@ -235,12 +245,7 @@ def _read_urdf(
             pairs = zip(lines.values(), root.iter(), strict=True)
             line = next((line_of.get(e) for written, e in pairs if written >= line), None)
         raise ConfigError(f"{path}:{line}: {message}" if line else f"{path}: {message}") from error
-    velocity = {
-        joint.get("name", ""): float(value)
-        for joint in root.iter("joint")
-        if (limit := joint.find("limit")) is not None and (value := limit.get("velocity"))
-    }
-    return ModelFile(path, True, spec, model, velocity, links[-1].get("name", ""), notes)
+    return ModelFile(path, True, spec, model, limits, links[-1].get("name", ""), notes)
 
 
 def _set_flags(root: ET.Element) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from embodichain.lab.sim.compiler.index import F64, Ids, Mask
 from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.compiler.urdf_reading import UrdfLimits
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import listing
 
@@ -189,6 +190,8 @@ class FileJoints:
     """Joints of URDF files, which have no actuators."""
     by_name: Mask
     """Joints of attached MJCF files: only names in `drive_pros` change them, no single number."""
+    limits: UrdfLimits
+    """Limits of URDF files beyond those that the model has."""
     own_actuators: int
     """Number of actuators of the robot's own file, without attached ones."""
 
@@ -210,7 +213,7 @@ def movable_joints(model: mujoco.MjModel) -> Ids:
 
 def read_joints(
     model: mujoco.MjModel,
-    velocity_limits: Mapping[str, float],
+    limits: UrdfLimits,
     urdf: Collection[str],
     attached: tuple[str, ...] = (),
 ) -> FileJoints:
@@ -218,7 +221,7 @@ def read_joints(
 
     Args:
         model: The model of the file, attached ones included.
-        velocity_limits: Joint name -> limit, where the file has one (an `MjModel` has none).
+        limits: Of URDF files, what an `MjModel` does not have.
         urdf: Names of joints from URDF files, which have no actuators.
         attached: Prefixes of the names of attached files.
     """
@@ -231,7 +234,7 @@ def read_joints(
     return FileJoints(
         names=names,
         qpos_limits=np.where(limited, model.jnt_range[ids], [[-np.inf, np.inf]]),
-        qvel_limits=np.array([velocity_limits.get(name, np.inf) for name in names], np.float64),
+        qvel_limits=np.array([limits.velocity.get(name, np.inf) for name in names], np.float64),
         qf_limits=_effort_limits(model, ids),
         damping=model.dof_damping[dofs].copy(),
         friction=model.dof_frictionloss[dofs].copy(),
@@ -240,6 +243,7 @@ def read_joints(
         servos=read_servos(model, ids),
         from_urdf=from_urdf,
         by_name=np.array([name.startswith(attached) for name in names], np.bool_) & ~from_urdf,
+        limits=limits,
         own_actuators=sum(not name.startswith(attached) for name in actuators),
     )
 

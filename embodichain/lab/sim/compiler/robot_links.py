@@ -100,7 +100,7 @@ def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
     Lights, planes and keyframes are removed, and shapes are given groups and attributes.
     """
     urdf = [joint.name for joint in file.spec.joints] if file.is_urdf else ()
-    joints = read_joints(file.model, file.velocity_limits, urdf)
+    joints = read_joints(file.model, file.limits, urdf)
     keyframe = read_keyframe(file.spec, file.model)
     said = [*strip_world(file.spec), *_unused(file.spec, keyframe)]
     for key in list(file.spec.keys):
