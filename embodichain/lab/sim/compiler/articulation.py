@@ -264,7 +264,8 @@ def parse_with_problems(
         drives, replaced = apply_drives(file.spec, gains, joints)
         driven = gains.driven.any() or joints.servos.count or joints.from_urdf.any()
         if joints.names and not driven and isinstance(cfg, RobotCfg):  # a door needs no drive
-            replaced.append("no joint is driven: it has no actuators, drive_pros names no joint")
+            what = "it has no actuators, drive_pros names no joint: its actions are empty"
+            replaced.append(f"no joint is driven: {what}")
         notes = [*robot.notes, *(f"{file.path}: {line}" for line in replaced)]
         notes += _without_effort(cfg, joints, mimics)
         if not problems:
