@@ -60,10 +60,8 @@ def time_step(own: float | None, text: Callable[[TimeStep], str]) -> TimeStep:
         own: The time step of an MJCF; a URDF has none.
         text: Makes the YAML of the task.
     """
-    if own is None:
-        tried = list(_LADDER)
-    else:
-        tried = [own, *(dt for dt in _LADDER if dt < own)]
+    smaller = (dt for dt in _LADDER if own is None or dt < own)
+    tried = [*smaller] if own is None else [own, *smaller]
     unstable: list[str] = []
     for dt in tried:
         try:

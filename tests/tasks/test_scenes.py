@@ -41,7 +41,8 @@ COOK = {
 
 PENDULUM = """<mujoco><worldbody><body pos="0 0 1"><geom size="0.05"/>
   <body><joint name="hinge" axis="0 1 0"/>
-    <geom type="capsule" fromto="0 0 -0.1 0 0 -0.5" size="0.02"/></body></body></worldbody></mujoco>"""
+    <geom type="capsule" fromto="0 0 -0.1 0 0 -0.5" size="0.02"/></body></body></worldbody>
+  </mujoco>"""
 SWING = {"max_episode_steps": 10, "robot": {"uid": "r", "fpath": "swing.xml", "init_qpos": [0.5]}}
 
 

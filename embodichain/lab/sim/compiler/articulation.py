@@ -29,6 +29,7 @@ from embodichain.lab.sim.compiler.drives import (
     resolve_drives,
 )
 from embodichain.lab.sim.compiler.index import F64, Mask
+from embodichain.lab.sim.compiler.model_size import reported
 from embodichain.lab.sim.compiler.names import exact_pattern, match
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
@@ -220,6 +221,16 @@ def parse_with_problems(
     With mistakes in the config the articulation is returned, for its names; with one in the file,
     None.
     """
+    with reported(f"{uid}: reading {cfg.fpath or 'the files of urdf_cfg'}"):
+        return _parse(uid, cfg, step, changes)
+
+
+def _parse(
+    uid: str,
+    cfg: ArticulationCfg,
+    step: PhysicsStep | None,
+    changes: Sequence[DriveChange],
+) -> tuple[ParsedArticulation | None, list[Problem]]:
     try:
         file = read_robot(cfg)
     except ConfigError as error:

@@ -285,6 +285,8 @@ def _carried(
     count = len(home)
     carried, added = np.zeros(count), np.zeros(count)
     heads = _leaders(mimics)
+    if not heads:
+        return Rigidity(carried, added)
     dofs, inertia = _at_home(model, names, home)
     passive = model.dof_damping[dofs]
     for head in sorted({head for head, _ in heads.values()}):

@@ -22,9 +22,11 @@ from embodichain.lab.sim.compiler.mjcf_meshes import (
     missing_files,
     split_meshes,
 )
+from embodichain.lab.sim.compiler.model_size import check_copies, check_depth
 from embodichain.lab.sim.compiler.rigid_objects import collides
 from embodichain.lab.sim.compiler.urdf_reading import (
     UrdfLimits,
+    carriers,
     check_joints,
     check_text,
     planar_notes,
@@ -130,6 +132,7 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
         message = str(error).split(":")[0]
         raise ConfigError(f"{path}:{error.lineno}: not well-formed XML: {message}") from error
     if root.tag == "mujoco":
+        check_copies(path, root, line_of)
         return _read_mjcf(path, convex_parts)
     if root.tag != "robot":
         raise ConfigError(
@@ -224,6 +227,7 @@ def _read_urdf(
     if not links:
         raise ConfigError(f"{path}: the robot has no <link>")
     check_joints(path, root, line_of)
+    check_depth(path, carriers(root))
     limits = read_limits(path, root, line_of)
     planar = planar_notes(root, line_of)
     meshes = _UrdfMeshes(path, convex_parts)

@@ -16,7 +16,7 @@ from typing import Any
 from embodichain.data.faults import unexpanded
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["UrdfLimits", "check_joints", "check_text", "planar_notes", "read_limits"]
+__all__ = ["UrdfLimits", "carriers", "check_joints", "check_text", "planar_notes", "read_limits"]
 
 Lines = Mapping[ET.Element, int]
 
@@ -80,6 +80,12 @@ def planar_notes(root: ET.Element, line_of: Lines) -> list[str]:
                 f"{parts}: each has a drive of drive_pros"
             )
     return notes
+
+
+def carriers(root: ET.Element) -> dict[str, str]:
+    """Link -> the link that carries it, by a joint."""
+    joints = root.findall("joint")
+    return {_end(joint, "child"): _end(joint, "parent") for joint in joints}
 
 
 def _end(joint: ET.Element, which: str) -> str:
