@@ -101,8 +101,8 @@ def command(what: str, name: str, python: bool, robot: str | None, json: bool) -
         raise ConfigError(f"Python has a module '{name}' already: choose another name")
     words, step = UR10, TimeStep(0.005)
     if robot is not None:
-        words, own = describe_robot(robot, python=python)
-        step = time_step(own, lambda tried: _yaml(words | tried.words))
+        words, files_own = describe_robot(robot, python=python)
+        step = time_step(files_own, lambda tried: _yaml(words | tried.words))
     words = words | step.words
     files = _files(names, words, python=python)
     _write(files)

@@ -20,5 +20,6 @@ def bytes_of(model: mujoco.MjModel, persistent: bool | None) -> int:
         model: The compiled scene.
         persistent: Whether each environment has an `MjData` of its own.
     """
-    size = 8 * _COPIES * mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
-    return max(LEAST_BYTES, size + (int(mujoco.MjData(model).nbuffer) if persistent else 0))
+    numbers = int(mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_INTEGRATION)))
+    own = int(mujoco.MjData(model).nbuffer) if persistent else 0
+    return max(LEAST_BYTES, 8 * _COPIES * numbers + own)
