@@ -111,8 +111,8 @@ def _words(
     }
 
 
-def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
-    """Read a robot's file; returns the template variables.
+def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float | None]:
+    """Read a robot's file; returns the template variables, and the time step of an MJCF in s.
 
     Args:
         fpath: A URDF or MJCF, as `get_data_path` takes it.
@@ -129,7 +129,8 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
     from embodichain.lab.sim.compiler.articulation import parse_with_problems
     from embodichain.lab.sim.compiler.robot_files import locate, read_model
 
-    types = read_model(locate(fpath)).model.jnt_type
+    file = read_model(locate(fpath))
+    types = file.model.jnt_type
     floating = bool((types == mujoco.mjtJoint.mjJNT_FREE).any())
     uid = re.sub(r"\W+", "_", Path(fpath).stem).strip("_").lower() or "robot"
     uid = f"{uid}_robot" if uid in _TAKEN else uid
@@ -179,7 +180,7 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
     if passive:
         bounded = np.isfinite(parsed.ctrl_limits).all()
         words["actions"] = _CONTROLS.format(uid=uid) + ("" if bounded else _CLIP)
-    return words
+    return words, None if file.is_urdf else float(file.spec.option.timestep)
 
 
 def _home(parsed: ParsedArticulation) -> list[float]:

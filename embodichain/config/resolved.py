@@ -59,6 +59,8 @@ _DEFAULTS: dict[Verb, dict[str, Any]] = {
 _SEED_BITS = 31
 _KWARGS = ("autoreset_mode", "render_mode", "run_dir")
 """Arguments of `BaseEnv` besides its config; it passes others on to methods of subclasses."""
+_OF_ROOT = ("num_envs",)
+"""Keys of the root that the simulation names, and nothing else has."""
 _OF_MAKE = ("task", "num_envs", "overrides", "seed", "config_dir")
 """Arguments of `embodichain.make`, for messages."""
 
@@ -154,6 +156,9 @@ class Resolved:
         if problem.source:
             return problem
         path = ".".join(part for part in (section, problem.path) if part)
+        key = path.rpartition(".")[2]
+        if key in _OF_ROOT:
+            path = key
         return problem.at(self.source(path) if path else "", path)
 
 

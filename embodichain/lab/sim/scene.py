@@ -13,6 +13,7 @@ from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.compiler.world import World, read_world
 from embodichain.lab.sim.engine.api import Engine
+from embodichain.lab.sim.engine.room import bytes_of
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
@@ -21,6 +22,7 @@ from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.memory import require_memory_for
 from embodichain.utils.no_effect import changed_without_effect
 
 __all__ = ["Entity", "Scene"]
@@ -106,7 +108,10 @@ class Scene:
         """
         uid = self.claim(cfg)
         wanted = uid, cfg, physics_step(self._cfg), changes.get(uid, ())
-        return self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
+        parsed = self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
+        each = bytes_of(parsed.model, self._cfg.persistent)
+        require_memory_for(self._cfg.num_envs, each, "environments with this robot", "num_envs")
+        return parsed
 
     def plan_sensor(self, cfg: SensorCfg) -> SensorPlan:
         """Look up the links of a sensor; raises as `claim` does."""

@@ -28,6 +28,7 @@ from embodichain.lab.sim.compiler.drives import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.engine.device_arrays import DeviceArrays
+from embodichain.lab.sim.engine.room import LEAST_BYTES, bytes_of
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
@@ -38,6 +39,7 @@ from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.unavailable import with_simulation_members
 from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
+from embodichain.utils.memory import require_memory_for
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
@@ -121,6 +123,7 @@ class SimulationManager:
         self.num_envs = int(self.sim_config.num_envs)
         if self.num_envs < 1:
             raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
+        require_memory_for(self.num_envs, LEAST_BYTES, "environments", "num_envs")
         self.instance_id = max(_instances, default=-1) + 1
         _instances[self.instance_id] = weakref.ref(self)
         self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
@@ -279,6 +282,8 @@ class SimulationManager:
             sizes = str(cfg.sim_device), cfg.warp.nconmax, cfg.warp.njmax
             self._engine = kind(scene.model, self.num_envs, cfg.num_threads, *sizes)
         else:
+            each = bytes_of(scene.model, cfg.persistent)
+            require_memory_for(self.num_envs, each, "environments of this scene", "num_envs")
             self._engine = CpuEngine(scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
         self._initial_row = scene.initial_row
         self._engine.write("row", self._initial_row)

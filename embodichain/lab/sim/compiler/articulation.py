@@ -14,6 +14,13 @@ from embodichain.lab.sim.cfg import ArticulationCfg, RobotCfg, URDFCfg
 from embodichain.lab.sim.compiler.base_contacts import restore_base_contacts
 from embodichain.lab.sim.compiler.collision_shapes import replace_shapes, resolve_shapes
 from embodichain.lab.sim.compiler.contact_patterns import apply_contacts, check_contacts
+from embodichain.lab.sim.compiler.couplings import (
+    Rigidity,
+    couple,
+    moving_mimics,
+    rigid_armature,
+    shown_mimics,
+)
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
     DriveGains,
@@ -25,6 +32,7 @@ from embodichain.lab.sim.compiler.drives import (
 )
 from embodichain.lab.sim.compiler.index import F64, Mask
 from embodichain.lab.sim.compiler.kept_inertias import HullLimit
+from embodichain.lab.sim.compiler.model_size import reported
 from embodichain.lab.sim.compiler.names import exact_pattern, match
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
@@ -37,7 +45,9 @@ from embodichain.lab.sim.compiler.robot_files import (
     read_model,
 )
 from embodichain.lab.sim.compiler.robot_joints import (
+    FileJoints,
     Keyframe,
+    Mimics,
     Servos,
     control_names,
     initial_controls,
@@ -86,13 +96,17 @@ class ParsedArticulation:
         init_qvel: Initial velocities: the keyframe's, else 0.
         stiffness: Gains of drives and of the file's servos; 0 without either.
         damping: As `stiffness`; the passive damping of a joint without either.
-        joint_damping: Passive damping of the joints themselves, from the file.
+        joint_damping: Passive damping of the joints themselves, from the file; of a mimic joint,
+            with what it carries of its leader's drive.
+        carried_damping: What mimic joints carry of a drive's damping, see `couplings`; the damper
+            of its actuator is smaller by as much.
         max_effort: Effort limits of drives; inf is no limit.
         max_velocity: Limits of position targets and velocity actions; 1e10 is no limit.
         friction: Dry friction.
         armature: Reflected inertia, `added_armature` included.
         added_armature: Armature added so that limited drives do not chatter.
-        mimic_ids: Joints that follow another: ``q = multiplier * q[parent] + offset``.
+        mimic_ids: Joints that follow another, ``q = multiplier * q[parent] + offset``: mimics of a
+            URDF, and joints without drive and servo that an equality of an MJCF couples.
         control_parts: Part -> joint indices.
         tools: Part (``default`` is the whole robot) -> the link that is its tool point.
         own_actuators: Whether actuators of the file are kept.
@@ -133,6 +147,7 @@ class ParsedArticulation:
     stiffness: F64
     damping: F64
     joint_damping: F64
+    carried_damping: F64
     max_effort: F64
     max_velocity: F64
     friction: F64
@@ -219,6 +234,16 @@ def parse_with_problems(
     With mistakes in the config the articulation is returned, for its names; with one in the file,
     None.
     """
+    with reported(f"{uid}: reading {cfg.fpath or 'the files of urdf_cfg'}"):
+        return _parse(uid, cfg, step, changes)
+
+
+def _parse(
+    uid: str,
+    cfg: ArticulationCfg,
+    step: PhysicsStep | None,
+    changes: Sequence[DriveChange],
+) -> tuple[ParsedArticulation | None, list[Problem]]:
     try:
         file = read_robot(cfg)
     except ConfigError as error:
@@ -240,7 +265,7 @@ def parse_with_problems(
         robot = prepare_file(file, cfg.attrs)
         if attached:
             init_qpos = _of_own_joints(init_qpos, robot.joints.names)
-            robot, wrong = attach_files(robot, attached, file.velocity_limits)
+            robot, wrong = attach_files(robot, attached)
             if wrong:  # which names the robot has is unknown
                 return None, [*problems, *wrong]
     except ConfigError as error:
@@ -248,11 +273,12 @@ def parse_with_problems(
     except MUJOCO_ERRORS as error:
         return None, [*problems, Problem("fpath", f"{file.path}: {as_line(error)[0]}")]
     joints, mimics, keyframe = robot.joints, robot.mimics, robot.keyframe
+    count = len(joints.names)
     parts, wrong = _control_parts(getattr(cfg, "control_parts", None), joints.names)
     problems += wrong
     gains, wrong = resolve_drives(cfg.drive_pros, joints, parts, mimics.ids)
     problems += [p.below("drive_pros") for p in wrong]
-    qpos, wrong = resolve_qpos(init_qpos, joints, mimics, keyframe)
+    qpos, wrong = resolve_qpos(init_qpos, joints, mimics, keyframe, robot.equalities)
     problems += wrong
     links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
     problems += check_attachments(links, cfg.attachments)
@@ -264,8 +290,10 @@ def parse_with_problems(
         drives, replaced = apply_drives(file.spec, gains, joints)
         driven = gains.driven.any() or joints.servos.count or joints.from_urdf.any()
         if joints.names and not driven and isinstance(cfg, RobotCfg):  # a door needs no drive
-            replaced.append("no joint is driven: it has no actuators, drive_pros names no joint")
+            what = "it has no actuators, drive_pros names no joint: its actions are empty"
+            replaced.append(f"no joint is driven: {what}")
         notes = [*robot.notes, *(f"{file.path}: {line}" for line in replaced)]
+        notes += _without_effort(cfg, joints, mimics)
         if not problems:
             replace_shapes(file.spec, shapes, cfg.attrs)
             add_attachments(file.spec, cfg.attachments)
@@ -277,6 +305,7 @@ def parse_with_problems(
             if cfg.gravcomp is not None:
                 body.gravcomp = float(cfg.gravcomp)
         _unsimplify(file.spec, changes)
+        notes += _fixed(cfg, file)
         start = None if keyframe is None else keyframe.root
         root = set_root(file.spec, cfg.fix_base, robot.planes, start)
         spec = root.spec
@@ -285,18 +314,27 @@ def parse_with_problems(
         as_file = not file.is_urdf and not cfg.disable_self_collision
         if cfg.fix_base and as_file and restore_base_contacts(spec, model, root.name):
             model = compile_quietly(spec)
-        added = np.zeros(len(joints.names))
+        added = np.zeros(count)
+        rigidity = Rigidity(np.zeros(count), np.zeros(count))
         if step is not None and not problems:
-            added, said = _quieten(spec, model, joints.names, gains, qpos, parts, step, changes)
+            added, said = _quieten(
+                spec, model, joints.names, gains, mimics, qpos, parts, step, changes
+            )
             notes += [f"{file.path}: {note}" for note in said]
+            rigidity = couple(
+                spec, model, joints.names, gains, mimics, qpos, joints.qvel_limits, step
+            )
         if not problems and cfg.fix_base:
             notes += _overloaded(cfg, model, gains, qpos)
     except (ConfigError, *MUJOCO_ERRORS) as error:
         text = str(error) if isinstance(error, ConfigError) else as_line(error)[0]
+        if "mjMINVAL" in text and not cfg.fix_base:
+            text += ": a base without mass cannot float; fix_base: true fixes it"
         return None, [*problems, Problem("fpath", f"{file.path}: {text}")]
     servos = read_servos(model, movable_joints(model))
     # Convert damping ratios to gains here: inertias may have changed.
     kept = ~gains.driven & (servos.drive >= 0)
+    shown = shown_mimics(mimics, robot.equalities, gains.driven | (servos.drive >= 0))
     init_ctrl, init_act = initial_controls(model, servos, gains.driven, qpos, keyframe)
     return (
         ParsedArticulation(
@@ -316,17 +354,18 @@ def parse_with_problems(
             init_qpos=qpos,
             init_qvel=np.zeros(len(qpos)) if keyframe is None else keyframe.qvel,
             stiffness=np.where(kept, servos.stiffness, gains.stiffness),
-            damping=np.where(kept, servos.damping, gains.damping),
-            joint_damping=joints.damping,
+            damping=np.where(kept, servos.damping, gains.damping + rigidity.damping),
+            joint_damping=joints.damping + rigidity.damping,
+            carried_damping=rigidity.carried,
             max_effort=np.where(kept, servos.max_effort, gains.max_effort),
             max_velocity=gains.max_velocity,
             friction=gains.friction,
             armature=np.where(added > 0, _rounded(gains.armature + added), gains.armature),
             added_armature=added,
-            mimic_ids=mimics.ids,
-            mimic_parents=mimics.parents,
-            mimic_multipliers=mimics.multipliers,
-            mimic_offsets=mimics.offsets,
+            mimic_ids=shown.ids,
+            mimic_parents=shown.parents,
+            mimic_multipliers=shown.multipliers,
+            mimic_offsets=shown.offsets,
             control_parts=parts,
             tools={part: tool.link for part, tool in tools.items()},
             own_actuators=model.nactuator > int(gains.driven.sum()),
@@ -350,6 +389,35 @@ def parse_with_problems(
         ),
         problems,
     )
+
+
+def _fixed(cfg: ArticulationCfg, file: ModelFile) -> list[str]:
+    """Return a message about free joints of the file that `fix_base` leaves out."""
+    free = [
+        f"{joint.name!r} of {body.name!r}"
+        for body in file.spec.worldbody.bodies
+        for joint in body.joints
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE
+    ]
+    if not cfg.fix_base or not free:
+        return []
+    why = "the base is fixed (fix_base: true, the default); fix_base: false lets it float"
+    return [f"{file.path}: free joint {', '.join(free)} left out: {why}"]
+
+
+def _without_effort(cfg: ArticulationCfg, joints: FileJoints, mimics: Mimics) -> list[str]:
+    """Return a message about joints of URDF files whose effort limit, which is taken, is 0."""
+    zero = joints.limits.zero_effort
+    driven = [n for i, n in enumerate(joints.names) if i not in mimics.ids and n in zero]
+    if cfg.drive_pros.max_effort != "file" or not driven:
+        return []
+    places = ", ".join(f"{name!r} ({zero[name]})" for name in driven)
+    entries = ", ".join(f"{exact_pattern(name)}: N" for name in driven)
+    return [
+        f'effort="0" is taken as no limit for joints {places}: write their limits into the file, '
+        f"or drive_pros.max_effort: {{{entries}}}, in N m or N; a joint that shall not push needs "
+        "stiffness 0 and damping 0"
+    ]
 
 
 def _overloaded(
@@ -380,6 +448,7 @@ def _quieten(
     model: mujoco.MjModel,
     names: Sequence[str],
     gains: DriveGains,
+    mimics: Mimics,
     home: F64,
     parts: Mapping[str, Sequence[int]],
     step: PhysicsStep,
@@ -390,7 +459,12 @@ def _quieten(
     Returns:
         (D,) added armature, and messages for the user.
     """
-    lacking = quiet_armature(model, names, gains, home, parts, step, changes)
+    quiet = quiet_armature(model, names, gains, home, parts, step, changes)
+    lacking = quiet
+    if mimics.ids:
+        rigid = moving_mimics(model, names, mimics)
+        lacking = quiet_armature(model, names, gains, home, parts, step, changes, rigid)
+        lacking = rigid_armature(model, names, gains, mimics, home, step, lacking)
     given = gains.armature_given | drawn_joints("armature", names, parts, changes)
     added = np.where(given, 0.0, lacking)
     for i in np.flatnonzero(added > 0).tolist():
@@ -400,9 +474,14 @@ def _quieten(
     if added.any():
         mujoco.mj_setConst(model, mujoco.MjData(model))
     enough = gains.armature + lacking
+    why = "limited drives would chatter"
+    if not (quiet > 0).any():
+        why = "joints that mimic others would not follow them"
+    elif (lacking > quiet).any():
+        why += ", and joints that mimic others would not follow them,"
     notes = (
-        _armature_note(_RAISED, names, enough, added > 0, step),
-        _armature_note("is too small", names, enough, given & (lacking > 0), step),
+        _armature_note(_RAISED, names, enough, added > 0, why, step),
+        _armature_note("is too small", names, enough, given & (lacking > 0), why, step),
     )
     return added, [note for note in notes if note]
 
@@ -413,10 +492,10 @@ def _rounded(values: F64) -> F64:
 
 
 def _armature_note(
-    what: str, names: Sequence[str], enough: F64, joints: Mask, step: PhysicsStep
+    what: str, names: Sequence[str], enough: F64, joints: Mask, why: str, step: PhysicsStep
 ) -> str:
     listed = ", ".join(f"{names[i]}: {enough[i]:.4g}" for i in np.flatnonzero(joints).tolist())
-    because = f"limited drives would chatter at a time step of {step.dt:g} s"
+    because = f"{why} at a time step of {step.dt:g} s"
     return f"drive_pros.armature {what}: {because}; enough is {{{listed}}}" if listed else ""
 
 

@@ -46,6 +46,7 @@ __all__ = [
     "physics_step",
     "quiet_armature",
     "resolve_drives",
+    "round_up",
 ]
 
 Parts = Mapping[str, Sequence[int]]  # control part -> joint indices
@@ -115,7 +116,14 @@ def resolve_drives(
         velocity = np.minimum(joints.qvel_limits, 1e10)
     elif cfg.max_velocity is not None:
         velocity, _ = value("max_velocity", velocity)
-    if not (velocity > 0).all():
+    still = joints.limits.zero_velocity if cfg.max_velocity == "file" else {}
+    for name in (name for name in joints.names if name in still):
+        message = (
+            f'{still[name]}: joint {name!r} has velocity="0": it could never move. Write its speed '
+            "into the file, or a map (joint: rad/s or m/s) or null (no limit) here"
+        )
+        problems.append(Problem("max_velocity", message))
+    if not (velocity > 0).all() and not still:
         problems.append(Problem("max_velocity", "must be positive; null is no limit"))
     files = ~urdf | (cfg.max_effort == "file")
     effort, limited = value("max_effort", np.where(files, joints.qf_limits, 1e10))
@@ -373,6 +381,7 @@ def quiet_armature(
     parts: Parts,
     step: PhysicsStep,
     changes: Sequence[DriveChange] = (),
+    rigid: Mask | None = None,
 ) -> F64:
     """Return the armature (D,) that each joint lacks to avoid chatter, rounded up to two digits.
 
@@ -388,6 +397,7 @@ def quiet_armature(
         step: Time step and integrator. With Euler and RK4, which take the damper explicitly, drives
             without a limit count too.
         changes: Values that events may draw; the largest gains and the smallest mass count.
+        rigid: (D,) drives that count without a limit too, see `couplings`.
     """
     dofs = np.array([model.joint(name).dofadr[0] for name in names], np.int64)
     links = [model.body(i).name for i in range(1, model.nbody)]
@@ -406,6 +416,7 @@ def quiet_armature(
     kd = extreme("damping", np.where(gains.driven, gains.damping, 0.0), max) * strength
     explicit = step.integrator not in ("implicitfast", "implicit")
     limited = explicit | np.isfinite(extreme("max_effort", gains.max_effort, min))
+    limited = limited if rigid is None else limited | rigid
     need = np.where(limited, 0.5 * step.dt * kd + 0.25 * step.dt**2 * kp, 0.0)
     lacking = np.zeros(len(dofs))
     joints = np.flatnonzero(need > 0)
@@ -425,7 +436,7 @@ def quiet_armature(
     felt = np.linalg.inv(np.linalg.inv(inertia)[picked])
     added = _added(felt, need[joints])
     added[added < _TOLERANCE * need[joints]] = 0.0
-    lacking[joints] = [_round_up(x) if x > 0 else 0.0 for x in added]
+    lacking[joints] = [round_up(x) if x > 0 else 0.0 for x in added]
     return lacking
 
 
@@ -491,7 +502,7 @@ def inertia_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
     return found
 
 
-def _round_up(value: float) -> float:
+def round_up(value: float) -> float:
     """Round a positive number up to two significant digits."""
     digit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / digit - 1e-9) * digit:.2g}")

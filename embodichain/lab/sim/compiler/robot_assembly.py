@@ -10,6 +10,7 @@ import numpy as np
 
 from embodichain.lab.sim.cfg import AttachedFileCfg, ObjectBaseCfg
 from embodichain.lab.sim.compiler.contact_patterns import apply_contacts, check_contacts
+from embodichain.lab.sim.compiler.couplings import read_couplings
 from embodichain.lab.sim.compiler.floors import move_to_world, without_references
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import no_such
@@ -25,7 +26,6 @@ from embodichain.lab.sim.compiler.robot_files import (
 from embodichain.lab.sim.compiler.robot_joints import (
     Keyframe,
     read_joints,
-    read_mimics,
     resolve_qpos,
 )
 from embodichain.lab.sim.compiler.robot_links import (
@@ -38,6 +38,7 @@ from embodichain.lab.sim.compiler.robot_root import (
     remove_free_joint,
     take_sizes,
 )
+from embodichain.lab.sim.compiler.urdf_reading import UrdfLimits
 from embodichain.lab.sim.urdf_cfg import COMPONENTS, URDFCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -102,7 +103,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
     spec.worldbody.add_body(name=cfg.base_link_name)
     carrying: dict[str, str] = {}
     links, joints = {cfg.base_link_name: cfg.base_link_name}, dict[str, str]()
-    velocity: dict[str, float] = {}
+    limits = UrdfLimits()
     for kind, prefix in cfg.prefixes().items():
         if kind not in files:
             continue
@@ -117,7 +118,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
         new_joints = _renamed(own_joints, prefix, "", case.get("joint"), set(joints.values()))
         links |= {f"{kind}{_SEPARATOR}{old}": new for old, new in new_links.items()}
         joints |= {f"{kind}{_SEPARATOR}{old}": new for old, new in new_joints.items()}
-        velocity |= {new_joints[old]: v for old, v in file.velocity_limits.items()}
+        limits = limits.joined(file.limits.renamed(new_joints))
         last = own_links[0] if kind in _ON_FIRST else file.last_link
         carrying[kind] = f"{kind}{_SEPARATOR}{last}"
     # The only references in a URDF are mimics, which are equalities.
@@ -129,7 +130,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
         equality.name1, equality.name2 = joints[equality.name1], joints[equality.name2]
     path = next(iter(files.values())).path
     notes = [note for file in files.values() for note in file.notes]
-    return ModelFile(path, True, spec, compile_quietly(spec), velocity, notes=notes)
+    return ModelFile(path, True, spec, compile_quietly(spec), limits, notes=notes)
 
 
 def _read(
@@ -198,7 +199,7 @@ def _renamed(
 
 
 def attach_files(
-    robot: RobotModel, attached: Mapping[str, AttachedFileCfg], velocity_limits: dict[str, float]
+    robot: RobotModel, attached: Mapping[str, AttachedFileCfg]
 ) -> tuple[RobotModel, list[Problem]]:
     """Fix files on links of a robot.
 
@@ -208,7 +209,6 @@ def attach_files(
     Args:
         robot: The robot's own file; its spec changes.
         attached: Name -> file, in order; a later one may be fixed on a link of an earlier one.
-        velocity_limits: Joint name -> limit of the robot's own file.
 
     Returns:
         The robot without the files that are wrong, and every mistake, with paths that begin with
@@ -220,7 +220,7 @@ def attach_files(
     spec, problems = robot.spec, list[Problem]()
     parts, urdf = {"": robot}, {n for n, u in _from_urdf(robot) if u}
     options: list[AttachedOptions] = []
-    velocity, notes = dict(velocity_limits), [*robot.notes]
+    limits, notes = robot.joints.limits, [*robot.notes]
     for name, cfg in attached.items():
         found, file = _check(name, cfg, spec)
         problems += found
@@ -234,7 +234,8 @@ def attach_files(
             apply_contacts(file.spec, cfg.contact)
         notes += [*part.notes, *_loosen(file), *_without_walls(file, part)]
         urdf |= {f"{prefix}{n}" for n, u in _from_urdf(part) if u}
-        velocity |= {f"{prefix}{n}": limit for n, limit in file.velocity_limits.items()}
+        names = {name: f"{prefix}{name}" for name in part.joints.names}
+        limits = limits.joined(file.limits.renamed(names))
         options.append((f"{file.path} (attach.{name})", mujoco.MjSpec(), file.options))
         options[-1][1].option = file.spec.option
         # The scene's options apply: MuJoCo would warn about each that differs.
@@ -250,7 +251,7 @@ def attach_files(
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError([Problem("attach", as_line(error)[0])]) from error
-    joints = read_joints(model, velocity, urdf, tuple(prefix for prefix in parts if prefix))
+    joints = read_joints(model, limits, urdf, tuple(prefix for prefix in parts if prefix))
     keyframe = _joined(parts, joints.names)
     notes = [*dict.fromkeys(notes)]  # two grippers of one file
     attached_parts = {prefix: part for prefix, part in parts.items() if prefix}
@@ -258,7 +259,7 @@ def attach_files(
         spec,
         model,
         joints,
-        read_mimics(model),
+        *read_couplings(model, joints.names, urdf),
         keyframe,
         tuple(notes),
         tuple(options),
@@ -344,7 +345,7 @@ def _joined(parts: Mapping[str, RobotModel], names: tuple[str, ...]) -> Keyframe
         return None
     qpos, qvel = dict[str, float](), dict[str, float]()
     for prefix, part in parts.items():
-        at, _ = resolve_qpos(None, part.joints, part.mimics, part.keyframe)
+        at, _ = resolve_qpos(None, part.joints, part.mimics, part.keyframe, part.equalities)
         speeds = np.zeros(len(at)) if part.keyframe is None else part.keyframe.qvel
         for name, value, speed in zip(part.joints.names, at, speeds, strict=True):
             qpos[f"{prefix}{name}"], qvel[f"{prefix}{name}"] = value, speed

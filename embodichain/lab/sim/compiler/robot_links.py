@@ -23,6 +23,7 @@ from embodichain.lab.sim.compiler.contact_parameters import (
     check_contact,
     set_contact_parameters,
 )
+from embodichain.lab.sim.compiler.couplings import read_couplings
 from embodichain.lab.sim.compiler.floors import Plane, floors_of, planes_of
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.kept_inertias import HullLimit, keep_inertias, limit_hulls
@@ -45,7 +46,6 @@ from embodichain.lab.sim.compiler.robot_joints import (
     Mimics,
     read_joints,
     read_keyframe,
-    read_mimics,
 )
 from embodichain.lab.sim.compiler.robot_root import leave_out_lights
 from embodichain.lab.sim.shapes import PlaneCfg
@@ -82,7 +82,8 @@ class RobotModel:
         spec: The edited file; names of an attached file begin with ``NAME/``.
         model: The file's model, before it was edited.
         joints: Data of its joints.
-        mimics: Joints that follow others.
+        mimics: Joints that follow others, in URDF files.
+        equalities: Joints that are coupled to others, in MJCF files.
         keyframe: Initial values that the file gives, or None.
         notes: Messages for the user, one line each.
         attached_options: Path of each attached file, an empty model with its physics options, which
@@ -97,6 +98,7 @@ class RobotModel:
     model: mujoco.MjModel
     joints: FileJoints
     mimics: Mimics
+    equalities: Mimics
     keyframe: Keyframe | None
     notes: tuple[str, ...]
     attached_options: tuple[AttachedOptions, ...] = ()
@@ -114,7 +116,7 @@ def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
     """
     spec, model = file.spec, file.model
     urdf = [joint.name for joint in spec.joints] if file.is_urdf else ()
-    joints = read_joints(model, file.velocity_limits, urdf)
+    joints = read_joints(model, file.limits, urdf)
     keyframe = read_keyframe(spec, model)
     planes = planes_of(spec, model)
     floors = floors_of(planes)
@@ -133,7 +135,7 @@ def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
         spec,
         model,
         joints,
-        read_mimics(model),
+        *read_couplings(model, joints.names, urdf),
         keyframe,
         notes,
         planes=planes,

@@ -21,6 +21,7 @@ from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.contact_parameters import given_parameters
 from embodichain.lab.sim.compiler.floors import bind_floors, strangers_to
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
+from embodichain.lab.sim.compiler.model_size import reported
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
 from embodichain.lab.sim.compiler.physics_options import apply_options, replace_options
 from embodichain.lab.sim.compiler.rigid_objects import (
@@ -166,7 +167,8 @@ def compile_scene(
     for plan in sensors.values():
         add_sensor(spec, plan)
     try:
-        model = compile_quietly(spec)
+        with reported(f"compiling the scene of {len(spec.bodies):,} bodies"):
+            model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         message = f"MuJoCo cannot compile the scene: {as_line(error)[0]}"
         raise ConfigError(_broken_meshes(objects) or message) from error

@@ -291,7 +291,7 @@ BAD_FILES = {
     "empty.urdf": ('<robot name="x"/>', ": the robot has no <link>"),
     "xacro.urdf": (
         '<robot name="x" xmlns:xacro="http://wiki.ros.org/xacro"><xacro:if value="1"/></robot>',
-        ": xacro has to be expanded to URDF first: `xacro xacro.urdf`",
+        ":1: <xacro:if>: xacro has to be expanded to URDF first: `xacro xacro.urdf > robot.urdf`",
     ),
     "page.xml": ("<html/>", ": neither URDF nor MJCF: its root is <html>, not <robot> or <mujoco>"),
     "type.xml": (
