@@ -10,7 +10,6 @@ import numpy as np
 
 from embodichain.lab.sim.cfg import AttachedFileCfg, ObjectBaseCfg
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.names import no_such
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_files import (
     MUJOCO_ERRORS,
@@ -27,6 +26,7 @@ from embodichain.lab.sim.compiler.robot_joints import (
     resolve_qpos,
 )
 from embodichain.lab.sim.compiler.robot_links import RobotModel, prepare_file
+from embodichain.lab.sim.compiler.spec_frames import find_in_spec, on_frame
 from embodichain.lab.sim.urdf_cfg import COMPONENTS, URDFCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -224,7 +224,10 @@ def attach_files(
         options[-1][1].option = file.spec.option
         # The scene's options apply: MuJoCo would warn about each that differs.
         file.spec.option = spec.option
-        attach(spec, file.spec, cfg.to, *initial_pose(_pose(cfg)), prefix)
+        frame, _ = find_in_spec(spec, cfg.to, "")
+        if frame is None:
+            raise RuntimeError(f"{cfg.to!r} was found before")
+        attach(spec, file.spec, *on_frame(spec, *frame, *initial_pose(_pose(cfg))), prefix)
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
@@ -256,8 +259,8 @@ def _check(
         problems.append(
             Problem(f"{path}.to", f"missing value: a link; there are: {', '.join(links)}")
         )
-    elif cfg.to not in links:
-        problems.append(no_such("link", cfg.to, links, f"{path}.to"))
+    else:
+        problems += find_in_spec(robot, cfg.to, f"{path}.to")[1]
     wrong = check_pose(_pose(cfg))
     problems += [replace(p, path=f"{path}.{p.path.removeprefix('init_')}") for p in wrong]
     try:

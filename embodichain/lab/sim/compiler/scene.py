@@ -19,6 +19,7 @@ from embodichain.lab.sim.compiler.appearance import (
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
+from embodichain.lab.sim.compiler.known import known_entities
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
 from embodichain.lab.sim.compiler.rigid_objects import (
     add_object,
@@ -236,7 +237,9 @@ def compile_scene(
         finish_table(spec, table)
     roots = {p.uid: f"{p.uid}/{p.root_link_name}" for p in articulations}
     roots |= {uid: f"{PREFIX}{uid}" for uid in inside}
-    add_views(spec, sim_cfg.views, roots)
+    jointed = {parsed.uid: parsed for parsed in articulations}
+    known = known_entities(jointed, objects, lights, world, table)
+    add_views(spec, sim_cfg.views, roots, known)
     for plan in sensors.values():
         add_sensor(spec, plan)
     try:
@@ -246,7 +249,7 @@ def compile_scene(
         raise ConfigError(_broken_meshes(objects) or message) from error
     for uid, plan in sensors.items():
         if is_silent(model, plan):
-            links = ", ".join(plan.bodies)
+            links = ", ".join(plan.frames)
             notes.append(f"{uid}: no shape of {links} collides, so it reports no contact")
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.body_motion import origin_velocities
 from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.frames import BodyFrames
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import GAINS, Drives
 from embodichain.lab.sim.objects.entity import BatchEntity
@@ -414,7 +414,7 @@ class Articulation(BatchEntity):
 
     def velocity_of(self, bodies: int | Ids) -> F64:
         """(N, 6) linear velocity of a body's origin, then angular, world axes; or (N, k, 6)."""
-        return np.concatenate(origin_velocities(self.engine, bodies), axis=-1)
+        return np.concatenate(BodyFrames("link", bodies, bodies).velocities(self.engine), axis=-1)
 
     def get_link_pose(
         self, link_name: str, env_ids: Any = None, to_matrix: bool = False
