@@ -22,6 +22,7 @@ from embodichain.lab.sim.compiler.rigid_objects import add_object, check_object
 from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, compile_quietly
 from embodichain.lab.sim.compiler.spec_frames import local_pose
 from embodichain.lab.sim.compiler.world import PREFIX, World
+from embodichain.utils.errors import Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
@@ -117,8 +118,10 @@ def place_of(entity: Jointed | KnownObject | str, uid: str, kind: FrameKind, nam
     return frame_in_model(entity, uid, "link", name), np.zeros(3), _UNTURNED.copy()
 
 
-def find_place(name: str, known: Known) -> Place | None:
+def find_place(name: str, known: Known) -> tuple[Place | None, list[Problem]]:
     """Where ``ENTITY/NAME`` is fixed, NAME being a link, a site or a geom; None if nothing is.
+
+    The problem is that the entity has no such frame; without such an entity there is none.
 
     Args:
         name: The name; `find_frame` says how NAME is understood.
@@ -127,6 +130,6 @@ def find_place(name: str, known: Known) -> Place | None:
     uid, slash, rest = name.partition("/")
     entity = known.get(uid)
     if not slash or entity is None or isinstance(entity, str):
-        return None
-    frame, _ = find_frame(rest, lambda kind: frame_names(entity, kind), "")
-    return None if frame is None else place_of(entity, uid, *frame)
+        return None, []
+    frame, problems = find_frame(rest, lambda kind: frame_names(entity, kind), "", uid)
+    return (None if frame is None else place_of(entity, uid, *frame)), problems

@@ -213,7 +213,7 @@ def frame_in_model(
 
 
 def find_frame(
-    name: str, names: Callable[[FrameKind], Sequence[str] | None], path: str
+    name: str, names: Callable[[FrameKind], Sequence[str] | None], path: str, uid: str = ""
 ) -> tuple[tuple[FrameKind, str] | None, list[Problem]]:
     """Resolve a name without a kind: a link's, else a site's, else a geom's.
 
@@ -223,6 +223,7 @@ def find_frame(
         name: The name.
         names: Returns the names of a kind; None if they are not known.
         path: Its key path.
+        uid: The entity, for messages.
 
     Returns:
         Kind and name (None if there is no such frame, or names are not known), and the problem.
@@ -239,7 +240,8 @@ def find_frame(
             return (kind, wanted), []
         there[kind] = own
     first = kinds[0]
-    message = f"no {first} is called {wanted!r}; there are: {listing(there[first], wanted)}"
+    what = f"no {first} of {uid!r} matches" if uid else f"no {first} is called"
+    message = f"{what} {wanted!r}; there are: {listing(there[first], wanted)}"
     for kind in kinds[1:]:
         message += f"; {kind}s: {listing(there[kind], wanted)}" if there[kind] else ""
     every = [one for own in there.values() for one in own]

@@ -188,13 +188,12 @@ def _plan_frame(uid: str, cfg: FramePoseSensorCfg, scene: _Names) -> _Plan:
             problems.append(Problem("site", message))
         else:
             entity = dataclasses.replace(entity, site=cfg.site)
-    frames, found = scene.one("entity_cfg", entity)
-    problems += [
-        dataclasses.replace(p, path="site")
-        if cfg.site is not None and p.path.endswith(".site")
-        else p
-        for p in found
-    ]
+            problems += scene.site(cfg)
+        if any(cfg.pos) or tuple(cfg.quat) != (1, 0, 0, 0):
+            message = "has its own pose: leave pos and quat out, or name it in entity_cfg"
+            problems.append(Problem("site", message))
+    frames, found = (None, []) if problems else scene.one("entity_cfg", entity)
+    problems += found
     problems += _check_mount(cfg.pos, cfg.quat)
     others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
     if cfg.relative_to is not None:
@@ -316,6 +315,14 @@ class _Names:
         if not picked.joints:
             return (), [Problem("entity_cfg", f"picks no joint of {cfg.uid!r}")]
         return tuple(entity.joint_names[i] for i in picked.joints), []
+
+    def site(self, cfg: FramePoseSensorCfg) -> list[Problem]:
+        """Check the site that is named beside the entity."""
+        entity = self.known.get(cfg.entity_cfg.uid)
+        names = None if entity is None else frame_names(entity, "site")
+        if names is None or cfg.site is None or cfg.site in names:
+            return []
+        return [no_such("site", cfg.site, names or ("none",), "site")]
 
     def entities(self, key: str, uids: Sequence[str] | None) -> list[Problem]:
         """Check uids of entities, or of the ground plane."""

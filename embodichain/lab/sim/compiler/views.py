@@ -67,12 +67,15 @@ def check_views(
         elif name in cameras:
             found.append(Problem(name, f"a camera is called {name!r}: choose another name"))
         if bodies is not None:
-            what = "entity, link, site or geom"
-            kinds = ("camera", "camera", cameras), ("body", what, bodies)
+            kinds = ("camera", "camera", cameras), ("body", "entity or link", bodies)
             for key, what, there in kinds:
                 given = getattr(cfg, key)
-                placed = key == "body" and find_place(given or "", known or {}) is not None
-                if given is not None and given not in there and not placed:
+                place, wrong = None, list[Problem]()
+                if key == "body" and given is not None and given not in there:
+                    place, wrong = find_place(given, known or {})
+                if wrong:
+                    found += [p.below(f"{name}.{key}") for p in wrong]
+                elif given is not None and given not in there and place is None:
                     message = f"no {what} is called {given!r}; there are: "
                     message += listing([*there], given) or "none"
                     hint = did_you_mean(given, there).strip()
@@ -157,7 +160,7 @@ def add_views(
             continue
         body = spec.worldbody if cfg.body is None else bodies.get(cfg.body)
         if body is None:
-            place = find_place(cfg.body or "", known)
+            place, _ = find_place(cfg.body or "", known)
             if place is None:
                 raise RuntimeError(f"{cfg.body!r} was found before")
             body = spec.body(place[0]).add_body(name=f"views/{name}", pos=place[1], quat=place[2])

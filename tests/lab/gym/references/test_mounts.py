@@ -193,7 +193,10 @@ def test_a_view_follows_a_site(make, follow) -> None:  # noqa: F811
     if follow == "position":
         np.testing.assert_allclose(eyes[1] - now[0], [[0.3, 0.2, 0.1]] * 3, atol=1e-9)
     else:
-        local = [np.einsum("nji,nj->ni", a, e - p) for e, (p, a, *_) in zip(eyes, (start, now))]
+        local = [
+            np.einsum("nji,nj->ni", a, e - p)
+            for e, (p, a, *_) in zip(eyes, (start, now), strict=True)
+        ]
         np.testing.assert_allclose(local, [[[0.3, 0.2, 0.1]] * 3] * 2, atol=1e-9)
 
 
