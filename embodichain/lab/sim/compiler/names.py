@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from embodichain.utils.errors import Problem
@@ -184,12 +184,14 @@ class Picked:
             articulation.
         kind: The kind of the frames.
         frames: Links, sites or geoms; by default none.
+        key: The key that names them.
         parts: Control parts, by name.
     """
 
     joints: tuple[int, ...] = ()
     kind: FrameKind = "link"
     frames: tuple[int, ...] = ()
+    key: str = "link_names"
     parts: tuple[str, ...] = ()
 
 
@@ -297,9 +299,9 @@ def _pick_of_articulation(
         if not ids and not problems:
             key = "joint_names" if parts is None else "control_parts"
             problems.append(Problem(key, f"picks no joint of {uid!r}; leave it out for all"))
-    kind, frames, found = _frames(entity, uid, fields)
-    problems += found
-    return Picked(tuple(ids), kind, frames, tuple(there[i] for i in parts or ())), problems
+    frames, found = _frames(entity, uid, fields)
+    named = tuple(there[i] for i in parts or ())
+    return replace(frames, joints=tuple(ids), parts=named), problems + found
 
 
 def _pick_of_body(
@@ -313,41 +315,42 @@ def _pick_of_body(
         for name in ("joint_names", "control_parts", "joint_ids")
         if fields.get(name)
     ]
-    kind, frames, found = _frames(entity, uid, fields)
-    return Picked(kind=kind, frames=frames), problems + found
+    frames, found = _frames(entity, uid, fields)
+    return frames, problems + found
 
 
 def _frames(
     entity: Jointed | KnownObject | str, uid: str, fields: Mapping[str, Any]
-) -> tuple[FrameKind, tuple[int, ...], list[Problem]]:
+) -> tuple[Picked, list[Problem]]:
     """The picked links, sites or geoms."""
     given = {k: [key for key in keys if fields.get(key) is not None] for k, keys in _KEYS}
     kinds = [kind for kind, keys in given.items() if keys]
     if len(kinds) > 1:
         first, second = given[kinds[0]][0], given[kinds[1]][0]
         message = f"{first} is given as well: a reference names links, sites or geoms, of one kind"
-        return "link", (), [Problem(second, message)]
+        return Picked(), [Problem(second, message)]
     kind = kinds[0] if kinds else "link"
+    key = given[kind][0] if kinds else "link_names"
     if kind in given[kind] and len(given[kind]) > 1:
         other = next(key for key in given[kind] if key != kind)
-        return kind, (), [Problem(kind, f"{other} is given as well: leave one of them out")]
+        return Picked(), [Problem(kind, f"{other} is given as well: leave one of them out")]
     names = (uid,) if isinstance(entity, str) and kind == "link" else frame_names(entity, kind)
     if names is None:
-        return kind, (), []
+        return Picked(kind=kind, key=key), []
     ids, problems = _numbered("body_ids", fields, len(names), "links", uid)
     if ids is not None:
-        return kind, tuple(ids), problems
+        return Picked(kind=kind, frames=tuple(ids), key=key), problems
     picked: list[int] = []
-    for key in given[kind]:
-        matched, found = _matching(key, fields, names, kind, uid)
-        if key == kind and len(matched or ()) > 1:
+    for name in given[kind]:
+        matched, found = _matching(name, fields, names, kind, uid)
+        if name == kind and len(matched or ()) > 1:
             matching = ", ".join(names[i] for i in matched or ())
-            found.append(Problem(key, f"one {kind} is wanted, these match: {matching}"))
+            found.append(Problem(name, f"one {kind} is wanted, these match: {matching}"))
         picked += matched or ()
-        problems += [_with_other_kind(p, entity, fields[key], kind) for p in found]
+        problems += [_with_other_kind(p, entity, fields[name], kind) for p in found]
         if kind != "link" and matched == [] and not found:
-            problems.append(Problem(key, f"names no {kind}; leave it out for the root"))
-    return kind, tuple(_ordered(picked, fields)), problems
+            problems.append(Problem(name, f"names no {kind}; leave it out for the root"))
+    return Picked(kind=kind, frames=tuple(_ordered(picked, fields)), key=key), problems
 
 
 _KEYS = _FRAME_KEYS.items()

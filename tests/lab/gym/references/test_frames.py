@@ -232,7 +232,7 @@ def test_a_kind_without_meaning_is_refused(make, case) -> None:
     func = "randomize" if case.startswith("randomize") else case
     term = EventCfg(func=func, params=params) if section == "events" else None
     term = term or ObservationCfg(func=func, params=params)
-    message = r"(site|geom)_names: (links are wanted here|only '\w+' itself counts)"
+    message = r"\.(site|geom): (links are wanted here|only '\w+' itself counts)"
     with pytest.raises(ConfigError, match=message):
         make(**{section: {"it": term}})
 

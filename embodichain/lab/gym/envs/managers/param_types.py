@@ -1,8 +1,8 @@
 """Types of term parameters, for annotations: numbers with their ranges, and references.
 
 ``mass: Positive`` is checked when a config is read. ``of: Joints`` is written ``{uid: ...}`` in a
-config and arrives as a `ResolvedEntity` with joints; ``of: Body`` may name a link, site or geom, and
-``of: Whole`` may not; ``sensor: ContactOf`` is written as a sensor's name and arrives as that
+config and arrives as a `ResolvedEntity` with joints; ``of: Body`` may name a link, site or geom,
+``of: Whole`` may not. ``sensor: ContactOf`` is written as a sensor's name and arrives as that
 sensor. Imports no torch and no MuJoCo.
 """
 

@@ -57,6 +57,7 @@ class ResolvedEntity:
             the root.
         frame_names: Names of the picked frames.
         in_model: Their names in the compiled scene.
+        frame_key: The key of the reference that names them, for messages.
         control_parts: Picked control parts.
         path: Its key path, for messages; empty if Python code made it.
         all_joints: Whether `joint_ids` is every joint in the entity's order, so that no indexing
@@ -71,6 +72,7 @@ class ResolvedEntity:
     frame_ids: tuple[int, ...] = ()
     frame_names: tuple[str, ...] = ()
     in_model: tuple[str, ...] = ()
+    frame_key: str = "link_names"
     all_joints: bool = False
     control_parts: tuple[str, ...] = ()
     path: str = ""
@@ -132,7 +134,7 @@ class ResolvedEntity:
         """
         if len(self.frame_names) > 1:
             message = f"one {self.kind} of {self.uid!r} is wanted, got {self._listed}"
-            raise ConfigError([Problem(f"{self.path}.{self.kind}_names".lstrip("."), message)])
+            raise ConfigError([Problem(f"{self.path}.{self.frame_key}".lstrip("."), message)])
         return self.frame_names[0] if self.frame_names else None
 
     @property
@@ -145,13 +147,13 @@ class ResolvedEntity:
             one = f"the {self.kind} {self._listed}"
             said = one if len(self.frame_names) == 1 else f"{self.kind}s: {self._listed}"
             message = f"links are wanted here, got {said}: name the link that carries it"
-            raise ConfigError([Problem(f"{self.path}.{self.kind}_names".lstrip("."), message)])
+            raise ConfigError([Problem(f"{self.path}.{self.frame_key}".lstrip("."), message)])
 
     def require_whole(self) -> None:
         """Raise a ConfigError if sites or geoms were picked, where only the entity counts."""
         if self.kind != "link":
             message = f"only {self.uid!r} itself counts here, no {self.kind} of it: leave this out"
-            raise ConfigError([Problem(f"{self.path}.{self.kind}_names".lstrip("."), message)])
+            raise ConfigError([Problem(f"{self.path}.{self.frame_key}".lstrip("."), message)])
 
     @cached_property
     def frame(self) -> BodyFrames:
@@ -438,6 +440,7 @@ def resolve_entity(
         frame_ids=picked.frames,
         frame_names=names,
         in_model=tuple(frame_in_model(entity, cfg.uid, picked.kind, name) for name in names),
+        frame_key=picked.key,
         control_parts=picked.parts,
         path=path,
         all_joints=hasattr(entity, "joint_names") and picked.joints == tuple(range(len(joints))),

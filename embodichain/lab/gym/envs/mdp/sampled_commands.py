@@ -138,7 +138,7 @@ class UniformPoseCommand(CommandTerm):
     """(N, 7) pose x, y, z, qw, qx, qy, qz in the frame of an entity's root, drawn uniformly.
 
     After Isaac Lab's ``UniformPoseCommand``. If a link, site or geom is picked, the metrics
-    ``position_error`` (m) and ``orientation_error`` (rad) are its distances from the commanded pose.
+    ``position_error`` (m) and ``orientation_error`` (rad) are its distances from the command.
 
     Example:
         ``{func: uniform_pose, params: {of: {uid: go}, position_range: [[0,0,0],[1,1,1]]}}``

@@ -153,7 +153,7 @@ class ApplyExternalForceTorque(Term):
         bodies = np.atleast_1d(np.arange(asset.engine.model.nbody)[frames.bodies])
         if len(np.unique(bodies)) < len(bodies):
             message = f"several {entity_cfg.kind}s of one link: its forces would be the last one's"
-            raise ConfigError([Problem(f"entity_cfg.{entity_cfg.kind}_names", message)])
+            raise ConfigError([Problem(f"entity_cfg.{entity_cfg.frame_key}", message)])
         self._columns: NDArray[np.int64] = np.concatenate(
             [6 * int(body) + np.arange(6, dtype=np.int64) for body in bodies]
         )
