@@ -70,6 +70,11 @@ class SceneEntityCfg:
     link_names: Names = None
     body_names: Names = None
     """Another name of `link_names`."""
+    control_parts: Names = None
+    """Leaves out joints that mimic another one: they have no drive."""
+    preserve_order: bool = False
+    joint_ids: list[int] | None = None
+    body_ids: list[int] | None = None
     site_names: Names = None
     """Sites of the file (MJCF)."""
     geom_names: Names = None
@@ -80,11 +85,6 @@ class SceneEntityCfg:
     """One site, likewise."""
     geom: str | None = None
     """One geom, likewise."""
-    control_parts: Names = None
-    """Leaves out joints that mimic another one: they have no drive."""
-    preserve_order: bool = False
-    joint_ids: list[int] | None = None
-    body_ids: list[int] | None = None
 
 
 @configclass

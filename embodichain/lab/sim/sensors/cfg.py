@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal, get_args
@@ -50,15 +51,15 @@ class LinksCfg:
     link_names: str | list[str] | None = None
     """Names or regexes, matched in full."""
     preserve_order: bool = False
-    site_names: str | list[str] | None = None
+    site_names: str | list[str] | None = dataclasses.field(default=None, kw_only=True)
     """Sites of the file instead."""
-    geom_names: str | list[str] | None = None
+    geom_names: str | list[str] | None = dataclasses.field(default=None, kw_only=True)
     """Geoms of the file that have a name instead."""
-    link: str | None = None
+    link: str | None = dataclasses.field(default=None, kw_only=True)
     """One link: its name, or a regex that only it matches."""
-    site: str | None = None
+    site: str | None = dataclasses.field(default=None, kw_only=True)
     """One site, likewise."""
-    geom: str | None = None
+    geom: str | None = dataclasses.field(default=None, kw_only=True)
     """One geom, likewise."""
 
 

@@ -202,13 +202,12 @@ class Reference:
 
 
 def references(hint: Any) -> Iterator[Reference]:
-    """The marks within an annotation, also of members of unions."""
+    """The marks within an annotation, also of members of unions and of lists."""
     for part in getattr(hint, "__metadata__", ()):
         if isinstance(part, Reference):
             yield part
     for part in typing.get_args(hint):
-        if hasattr(part, "__metadata__"):
-            yield from references(part)
+        yield from references(part)
 
 
 def _reference(mark: Reference, description: str) -> Any:
