@@ -17,6 +17,7 @@ from embodichain.lab.sim.cfg import (
     RigidObjectCfg,
     RobotCfg,
     SimulationManagerCfg,
+    WarpCfg,
 )
 from embodichain.lab.sim.scene_cfg import GroundCfg, SceneCfg
 from embodichain.lab.sim.shapes import CubeCfg
@@ -320,3 +321,29 @@ def test_an_action_moves_a_site_as_the_tool(make) -> None:
     now, turned, *_ = of_mujoco(env, "site", "r/tcp")
     np.testing.assert_allclose(now, goal, atol=2e-5)
     np.testing.assert_allclose(turned, axes, atol=2e-5)
+
+
+@pytest.mark.parametrize("arrays", ["host", "device"])
+def test_the_same_on_warp(make, arrays) -> None:
+    pytest.importorskip("mujoco_warp")
+    warp = WarpCfg(arrays=arrays)
+    sim = SimulationManagerCfg(headless=True, engine="warp", sim_device="cpu", warp=warp)
+    params = {"of": {"uid": "r", "geom": "FR"}, "force_range": [-5, 5]}
+    env = make(
+        sim_cfg=sim,
+        scene=SceneCfg(),
+        events={"push": EventCfg(func="apply_external_force_torque", params=params, mode="reset")},
+    )
+    engine = env.sim.engine
+    for _ in range(8):
+        engine.step(2)
+    for reference, kind, name in FRAMES[:4]:
+        found = env.scene_entity(reference)
+        pos, axes, linear, angular = of_mujoco(env, kind, name)
+        host = env.arrays.host
+        np.testing.assert_allclose(host(found.position()), pos, atol=1e-5)
+        np.testing.assert_allclose(host(found.axes()), axes, atol=1e-5)
+        np.testing.assert_allclose(host(found.linear_velocity()), linear, atol=1e-4)
+        np.testing.assert_allclose(host(found.angular_velocity()), angular, atol=1e-4)
+        quat = host(found.orientation())
+        assert quat.shape == (3, 4)

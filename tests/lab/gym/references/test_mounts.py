@@ -4,7 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from embodichain.cli.new_robot import describe_robot
 from embodichain.lab.gym.envs.cfg import ObservationCfg, RewardCfg
+from embodichain.lab.gym.expert.targets import TargetPoses, check_target
 from embodichain.lab.sim.cfg import AttachedFileCfg, AttachmentCfg, RobotCfg, SolverCfg
 from embodichain.lab.sim.compiler.articulation import parse_articulation, parse_with_problems
 from embodichain.lab.sim.scene_cfg import ViewCfg
@@ -353,3 +355,53 @@ def test_an_observation_of_a_sensor_at_a_geom(make) -> None:  # noqa: F811
         observations={"it": ObservationCfg(func="contact_found", params={"sensor": "feet"})},
     )
     assert env.get_obs()["it"].shape == (3, 4)
+
+
+def test_handles_read_sites_and_geoms(make) -> None:  # noqa: F811
+    env = make()
+    shake(env)
+    pos, _, linear, angular = of_mujoco(env, "site", "r/FL_foot")
+    np.testing.assert_allclose(env.robot.get_site_pose("FL_foot")[:, :3], pos, atol=1e-6)
+    found = env.robot.get_site_vel("FL_foot", [0, 2])
+    np.testing.assert_allclose(found, np.hstack([linear, angular])[[0, 2]], atol=1e-5)
+    pos, axes, linear, angular = of_mujoco(env, "geom", "r/FL")
+    matrix = env.robot.get_geom_pose("FL", to_matrix=True)
+    np.testing.assert_allclose(matrix[:, :3, 3], pos, atol=1e-6)
+    np.testing.assert_allclose(matrix[:, :3, :3], axes, atol=1e-6)
+    both = np.hstack([linear, angular])
+    np.testing.assert_allclose(env.robot.get_geom_vel("FL"), both, atol=1e-5)
+    with pytest.raises(ValueError, match=r"r has no site 'FL_fot'; .*Did you mean 'FL_foot'"):
+        env.robot.get_site_pose("FL_fot")
+
+
+def test_targets_of_experts_are_sites_and_geoms(make) -> None:  # noqa: F811
+    env = make()
+    shake(env)
+    poses = TargetPoses(env)
+    for target, kind, name in (
+        ("crate/handle", "site", "scene/handle"),
+        ("crate/geom:back", "geom", "scene/back"),
+        ("r/FL_foot", "site", "r/FL_foot"),
+        ("r/FL_calf", "link", "r/FL_calf"),
+    ):
+        poses.add(target, "expert.0.to")
+        pos, axes, *_ = of_mujoco(env, kind, name)
+        at, quat = poses(target)
+        np.testing.assert_allclose(at, pos, atol=1e-12)
+        for one, own in zip(np.array(quat), axes, strict=True):
+            np.testing.assert_allclose(rotation(one), own, atol=1e-12)
+    known = env.sim.known()
+    problems = check_target("crate/hadle", "expert.0.to", known, [])
+    assert "no link of 'crate' matches 'hadle'" in problems[0].message
+    assert "sites: handle" in problems[0].message
+    assert problems[0].hint == "Did you mean 'handle'?"
+
+
+def test_a_new_task_takes_the_site_as_the_tool(tmp_path) -> None:
+    motors = "".join(f'<position joint="j{i}" kp="100" ctrlrange="-3 3"/>' for i in range(1, 7))
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>"))
+    words = describe_robot(str(path), python=False)
+    assert words["picked"] == "site: tcp"
+    path.write_text(path.read_text().replace('"tcp"', '"marking"'))
+    assert describe_robot(str(path), python=False)["picked"] == "link_names: [hand]"

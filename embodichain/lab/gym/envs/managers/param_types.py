@@ -333,7 +333,7 @@ else:
     Body = _reference(_Body(), "The entity, or a link, site or geom of one.")
     Frames = _reference(_Frames(), "The entity, or links, sites or geoms of one.")
     Arm = _reference(
-        _Body(),
+        _Frames(),
         "The robot; control parts or joint names pick the joints that move, a link or site is the "
         "tool.",
     )

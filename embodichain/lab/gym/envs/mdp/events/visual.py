@@ -185,7 +185,7 @@ class RandomizeVisualMaterial(Term):
                 continue
             _within_one(f"{name}_range", bounds)
             if not self._surface.is_object:
-                message = "only of whole rigid objects: links and geoms share materials"
+                message = "only of whole rigid objects: geoms and links share materials"
                 raise ConfigError([Problem(f"{name}_range", message)])
             self._finish.append(Uniform(name, [bounds[0]], [bounds[1]]))
 
