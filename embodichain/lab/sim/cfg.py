@@ -212,11 +212,16 @@ class RigidBodyAttributesCfg:
 class AttachmentCfg(ObjectBaseCfg):
     """A rigid shape fixed on a link: a pusher, a tool, a payload. It becomes a separate link.
 
-    Its pose (`init_pos`, `init_rot`, `init_quat`) is in the frame of the link it is fixed on.
+    Its pose (`init_pos`, `init_rot`, `init_quat`) is in the frame of the link, site or geom it is
+    fixed on; one of these is given.
     """
 
     link: str = ""
     """The parent link."""
+    site: str | None = dataclasses.field(default=None, kw_only=True)
+    """A site on the parent link."""
+    geom: str | None = dataclasses.field(default=None, kw_only=True)
+    """A geom of the parent link."""
     shape: AnyShapeCfg = CubeCfg()
     mass: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.1
     """kg."""
@@ -302,9 +307,9 @@ class ArticulationCfg(ObjectBaseCfg):
 class SolverCfg:
     """Tool point of a control part, and settings of its inverse kinematics.
 
-    A `tcp` becomes a separate link, `PART_tcp` (`tcp` for the whole robot), which terms use as the
-    part's tool. Arms built like those of Universal Robots are solved in closed form, others by
-    damped least squares.
+    A `tcp`, or a site, becomes a separate link, `PART_tcp` (`tcp` for the whole robot), which terms
+    use as the part's tool. Arms built like those of Universal Robots are solved in closed form,
+    others by damped least squares.
     """
 
     class_type: Annotated[
@@ -322,7 +327,8 @@ class SolverCfg:
     root_link_name: str | None = None
     """The part's first link; no effect, but it must exist."""
     tcp: Any = None
-    """The tool point in the frame of `end_link_name`: a 4x4 matrix; None is that frame."""
+    """The tool point in the frame of `end_link_name`, or of `end_site_name`: a 4x4 matrix; None is
+    that frame."""
     ik_nearest_weight: list[float] | None = None
     """Weights of the joints of the chain in the distance from the seed, by which the closed form
     ranks solutions; None is 1."""
@@ -335,6 +341,8 @@ class SolverCfg:
     num_samples: Annotated[int, Field(ge=0)] = 30
     """Further initial points of the search, where it fails."""
     # ours
+    end_site_name: str | None = dataclasses.field(default=None, kw_only=True)
+    """A site of the file that is the tool point, instead of `end_link_name`."""
     posture: dict[str, float] | None = dataclasses.field(default=None, kw_only=True)
     """Joint-name regex -> position (rad or m) that a redundant arm approaches in its null space;
     joints that are not matched have no preference."""
@@ -353,11 +361,12 @@ class AttachedFileCfg:
     fpath: str | None = None
     """A .urdf or .xml file, found by `embodichain.data.get_data_path`."""
     to: str = ""
-    """The link it is fixed on; of another attached file, ``NAME/LINK``."""
+    """The link it is fixed on, or the site, such as ``attachment_site``, or the geom; of another
+    attached file, ``NAME/LINK``."""
     pos: Vec3 = (0.0, 0.0, 0.0)
-    """Metres: origin of the file's world in the frame of the link."""
+    """Metres: origin of the file's world in the frame of that link, site or geom."""
     rot: Vec3 = (0.0, 0.0, 0.0)
-    """Euler angles in degrees, intrinsic XYZ, in the frame of the link."""
+    """Euler angles in degrees, intrinsic XYZ, in that frame."""
     quat: Quat | None = None
     """wxyz; overrides `rot`."""
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()

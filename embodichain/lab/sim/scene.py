@@ -9,6 +9,8 @@ from typing import Any
 from embodichain.lab.sim.cfg import ArticulationCfg, RigidObjectCfg, SimulationManagerCfg, name_of
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
+from embodichain.lab.sim.compiler.known import known_entities
+from embodichain.lab.sim.compiler.names import Known
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.compiler.world import World, read_world
@@ -116,15 +118,20 @@ class Scene:
     def plan_sensor(self, cfg: SensorCfg) -> SensorPlan:
         """Look up the links of a sensor; raises as `claim` does."""
         uid = self.claim(cfg)
-        known: dict[str, ParsedArticulation | str | None] = {
-            **{name: handle.parsed for name, handle in self.jointed.items()},
-            **dict.fromkeys(self.rigid_objects, "rigid object"),
-            **dict.fromkeys(self.lights, "light"),
-        }
-        plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.has_ground)
+        plan, problems = plan_sensor(uid, cfg, self.known(), ground=self._cfg.has_ground)
         if plan is None:
             raise ConfigError(p.below(uid) for p in problems)
         return plan
+
+    def known(self) -> Known:
+        """What references may name: all entities and their parts, by uid."""
+        return known_entities(
+            {uid: handle.parsed for uid, handle in self.jointed.items()},
+            {uid: o.cfg for uid, o in self.rigid_objects.items() if uid not in self.inside},
+            self.lights,
+            self.world,
+            self._cfg.scene.table,
+        )
 
     def remove(self, uid: str) -> bool:
         """Remove an entity or a sensor; returns whether it existed.

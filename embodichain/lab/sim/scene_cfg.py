@@ -346,7 +346,8 @@ class ViewCfg:
     fovy: Annotated[float, Field(gt=0, lt=180)] | None = None
     """Vertical field of view in degrees; None is 40, or the camera's."""
     body: str | None = None
-    """An entity, or ``uid/LINK``, that it follows; `eye` and `target` are relative to it."""
+    """An entity, or a link, site or geom of one, ``uid/NAME``, that it follows; `eye` and `target`
+    are relative to it."""
     follow: Literal["position", "pose"] = "position"
     """``position``: the view does not turn with `body`. ``pose``: it is fixed on it, and `eye` and
     `target` are in its frame."""

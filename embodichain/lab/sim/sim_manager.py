@@ -95,13 +95,13 @@ class SimulationManager:
         cfg: Physics, device and number of environments.
 
     Attributes:
-        num_envs: N.
-        device: Device of all tensors.
+        num_envs, device: N, and the device of all tensors.
         arrays: Where arrays are: on the host, or on the device (``sim.warp.arrays``).
         instance_id: The simulation's number among those of this process.
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
             contains no robots.
         inside: Those rigid objects that are bodies of the scene's file, by uid.
+        known: Returns what references may name: all entities and their parts, by uid.
         drive_changes: Values that events may draw for drives and links, by articulation uid.
         physics_seconds: Wall time spent on physics steps in `update` so far.
 
@@ -133,7 +133,7 @@ class SimulationManager:
         self.rigid_objects = self._scene.rigid_objects
         self.lights = self._scene.lights
         self.sensors = self._scene.sensors
-        self.inside = self._scene.inside
+        self.inside, self.known = self._scene.inside, self._scene.known
         for uid, inside in self.inside.items():
             self.rigid_objects[uid] = RigidObject(inside, uid, self)
         self._destroyed = False

@@ -60,21 +60,33 @@ Noise = float | list[float] | None
 
 @configclass
 class SceneEntityCfg:
-    """Refers to an entity and, optionally, to its joints or links; regexes must match in full.
+    """Refers to an entity and, optionally, to its joints, and to its links, sites or geoms.
 
-    Resolved against the scene at build: no match is an error that lists the candidates.
-    The order is the declared one when `preserve_order`, else the entity's own.
+    Regexes must match in full. Resolved against the scene at build: no match is an error that lists
+    the candidates. The order is the declared one when `preserve_order`, else the entity's own. A
+    reference names frames of one kind: links, sites or geoms.
     """
 
     uid: str = ""
     joint_names: Names = None
     link_names: Names = None
     body_names: Names = None
+    """Another name of `link_names`."""
     control_parts: Names = None
     """Leaves out joints that mimic another one: they have no drive."""
     preserve_order: bool = False
     joint_ids: list[int] | None = None
     body_ids: list[int] | None = None
+    site_names: Names = None
+    """Sites of the file (MJCF)."""
+    geom_names: Names = None
+    """Geoms of the file that have a name; of a rigid object ``geom``, or ``SHAPE/geom``."""
+    link: str | None = None
+    """One link: its name, or a regex that only it matches."""
+    site: str | None = None
+    """One site, likewise."""
+    geom: str | None = None
+    """One geom, likewise."""
 
 
 @configclass

@@ -38,6 +38,7 @@ from embodichain.lab.sim.compiler.drives import (
 )
 from embodichain.lab.sim.compiler.furniture import check_furniture, furniture_of
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.known import known_entities
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.compiler.physics_options import check_options
 from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
@@ -230,15 +231,12 @@ def describe(
     problems = _check_names(entities, inside) + _check_surroundings(cfg) + problems
     objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
     lights = {e.uid: e.cfg for e in entities if isinstance(e.cfg, LightCfg)}
-    known: dict[str, ParsedArticulation | str | None] = {}
-    for path, uid, entity in entities:
-        kind = "rigid object" if isinstance(entity, RigidObjectCfg) else None
-        kind = "light" if isinstance(entity, LightCfg) else kind
-        known.setdefault(uid, kind or parsed.get(path))
-    prepared.known = known = known | dict.fromkeys(inside, "rigid object")
+    jointed = {e.uid: parsed.get(e.path) for e in entities if isinstance(e.cfg, ArticulationCfg)}
+    known = known_entities(jointed, objects, lights, world, physics.scene.table)
+    prepared.known = known
     open_scene = cfg.id is not None or bool(physics.scene.fpath and world is None)
     incomplete = open_scene or None in known.values()
-    found = check_views(physics.views, *places_of_views(known, world, incomplete))
+    found = check_views(physics.views, *places_of_views(known, world, incomplete), known)
     problems += [p.below("views") for p in found]
     problems += [p.below("physics") for p in check_options(physics.physics_config)]
     problems += check_references(cfg, known, open_scene=open_scene)
@@ -379,7 +377,7 @@ def _names(
 ) -> tuple[str, ...] | None:
     """The patterns of the picked links or joints; None is all."""
     if quantity in ("mass", "com"):
-        given = [params.get("link_names") or fields.get("link_names")]
+        given = [params.get("link_names") or fields.get("link_names") or fields.get("link")]
     else:
         given = [fields.get("joint_names"), fields.get("control_parts")]
     names = [n for value in given if value for n in ([value] if isinstance(value, str) else value)]

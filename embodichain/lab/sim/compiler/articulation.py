@@ -65,6 +65,7 @@ from embodichain.lab.sim.compiler.robot_links import (
     resolve_tools,
 )
 from embodichain.lab.sim.compiler.robot_root import Placement, Root, place, set_root
+from embodichain.lab.sim.compiler.spec_frames import names_in_spec
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_conjugate, quat_rotate
 from embodichain.utils.suggest import listing
@@ -180,6 +181,11 @@ class ParsedArticulation:
         """Its sites that have a name."""
         return tuple(site.name for site in self.spec.sites if site.name)
 
+    @property
+    def geom_names(self) -> tuple[str, ...]:
+        """Its geoms that have a name."""
+        return tuple(geom.name for geom in self.spec.geoms if geom.name)
+
     def with_given_armature(self, armature: Mapping[str, float]) -> ParsedArticulation:
         """Return it as if the config gave the added armature: joint -> kg m^2 or kg."""
         drives = self.cfg.drive_pros
@@ -281,10 +287,11 @@ def _parse(
     qpos, wrong = resolve_qpos(init_qpos, joints, mimics, keyframe, robot.equalities)
     problems += wrong
     links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
-    problems += check_attachments(links, cfg.attachments)
+    problems += check_attachments(file.spec, cfg.attachments)
     shapes, wrong = resolve_shapes(links, cfg)
     problems += wrong
-    tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments])
+    sites = names_in_spec(file.spec, "site")
+    tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments], sites)
     problems += wrong
     try:
         drives, replaced = apply_drives(file.spec, gains, joints)

@@ -13,7 +13,6 @@ from embodichain.lab.sim.compiler.contact_patterns import apply_contacts, check_
 from embodichain.lab.sim.compiler.couplings import read_couplings
 from embodichain.lab.sim.compiler.floors import move_to_world, without_references
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.names import no_such
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_files import (
     MUJOCO_ERRORS,
@@ -38,6 +37,7 @@ from embodichain.lab.sim.compiler.robot_root import (
     remove_free_joint,
     take_sizes,
 )
+from embodichain.lab.sim.compiler.spec_frames import find_in_spec, on_frame
 from embodichain.lab.sim.compiler.urdf_reading import UrdfLimits
 from embodichain.lab.sim.urdf_cfg import COMPONENTS, URDFCfg
 from embodichain.utils.errors import ConfigError, Problem
@@ -240,11 +240,14 @@ def attach_files(
         options[-1][1].option = file.spec.option
         # The scene's options apply: MuJoCo would warn about each that differs.
         file.spec.option = spec.option
+        frame, _ = find_in_spec(spec, cfg.to, "")
+        if frame is None:
+            raise RuntimeError(f"{cfg.to!r} was found before")
+        link, pos, quat = on_frame(spec, *frame, *initial_pose(_pose(cfg)))
         take_sizes(spec, file.spec)
         equalities = len(spec.equalities)
-        pos, quat = initial_pose(_pose(cfg))
-        attach(spec, file.spec, cfg.to, pos, quat, prefix)
-        bind_to_body(list(spec.equalities)[equalities:], cfg.to, pos, quat)
+        attach(spec, file.spec, link, pos, quat, prefix)
+        bind_to_body(list(spec.equalities)[equalities:], link, pos, quat)
         for plane in part.floors:  # planes cannot move; the scene's ground takes their place
             move_to_world(spec, f"{prefix}{plane}", *part.planes[plane])
     try:
@@ -298,8 +301,8 @@ def _check(
         problems.append(
             Problem(f"{path}.to", f"missing value: a link; there are: {', '.join(links)}")
         )
-    elif cfg.to not in links:
-        problems.append(no_such("link", cfg.to, links, f"{path}.to"))
+    else:
+        problems += find_in_spec(robot, cfg.to, f"{path}.to")[1]
     wrong = check_pose(_pose(cfg))
     problems += [replace(p, path=f"{path}.{p.path.removeprefix('init_')}") for p in wrong]
     try:

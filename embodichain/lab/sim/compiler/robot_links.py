@@ -5,7 +5,8 @@ A config adds shapes fixed on links (`attachments`) and tool points of control p
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import dataclasses
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -27,7 +28,7 @@ from embodichain.lab.sim.compiler.couplings import read_couplings
 from embodichain.lab.sim.compiler.floors import Plane, floors_of, planes_of
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.kept_inertias import HullLimit, keep_inertias, limit_hulls
-from embodichain.lab.sim.compiler.names import match, no_such
+from embodichain.lab.sim.compiler.names import FrameKind, match, no_such
 from embodichain.lab.sim.compiler.rigid_objects import (
     COLLISION_GROUP,
     HULL_VERTICES,
@@ -48,6 +49,7 @@ from embodichain.lab.sim.compiler.robot_joints import (
     read_keyframe,
 )
 from embodichain.lab.sim.compiler.robot_root import leave_out_lights
+from embodichain.lab.sim.compiler.spec_frames import names_in_spec, on_frame
 from embodichain.lab.sim.shapes import PlaneCfg
 from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import Problem
@@ -297,16 +299,16 @@ _UNSCALED = np.ones(3)
 
 
 def check_attachments(
-    links: Sequence[str], attachments: Mapping[str, AttachmentCfg]
+    spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg]
 ) -> list[Problem]:
-    """Return every mistake, with paths in the articulation's config; `links` are the file's."""
+    """Return every mistake, with paths in the articulation's config; `spec` is the file's."""
     problems: list[Problem] = []
+    links = names_in_spec(spec, "link")
     for name, cfg in attachments.items():
         path = f"attachments.{name}"
         if name in links:
             problems.append(Problem(path, "the file has a link of that name already"))
-        if cfg.link not in links:
-            problems.append(no_such("link", cfg.link, links, f"{path}.link"))
+        problems += [p.below(path) for p in _check_carrier(spec, cfg)]
         if isinstance(cfg.shape, PlaneCfg):
             problems.append(Problem(f"{path}.shape", "a Plane cannot move"))
         found = [*check_shape(cfg.shape, _UNSCALED), *check_pose(cfg)]
@@ -319,11 +321,28 @@ def check_attachments(
     return problems
 
 
+def _carrier(cfg: AttachmentCfg) -> dict[FrameKind, str]:
+    """What an attachment says it is fixed on, by kind."""
+    given: dict[FrameKind, str | None] = {"link": cfg.link, "site": cfg.site, "geom": cfg.geom}
+    return {kind: name for kind, name in given.items() if name}
+
+
+def _check_carrier(spec: mujoco.MjSpec, cfg: AttachmentCfg) -> list[Problem]:
+    given = _carrier(cfg)
+    if len(given) > 1:
+        first, second = list(given)[:2]
+        return [Problem(second, f"{first} is given as well: leave one of them out")]
+    kind: FrameKind = next(iter(given), "link")
+    names, name = names_in_spec(spec, kind), given.get(kind, "")
+    return [] if name in names else [no_such(kind, name, names or ("none",), kind)]
+
+
 def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg]) -> None:
     """Add a body with one geom per checked attachment, as a child of its link."""
     for number, (name, cfg) in enumerate(attachments.items()):
-        pos, quat = initial_pose(cfg)
-        body = spec.body(cfg.link).add_body(name=name, pos=pos, quat=quat)
+        kind, carrier = next(iter(_carrier(cfg).items()))
+        link, pos, quat = on_frame(spec, kind, carrier, *initial_pose(cfg))
+        body = spec.body(link).add_body(name=name, pos=pos, quat=quat)
         geom = add_shape(spec, body, name, cfg.shape, _UNSCALED, number)
         geom.mass = float(cfg.mass)
         usual = ContactParameters(friction=(float(cfg.dynamic_friction),))
@@ -337,19 +356,21 @@ class Tool:
     """The tool point of a part.
 
     Attributes:
-        end_link: Its parent link.
+        kind: Whether it is fixed on a link or on a site.
+        end: That link or site.
         link: The link that is the tool point.
-        pose: Its position (3,) in metres and wxyz orientation in the frame of `end_link`; None is
-            that link's own frame.
+        pose: Its position (3,) in metres and wxyz orientation in the frame of `end`; None is that
+            link's own frame.
     """
 
-    end_link: str
+    kind: FrameKind
+    end: str
     link: str
     pose: tuple[F64, F64] | None
 
 
 def resolve_tools(
-    cfg: ArticulationCfg, parts: Collection[str], links: Sequence[str]
+    cfg: ArticulationCfg, parts: Collection[str], links: Sequence[str], sites: Sequence[str]
 ) -> tuple[dict[str, Tool], list[Problem]]:
     """Return the tool point of each part that `solver_cfg` gives one, and every mistake.
 
@@ -357,6 +378,7 @@ def resolve_tools(
         cfg: The articulation's config.
         parts: Its control parts.
         links: The links of its file.
+        sites: The sites of its file.
     """
     tools: dict[str, Tool] = {}
     problems: list[Problem] = []
@@ -366,32 +388,52 @@ def resolve_tools(
         path = f"solver_cfg.{part}"
         if part not in parts and part != WHOLE:
             problems.append(no_such("control part", part, [*parts, WHOLE], path))
-        for key in ("root_link_name", "end_link_name"):
-            name = getattr(solver, key)
-            if name is not None and name not in links:
-                problems.append(no_such("link", name, links, f"{path}.{key}"))
+        problems += [p.below(path) for p in _check_ends(solver, links, sites)]
         pose = None
         if solver.tcp is not None and not np.array_equal(np.asarray(solver.tcp), np.eye(4)):
             at = ObjectBaseCfg(init_local_pose=solver.tcp)
             wrong = check_pose(at)
             problems += [Problem(f"{path}.tcp", p.message) for p in wrong]
             pose = None if wrong else initial_pose(at)
-        if solver.end_link_name is None:
+        kind: FrameKind = "link" if solver.end_site_name is None else "site"
+        end = solver.end_link_name if solver.end_site_name is None else solver.end_site_name
+        if end is None:
             if pose is not None:
                 message = "missing value: tcp is a pose in the frame of this link"
                 problems.append(Problem(f"{path}.end_link_name", message))
             continue
-        name = "tcp" if part == WHOLE else f"{part}_tcp"
+        name, key = "tcp" if part == WHOLE else f"{part}_tcp", "tcp"
+        if kind == "site":
+            pose, key = pose or (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])), "end_site_name"
         if pose is not None and name in links:
-            problems.append(Problem(f"{path}.tcp", f"the file has a link called {name!r} already"))
-        link = solver.end_link_name if pose is None else name
-        tools[part] = Tool(solver.end_link_name, link, pose)
+            message = f"the file has a link called {name!r} already"
+            problems.append(Problem(f"{path}.{key}", message))
+        tools[part] = Tool(kind, end, end if pose is None else name, pose)
     return tools, problems
+
+
+def _check_ends(solver: SolverCfg, links: Sequence[str], sites: Sequence[str]) -> Iterator[Problem]:
+    """What is wrong with the links and the site that a solver names."""
+    for key in ("root_link_name", "end_link_name"):
+        name = getattr(solver, key)
+        if name is None or name in links:
+            continue
+        problem = no_such("link", name, links, key)
+        if key == "end_link_name" and name in sites:
+            hint = f"A site is called so: write end_site_name: {name}."
+            problem = dataclasses.replace(problem, hint=hint)
+        yield problem
+    if solver.end_site_name is None:
+        return
+    if solver.end_link_name is not None:
+        yield Problem("end_site_name", "end_link_name is given as well: leave one of them out")
+    if solver.end_site_name not in sites:
+        yield no_such("site", solver.end_site_name, sites or ("none",), "end_site_name")
 
 
 def add_tools(spec: mujoco.MjSpec, tools: Mapping[str, Tool]) -> None:
     """Add a massless body for each tool point that differs from a link's frame."""
     for tool in tools.values():
         if tool.pose is not None:
-            pos, quat = tool.pose
-            spec.body(tool.end_link).add_body(name=tool.link, pos=pos, quat=quat)
+            link, pos, quat = on_frame(spec, tool.kind, tool.end, *tool.pose)
+            spec.body(link).add_body(name=tool.link, pos=pos, quat=quat)

@@ -21,6 +21,7 @@ from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.contact_parameters import given_parameters
 from embodichain.lab.sim.compiler.floors import bind_floors, strangers_to
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
+from embodichain.lab.sim.compiler.known import known_entities
 from embodichain.lab.sim.compiler.model_size import reported
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
 from embodichain.lab.sim.compiler.physics_options import apply_options, replace_options
@@ -163,7 +164,9 @@ def compile_scene(
         finish_table(spec, table)
     roots = {p.uid: f"{p.uid}/{p.root_link_name}" for p in articulations}
     roots |= {uid: f"{PREFIX}{uid}" for uid in inside}
-    add_views(spec, sim_cfg.views, roots)
+    jointed = {parsed.uid: parsed for parsed in articulations}
+    known = known_entities(jointed, objects, lights, world, table)
+    add_views(spec, sim_cfg.views, roots, known)
     for plan in sensors.values():
         add_sensor(spec, plan)
     try:
@@ -174,7 +177,7 @@ def compile_scene(
         raise ConfigError(_broken_meshes(objects) or message) from error
     for uid, plan in sensors.items():
         if is_silent(model, plan):
-            links = ", ".join(plan.bodies)
+            links = ", ".join(plan.frames)
             notes.append(f"{uid}: no shape of {links} collides, so it reports no contact")
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.cfg import SolverCfg
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.frames import BodyFrames
     from embodichain.lab.sim.objects.articulation import Articulation
 
 __all__ = ["Approach", "ArmSolver", "tool_bodies"]
@@ -96,7 +97,7 @@ class ArmSolver:
     Args:
         asset: The articulation.
         joints: Joints that inverse kinematics may move.
-        body: MuJoCo body id of the tool.
+        tool: The frame of the tool; a number is MuJoCo's id of a body.
         cfg: Settings of the search.
         path: Key path of the robot, for messages.
 
@@ -112,18 +113,20 @@ class ArmSolver:
         self,
         asset: Articulation,
         joints: Sequence[int],
-        body: int,
+        tool: BodyFrames | int,
         cfg: SolverCfg,
         path: str = "",
     ) -> None:
         self._asset = asset
-        self.chain = Chain(asset.engine, asset.index, body)
+        self.chain = Chain(asset.engine, asset.index, tool)
         self._columns = np.flatnonzero(np.isin(self.chain.joints, list(joints)))
         self.moving = self.chain.joints[self._columns]
         if not len(self.moving):
-            name = asset.link_names[list(asset.index.body_ids).index(body)]
-            message = f"none of the picked joints moves {name!r}"
-            raise ConfigError([Problem(f"{path}.link_names".lstrip("."), message)])
+            kind, model = self.chain.tool.kind, asset.engine.model
+            number = int(self.chain.tool.ids)
+            one = {"link": model.body, "site": model.site, "geom": model.geom}[kind](number)
+            message = f"none of the picked joints moves {one.name.removeprefix(f'{asset.uid}/')!r}"
+            raise ConfigError([Problem(f"{path}.{kind}_names".lstrip("."), message)])
         self.names = tuple(asset.joint_names[joint] for joint in self.moving)
         self._samples = cfg.num_samples
         self._search = LeastSquares(

@@ -9,9 +9,8 @@ import lazy_loader
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import Names
-from embodichain.lab.gym.envs.managers.param_types import Positive, Range
+from embodichain.lab.gym.envs.managers.param_types import Positive, Range, Whole
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import finite_limits
 from embodichain.lab.gym.envs.mdp.actions._per_joint import PerJoint, per_joint
 from embodichain.lab.gym.envs.mdp.actions.actuator_ctrl import picked_controls
@@ -72,7 +71,7 @@ class ParallelGripper(JointTerm):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Whole,
         command_mode: Literal["continuous", "binary"] = "continuous",
         use_joint_limits: bool | None = None,
         lower_command: PerJoint | None = None,
