@@ -301,6 +301,7 @@ def _parse(
             replaced.append(f"no joint is driven: {what}")
         notes = [*robot.notes, *(f"{file.path}: {line}" for line in replaced)]
         notes += _without_effort(cfg, joints, mimics)
+        notes += _driven_mimics(cfg, file, joints.names, mimics, parts)
         if not problems:
             replace_shapes(file.spec, shapes, cfg.attrs)
             add_attachments(file.spec, cfg.attachments)
@@ -425,6 +426,28 @@ def _without_effort(cfg: ArticulationCfg, joints: FileJoints, mimics: Mimics) ->
         f"or drive_pros.max_effort: {{{entries}}}, in N m or N; a joint that shall not push needs "
         "stiffness 0 and damping 0"
     ]
+
+
+def _driven_mimics(
+    cfg: ArticulationCfg,
+    file: ModelFile,
+    names: Sequence[str],
+    mimics: Mimics,
+    parts: Mapping[str, Sequence[int]],
+) -> list[str]:
+    """Return a message about entries of `drive_pros` that pick mimic joints only."""
+    leaders = dict(zip(mimics.ids, mimics.parents, strict=True))
+    idle: list[str] = []
+    for field in ("stiffness", "damping", "max_effort"):
+        given = getattr(cfg.drive_pros, field)
+        for pattern in given if isinstance(given, Mapping) else ():
+            picked = parts.get(pattern) or match(pattern, names, "joint", field)[0]
+            if picked and all(i in leaders for i in picked):
+                which = ", ".join(f"{names[i]!r} mimics {names[leaders[i]]!r}" for i in picked)
+                idle.append(f"{field}.{pattern} ({which})")
+    if not idle:
+        return []
+    return [f"{file.path}: drive_pros has no effect on joints that follow: {'; '.join(idle)}"]
 
 
 def _overloaded(

@@ -109,6 +109,13 @@ def test_an_armature_that_is_given_is_kept(tmp_path):
     assert (scene_of({"h": cfg}).model.dof_armature == 0.5).all()
 
 
+def test_a_drive_for_a_mimic_joint_alone_is_told(tmp_path):
+    drives = JointDrivePropertiesCfg(stiffness={"tip": 50, ".*": 10}, damping=1)
+    cfg = RobotCfg(fpath=write(tmp_path / "h.urdf", HANDS["one"]), drive_pros=drives)
+    (note,) = parse_articulation("h", cfg).notes
+    assert "no effect" in note and "stiffness.tip ('tip' mimics 'lead')" in note
+
+
 # --------------------------------------------------------------------------- equalities of an MJCF
 
 PAIR = """<mujoco><worldbody><body name="base" pos="0 0 1"><geom size=".05"/>
