@@ -422,3 +422,68 @@ def test_draws_that_can_act_are_not_refused() -> None:
     other = {"ice": block(0.3, contact={"priority": 2})}
     with made(objects=other, events={"e": drawn("ice", friction=[0.1, 0.2])}, scene=scene):
         pass
+
+
+# -- given in Python ------------------------------------------------------------------------------
+
+
+def test_python_classes_say_once_what_has_no_effect(caplog: pytest.LogCaptureFixture) -> None:
+    from embodichain.lab.sim.cfg import (
+        RigidBodyAttributesCfg,
+        RigidObjectCfg,
+        SimulationManagerCfg,
+    )
+    from embodichain.lab.sim.sim_manager import SimulationManager
+
+    sim = SimulationManager(SimulationManagerCfg(headless=True))
+    attrs = RigidBodyAttributesCfg(restitution=0.9, static_friction=0.5)
+    sim.add_rigid_object(RigidObjectCfg(uid="a", attrs=attrs))
+    sim.add_rigid_object(RigidObjectCfg(uid="b", init_pos=(3, 0, 0)))
+    sim.update(step=1)
+    sim.update(step=1)
+    sim.destroy()
+    assert [r.getMessage() for r in caplog.records if "has no effect" in r.getMessage()] == [
+        "a: attrs.restitution has no effect: MuJoCo has no restitution coefficient",
+        "a: attrs.static_friction has no effect: MuJoCo has one sliding coefficient, "
+        "dynamic_friction",
+    ]
+
+
+def test_a_config_says_after_a_copy_whether_a_value_was_given() -> None:
+    from embodichain.lab.sim.cfg import RigidBodyAttributesCfg
+    from embodichain.utils.defaults import is_given
+
+    usual, given = RigidBodyAttributesCfg(), RigidBodyAttributesCfg(dynamic_friction=0.5)
+    assert usual == given and usual.dynamic_friction == 0.5
+    for cfg, wanted in ((usual, False), (given, True)):
+        again = RigidBodyAttributesCfg.from_dict(cfg.replace(mass=2.0).to_dict())
+        assert is_given(again.dynamic_friction) is wanted
+
+
+def test_a_registered_class_keeps_a_limit_that_equals_the_default() -> None:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.cfg import EnvCfg
+    from embodichain.lab.gym.utils import registration
+    from embodichain.lab.sim.cfg import SimulationManagerCfg
+
+    registration.register_env("Limited-v0", max_episode_steps=20)(BaseEnv)
+    sim = SimulationManagerCfg(headless=True)
+    try:
+        for cfg, wanted in (
+            (EnvCfg(sim_cfg=sim), 20),
+            (EnvCfg(sim_cfg=sim, max_episode_steps=300), 300),
+            (EnvCfg(sim_cfg=sim, episode_length_s=0.4), 10),
+        ):
+            env = registration.make("Limited-v0", cfg=cfg)
+            assert env.max_episode_steps == wanted
+            env.close()
+    finally:
+        registration.REGISTERED_ENVS.pop("Limited-v0")
+
+
+def test_a_joint_friction_of_zero_is_given() -> None:
+    Path("arm.xml").write_text(ARM.replace('type="slide"', 'type="slide" frictionloss="3"'))
+    robot = {"uid": "arm", "fpath": "arm.xml"}
+    for drives, wanted in (({}, 3.0), ({"friction": 0}, 0.0)):
+        with made(robot={**robot, "drive_pros": drives}) as env:
+            assert env.sim.engine.model.dof_frictionloss.tolist() == [wanted]
