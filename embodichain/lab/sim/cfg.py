@@ -347,8 +347,8 @@ class SolverCfg:
     tcp: Any = None
     """The tool point in the frame of `end_link_name`: a 4x4 matrix; None is that frame."""
     ik_nearest_weight: list[float] | None = None
-    """Weights of the joints of the chain in the distance from the seed, by which the closed form
-    ranks solutions; None is 1."""
+    """Weights of the joints of the chain in the distance from the seed, by which solutions are
+    ranked; None is 1."""
     pos_eps: Annotated[float, Field(gt=0)] = 1e-5
     """Metres: a solution is at most this far from the target."""
     rot_eps: Annotated[float, Field(gt=0)] = 1e-5
@@ -356,7 +356,7 @@ class SolverCfg:
     max_iterations: Annotated[int, Field(ge=1)] = 60
     """Of one search from one initial point."""
     num_samples: Annotated[int, Field(ge=0)] = 30
-    """Further initial points of the search, where it fails."""
+    """Further initial points of the search, where it fails, and for all solutions."""
     # ours
     posture: dict[str, float] | None = dataclasses.field(default=None, kw_only=True)
     """Joint-name regex -> position (rad or m) that a redundant arm approaches in its null space;
