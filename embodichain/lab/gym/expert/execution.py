@@ -162,7 +162,9 @@ class Execution:
                 moved = held & (length(here - self._grasp[:, a]) > _SLIP) & ~self.done
                 lost = [row for row in np.flatnonzero(moved) if not self._grips(row, a, number)]
                 self._grasp[moved, a] = here[moved]  # what only turns is held on there
-                self._fail(np.array(lost, np.int64), a, f"the gripper has lost {target_name(target)}")
+                self._fail(
+                    np.array(lost, np.int64), a, f"the gripper has lost {target_name(target)}"
+                )
 
     def _grips(self, row: int, a: int, number: int) -> bool:
         """Whether fingers touch what they hold in an environment."""

@@ -65,9 +65,7 @@ def is_touching(engine: Engine, row: int, some: Collection[int], others: Collect
     return any((a in some and b in others) or (b in some and a in others) for a, b in pairs)
 
 
-def _contacts(
-    engine: Engine, row: int
-) -> Iterator[tuple[tuple[int, int], tuple[int, int], F64]]:
+def _contacts(engine: Engine, row: int) -> Iterator[tuple[tuple[int, int], tuple[int, int], F64]]:
     """Bodies, geoms and force, (3,) N on the second in world axes, of each active contact."""
     data = engine.data_of(row)
     model = engine.model

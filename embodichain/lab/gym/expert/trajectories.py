@@ -198,14 +198,19 @@ class ToolPath:
         where = f"after {100 * (i - 1) / (len(line) - 1):.0f} % of it, at {as_place(place[i - 1])},"
         if there[i]:
             joint = int(np.argmax(leaps[i - 1]))
-            return f"{where} {names[joint]} would leap by {leaps[i - 1, joint]:.2f}"
+            unit = "rad" if self._solver.hinges[joint] else "m"
+            return f"{where} {names[joint]} would leap by {leaps[i - 1, joint]:.2f} {unit}"
         ids = np.array([row])
         low, high = (limit[:, 0] for limit in self._solver.limits(ids))
         now = line[i, moving]
         ends = np.minimum(now - low, high - now)
         missing = float(length(place[i, None] - self._solver.forward(line[i, None], ids)[0])[0])
         left = f"{1000 * missing:.0f} mm are missing at the next point"
-        at_end = [f"{names[j]} is at its limit, {now[j]:.2f}" for j in np.flatnonzero(ends < 1e-3)]
+        units = np.where(self._solver.hinges, "rad", "m")
+        at_end = [
+            f"{names[j]} is at its limit, {now[j]:.2f} {units[j]}"
+            for j in np.flatnonzero(ends < 1e-3)
+        ]
         return f"{where} {', '.join([*at_end, left])}"
 
     def _inverse(

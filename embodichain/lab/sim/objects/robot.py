@@ -179,7 +179,9 @@ class Robot(Articulation):
         found, reached = solver.inverse(whole, target[:, :3], quat, ids)
         shape = np.shape(pose)[:2]
         chosen = found[:, self._joints(None, name)]
-        return torch.from_numpy(reached.reshape(shape)), to_tensor(chosen.reshape(*shape, chosen.shape[1]))
+        return torch.from_numpy(reached.reshape(shape)), to_tensor(
+            chosen.reshape(*shape, chosen.shape[1])
+        )
 
     def compute_jacobian(
         self, qpos: Any = None, name: str | None = None, env_ids: Any = None

@@ -147,6 +147,12 @@ class ArmSolver:
             self._closed = arm if arm.fits else None
 
     @property
+    def hinges(self) -> NDArray[np.bool_]:
+        """(k,) whether each of the joints `moving` is a hinge, not a slide."""
+        found: NDArray[np.bool_] = self.chain.hinges[self._columns]
+        return found
+
+    @property
     def has_closed_form(self) -> bool:
         """Whether solutions are computed in closed form."""
         return self._closed is not None and self.chain.is_shared
@@ -299,13 +305,9 @@ class ArmSolver:
         self, qpos: F64, target: Target, env_ids: EnvIndex | None
     ) -> tuple[F64, NDArray[np.bool_]]:
         start, (low, high) = self._in_chain(qpos), self.limits(env_ids)
-        found, reached = self._search.solve_all(
-            start, target, low, high, self._samples, env_ids
-        )
-        seed, hinges = start[self._columns], self.chain.hinges[self._columns]
-        near, exist = ranked(
-            found[:, self._columns], reached, seed, (low, high), self._weights, hinges
-        )
+        found, reached = self._search.solve_all(start, target, low, high, self._samples, env_ids)
+        seed, positions = start[self._columns], found[:, self._columns]
+        near, exist = ranked(positions, reached, seed, (low, high), self._weights, self.hinges)
         near, exist = distinct(near, exist, seed)
         whole = np.tile(qpos, (len(near), 1, 1))
         whole[..., self.moving] = np.moveaxis(near, 1, -1)

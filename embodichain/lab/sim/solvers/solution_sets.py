@@ -66,9 +66,7 @@ def ranked(
     return _ordered(turned, exist, order, seed)
 
 
-def distinct(
-    found: F64, exist: NDArray[np.bool_], seed: F64
-) -> tuple[F64, NDArray[np.bool_]]:
+def distinct(found: F64, exist: NDArray[np.bool_], seed: F64) -> tuple[F64, NDArray[np.bool_]]:
     """The first of solutions that are the same, in their order.
 
     Args:
