@@ -74,9 +74,8 @@ def failures_of(
     failed = ended & ~(values["success"] > 0) if judged else ended
     done = planned.done
     for row in np.flatnonzero(failed).tolist():
-        known = known_failure(
-            env, row, planned, judged and terminated[row], values["diverged"][row]
-        )
+        diverged, fails = bool(values["diverged"][row]), judged and bool(terminated[row])
+        known = known_failure(env, row, planned, fails, diverged)
         rest = (DONE if len(done) and done[row] else LATE) if judged else ""
         found[row] = known or rest
     return found

@@ -160,11 +160,10 @@ class Execution:
                     continue
                 here = self._in_tool(a, target)
                 moved = held & (length(here - self._grasp[:, a]) > _SLIP) & ~self.done
-                lost = [row for row in np.flatnonzero(moved) if not self._grips(row, a, number)]
+                lost = [i for i in np.flatnonzero(moved).tolist() if not self._grips(i, a, number)]
                 self._grasp[moved, a] = here[moved]  # what only turns is held on there
-                self._fail(
-                    np.array(lost, np.int64), a, f"the gripper has lost {target_name(target)}"
-                )
+                why = f"the gripper has lost {target_name(target)}"
+                self._fail(np.array(lost, np.int64), a, why)
 
     def _grips(self, row: int, a: int, number: int) -> bool:
         """Whether fingers touch what they hold in an environment."""
@@ -215,10 +214,10 @@ class Execution:
             near &= path.at_rest() | ~exact
             there = path.asked() & (near | ~np.isfinite(tolerance))
             late = (kind[:, a] == _MOVE) & ~there & (steps > path.steps + limit) & ~self.done
-            for row in np.flatnonzero(late):
+            for row in np.flatnonzero(late).tolist():
                 missing = f"{1000 * distance[row]:.0f} mm and {angle[row]:.2f} rad are missing"
                 touched = self._obstacles(row, a)
-                self._fail(np.array([row]), a, f"the tool has not arrived: {missing}; {touched}")
+                self._fail(np.array([row]), a, f"the tool has not arrived: {touched}; {missing}")
             known = arm.gripper is not None and arm.gripper.opening() is not None
             rest = (self._still[:, a] >= 2) & (steps >= 3) if known else steps >= blind
             over[:, a] |= (kind[:, a] == _MOVE) & there

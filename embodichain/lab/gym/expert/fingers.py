@@ -96,7 +96,7 @@ def unclear_fingers(
         A mistake for each of them.
     """
     declared = [one for one, _ in pairs]
-    problems = {}
+    problems: dict[str, Problem] = {}
     for read in (one for step in steps for one in step.flat() if not one.within):
         for name, lane in (pair for phase in read.phases for pair in phase.items()):
             goals = [one.goal for one in lane if isinstance(one, Move)]
@@ -277,7 +277,8 @@ def _line(linear: F64, angular: F64) -> tuple[float | None, str]:
     sizes = np.linalg.eigvalsh(spread)
     if sizes[0] > _SPREAD * sizes[1]:
         return None, "its fingers do not move along one line"
-    return _angle(0.5 * float(np.arctan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1]))), ""
+    twice = float(np.arctan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1]))
+    return _angle(round(0.5 * twice, _ROUNDED)), ""
 
 
 def _angle(angle: float) -> float:
@@ -285,5 +286,5 @@ def _angle(angle: float) -> float:
     turned = angle - np.pi * np.ceil(angle / np.pi - 0.5)
     quarters = round(turned / (0.5 * np.pi))
     if abs(turned - quarters * 0.5 * np.pi) < 10.0**-_ROUNDED:
-        return abs(quarters) * 0.5 * np.pi
-    return round(float(turned), _ROUNDED)
+        return float(abs(quarters) * 0.5 * np.pi)
+    return float(turned)

@@ -267,7 +267,12 @@ class LeastSquares:
         """The results of all searches of `solve`, S = 1 + restarts, whether or not one succeeds.
 
         Args:
-            start: As of `solve`, and so are the others.
+            start: (K, n) initial positions of the chain's joints.
+            target: The poses.
+            low: (k, n) lowest positions of the moving joints; -inf is no limit.
+            high: (k, n) highest.
+            restarts: Further searches after the first.
+            env_ids: (n,) environments, or None for all.
 
         Returns:
             (S, K, n) joint positions, and (S, n) whether they reach the target.
@@ -281,9 +286,9 @@ class LeastSquares:
         ids = rows if env_ids is None else env_ids
         for part in parts:
             every = np.tile(rows, len(part))
-            qpos = [self._initial(start.copy(), point, low, high) for point in part]
+            starts = [self._initial(start.copy(), point, low, high) for point in part]
             qpos, _, done = self._search(
-                np.concatenate(qpos, axis=1),
+                np.concatenate(starts, axis=1),
                 target.rows(every),
                 low[:, every],
                 high[:, every],
