@@ -152,42 +152,61 @@ def _opening(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm) -> F64:
     if gripper is None:
         raise ValueError("there is no gripper")
     force = gripper.opening_force(data)
-    rows = _equalities(model, data)
-    held = np.asarray(arm.asset.entity.dof_adr, np.int64)[arm.term.solver.moving]
-    moves = np.abs(force) > 0.0
-    held = held[~moves[held]]
-    touched = np.abs(rows) > _COUPLED
-    touched[:, held] = False
-    for _ in range(len(rows)):  # to what a row couples with what moves, until there is no more
-        coupled = touched[(touched & moves).any(axis=1)].any(axis=0)
-        if not (coupled & ~moves).any():
+    moves = force != 0.0
+    held = np.zeros(model.nv, np.bool_)
+    held[np.asarray(arm.asset.entity.dof_adr, np.int64)[arm.term.solver.moving]] = True
+    held &= ~moves
+    rows = [(columns[~held[columns]], values[~held[columns]]) for columns, values in
+            _equalities(model, data)]  # fmt: skip
+    while True:  # to what a row couples with what moves, until there is no more
+        coupled = [columns for columns, _ in rows if moves[columns].any()]
+        more = np.unique(np.concatenate(coupled)) if coupled else np.zeros(0, np.int64)
+        if moves[more].all():
             break
-        moves = moves | coupled
+        moves[more] = True
     free = np.flatnonzero(moves)
     found = np.zeros(model.nv)
     if not len(free):
         return found
-    whole = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, whole)
-    allowed = _null_space(rows[(touched & moves).any(axis=1)][:, free])
-    mass = allowed.T @ whole[np.ix_(free, free)] @ allowed
+    allowed = _null_space(_dense([one for one in rows if moves[one[0]].any()], free))
+    mass = allowed.T @ _inertia(model, data, free) @ allowed
     found[free] = allowed @ np.linalg.solve(mass, allowed.T @ force[free])
     return found
 
 
-def _equalities(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
-    """(e, nv) Jacobian of the active equality constraints."""
-    if not data.nefc:
-        return np.zeros((0, model.nv))
-    whole = np.zeros((data.nefc, model.nv))
-    if mujoco.mj_isSparse(model):
-        mujoco.mju_sparse2dense(
-            whole, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
-        )
-    else:
-        whole[:] = data.efc_J.reshape(whole.shape)
-    equal = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-    found: F64 = whole[equal]
+def _equalities(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[Ids, F64]]:
+    """Columns and values of each row of the Jacobian of the active equality constraints."""
+    equal = np.flatnonzero(data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+    found = []
+    for row in equal:
+        if mujoco.mj_isSparse(model):
+            first = data.efc_J_rowadr[row]
+            there = slice(first, first + data.efc_J_rownnz[row])
+            columns, values = data.efc_J_colind[there], data.efc_J[there]
+        else:
+            columns, values = np.arange(model.nv), data.efc_J.reshape(-1, model.nv)[row]
+        large = np.abs(values) > _COUPLED
+        found.append((columns[large].astype(np.int64), values[large].copy()))
+    return found
+
+
+def _dense(rows: Sequence[tuple[Ids, F64]], columns: Ids) -> F64:
+    """(e, k) rows at some columns, sorted, which contain all theirs."""
+    found = np.zeros((len(rows), len(columns)))
+    for row, (there, values) in zip(found, rows, strict=True):
+        row[np.searchsorted(columns, there)] = values
+    return found
+
+
+def _inertia(model: mujoco.MjModel, data: mujoco.MjData, dofs: Ids) -> F64:
+    """(k, k) of the mass matrix, without the rest of it, which may be large."""
+    found = np.zeros((len(dofs), len(dofs)))
+    motion, momentum = np.zeros(model.nv), np.zeros(model.nv)
+    for column, dof in enumerate(dofs):
+        motion[:] = 0.0
+        motion[dof] = 1.0
+        mujoco.mj_mulM(model, data, momentum, motion)
+        found[:, column] = momentum[dofs]
     return found
 
 

@@ -265,25 +265,21 @@ class _Controls:
 
     def force(self, asset: Any, model: mujoco.MjModel, data: mujoco.MjData, signs: F64) -> F64:
         """(nv,) generalized forces of controls that are raised (1) or lowered (-1), (A,)."""
-        moments = np.zeros((model.nout, model.nv))
-        mujoco.mju_sparse2dense(
-            moments,
-            data.actuator_moment,
-            data.moment_rownnz,
-            data.moment_rowadr,
-            data.moment_colind,
-        )
         columns = np.asarray(asset.entity.own_ctrl_ids)[self.which]
         found: F64 = np.zeros(model.nv)
         for actuator in range(model.nu):
             first = model.actuator_ctrladr[actuator]
             mine = (columns >= first) & (columns < first + model.actuator_ctrlnum[actuator])
-            if mine.any():
-                out = model.actuator_outadr[actuator]
-                rows = moments[out : out + model.actuator_outnum[actuator]]
-                fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
-                pulls = fixed and model.actuator_gainprm[actuator, 0] < 0
-                found += (-1.0 if pulls else 1.0) * signs[mine].sum() * rows.sum(axis=0)
+            if not mine.any():
+                continue
+            fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+            pulls = fixed and model.actuator_gainprm[actuator, 0] < 0
+            sign = (-1.0 if pulls else 1.0) * signs[mine].sum()
+            out = model.actuator_outadr[actuator]
+            for row in range(out, out + model.actuator_outnum[actuator]):
+                start = data.moment_rowadr[row]
+                there = slice(start, start + data.moment_rownnz[row])
+                found[data.moment_colind[there]] += sign * data.actuator_moment[there]
         return found
 
     def at_rest(self, asset: Any) -> F64 | None:
