@@ -1,9 +1,9 @@
 """Inverse kinematics: success and CPU time per pose, beside mink's.
 
 `python -m benchmarks.ik [--poses 10000] [--peer 200] [--all] [--out FILE]`: random reachable
-poses of four arms (those of the tests), from the initial joint positions. mink solves quadratic programs (daqp)
-pose by pose, with the same tolerances, limits and number of iterations, without restarts. With
-`--all`: how many solutions a pose has, and what it costs to find them.
+poses of four arms (those of the tests), from the initial joint positions. mink solves quadratic
+programs (daqp) pose by pose, with the same tolerances, limits and number of iterations, without
+restarts. With `--all`: how many solutions a pose has, and what it costs to find them.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Fingers:
 
 
 def read_fingers(arm: Arm) -> Fingers:
-    """The fingers of an arm; without a gripper no bodies, and the tool's x axis."""
+    """The fingers of an arm; without any (suction, no gripper) the tool's x axis counts."""
     gripper = arm.gripper
     if gripper is None:
         return Fingers(frozenset(), 0.0)
@@ -76,7 +76,7 @@ def read_fingers(arm: Arm) -> Fingers:
         across, along = gripper.finger_axis[:2]
         return Fingers(bodies, _angle(float(np.arctan2(along, across))))
     if not bodies:
-        return Fingers(bodies, None, "it moves no link relative to the tool")
+        return Fingers(bodies, 0.0)
     linear, angular = _velocities(model, data, motion, arm.term.solver.chain.body, bodies)
     angle, reason = _line(linear, angular)
     return Fingers(bodies, angle, reason)

@@ -201,9 +201,7 @@ def test_a_step_turns_the_fingers_to_the_target(angle, symmetry, task):
 UNCLEAR = {
     "three fingers": (THREE, servo("f0", "f1", "f2"), "its fingers do not move along one line"),
     "along z": (PRESS, servo("left"), "its fingers do not move across the tool's z axis"),
-    "no finger": ("", "<motor name='none' joint='ax' ctrlrange='-1 1'/>",
-                  "it moves no link relative to the tool"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", UNCLEAR)
@@ -221,6 +219,17 @@ def test_what_is_not_clear_must_be_given(name, task, monkeypatch, capsys):
     assert main(["validate", f"--config-dir={folder}", "task=gripper", other]) == 0
     given = "+task.actions.grip.params.finger_axis=y"
     assert main(["validate", f"--config-dir={folder}", "task=gripper", given]) == 0
+
+
+def test_suction_is_turned_by_the_tools_x_axis(task):
+    suction = '<adhesion name="suction" body="tool" ctrlrange="0 1" gain="5"/>'
+    steps = [{"grasp": {"of": "block", "symmetry": 2}}]
+    pad = '<geom type="box" size=".02 .02 .005" mass=".1"/>'
+    env = embodichain.make("gripper", config_dir=task(pad, suction, "", steps, (0, 1)))
+    ((_, arm),) = arms_of(env)
+    found = read_fingers(arm)
+    assert (found.bodies, found.angle) == (frozenset(), 0.0)
+    env.close()
 
 
 @pytest.mark.parametrize(
