@@ -355,4 +355,13 @@ def build_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
     with resolved.locating("task"):
-        return BaseEnv(cfg, **kwargs)
+        env = BaseEnv(cfg, **kwargs)
+        if cfg.expert is not None:
+            from embodichain.lab.gym.expert.fingers import check_fingers
+
+            try:
+                check_fingers(env)
+            except ConfigError:
+                env.close()
+                raise
+        return env

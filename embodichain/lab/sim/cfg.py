@@ -330,8 +330,8 @@ class SolverCfg:
     """The tool point in the frame of `end_link_name`, or of `end_site_name`: a 4x4 matrix; None is
     that frame."""
     ik_nearest_weight: list[float] | None = None
-    """Weights of the joints of the chain in the distance from the seed, by which the closed form
-    ranks solutions; None is 1."""
+    """Weights of the joints of the chain in the distance from the seed, by which solutions are
+    ranked; None is 1."""
     pos_eps: Annotated[float, Field(gt=0)] = 1e-5
     """Metres: a solution is at most this far from the target."""
     rot_eps: Annotated[float, Field(gt=0)] = 1e-5
@@ -339,7 +339,7 @@ class SolverCfg:
     max_iterations: Annotated[int, Field(ge=1)] = 60
     """Of one search from one initial point."""
     num_samples: Annotated[int, Field(ge=0)] = 30
-    """Further initial points of the search, where it fails."""
+    """Further initial points of the search, where it fails, and for all solutions."""
     # ours
     end_site_name: str | None = dataclasses.field(default=None, kw_only=True)
     """A site of the file that is the tool point, instead of `end_link_name`."""

@@ -89,6 +89,15 @@ class TargetPoses:
         """Position (N, 3) in m and orientation (N, 4), wxyz."""
         return self._readers[target]()
 
+    def bodies(self, target: Target) -> frozenset[int]:
+        """MuJoCo ids of a target's bodies: of an entity all; none of commands and functions."""
+        if not isinstance(target, str) or target in (WORLD, *self._env.command_manager.terms):
+            return frozenset()
+        entity = self._env.scene_entity(_fields(target))
+        link = entity.link_body
+        every = entity.asset.entity.body_ids if link is None else [link]
+        return frozenset(map(int, every))
+
     def _reader(self, target: Target, path: str) -> Callable[[], Poses]:
         env, count = self._env, self._env.num_envs
         if not isinstance(target, str):
