@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import numpy as np
@@ -37,6 +37,7 @@ def task_tables(resolved: Resolved) -> dict[str, Any]:
             "actuators": _actuators(model),
             "drives": list(_drives(env)),
             "attached files": _attached(env),
+            "self-collision": _self_collision(env),
             "surroundings": _surroundings(env),
             "lights": _lights(model),
             "cameras": _cameras(model, env.sim.sim_config.views),
@@ -257,10 +258,29 @@ def _attached(env: BaseEnv) -> Rows:
     ]
 
 
+def _self_collision(env: BaseEnv) -> Rows:
+    """Which links of each robot and articulation collide with each other."""
+    found = {uid: parsed.self_collision for uid, parsed in _articulations(env).items()}
+    return [
+        {
+            "entity": uid,
+            "links collide": one.rule,
+            "overlap at the start": _pairs((*one.overlapping, *one.siblings)),
+            "excluded": _pairs(one.excluded),
+            "included": _pairs(one.included),
+        }
+        for uid, one in found.items()
+    ]
+
+
+def _pairs(pairs: Iterable[tuple[str, str]]) -> str:
+    return ", ".join(f"{a} - {b}" for a, b in pairs)
+
+
 def _notes(env: BaseEnv) -> Rows:
     """Changes to robots' files in compilation, and what was left out of them."""
     parsed = _articulations(env).items()
-    notes = [{"entity": uid, "note": note} for uid, file in parsed for note in file.notes]
+    notes = [{"entity": uid, "note": note} for uid, file in parsed for note in file.all_notes]
     notes += [{"entity": uid, "note": hull.text} for uid, file in parsed for hull in file.hulls]
     return notes + [{"entity": "", "note": note} for note in env.sim.scene.notes]
 

@@ -25,6 +25,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
     from embodichain.config.schema import Verb
+    from embodichain.lab.gym.envs.base_env import BaseEnv
 
 __all__ = ["command"]
 
@@ -75,7 +76,7 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
 
             resolved = with_warp_values(resolved, verb)
             notes = resolved.notes
-            _try_out(resolved, verb)
+            notes = (*notes, *_try_out(resolved, verb))
     except ConfigError as error:
         problems = error.problems
     if json:
@@ -91,7 +92,7 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
     return process.OK
 
 
-def _try_out(resolved: Resolved, verb: Verb) -> None:
+def _try_out(resolved: Resolved, verb: Verb) -> list[Problem]:
     """Build what the job builds, reset it and take one step.
 
     Terms write files into a temporary folder, which is removed; no viewer is opened and no log is
@@ -100,6 +101,9 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
     Args:
         resolved: A checked config.
         verb: ``train`` also builds the algorithm, ``run`` and ``collect`` the policy.
+
+    Returns:
+        Links of robots that overlap in many postures, one note for each robot.
 
     Raises:
         ConfigError: A mistake that the job would refuse, with its place.
@@ -120,7 +124,7 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
                 check_algorithm(resolved, env)
                 if root.dataset is not None:
                     check_episode(resolved, env, first_episode(root, env))
-                return
+                return _overlaps(env)
             if root.record.images is not None:
                 from embodichain.recording import ImageOptions
                 from embodichain.recording.views.images import image_topics
@@ -134,5 +138,21 @@ def _try_out(resolved: Resolved, verb: Verb) -> None:
                     policy.operator = IdleOperator()
             obs, _ = env.reset()
             env.step(policy(obs, env))
+            return _overlaps(env)
         finally:
             env.close()
+
+
+def _overlaps(env: BaseEnv) -> list[Problem]:
+    """Return a note for each robot with links that overlap in many postures."""
+    from embodichain.lab.sim.compiler.postures import overlapping_links
+
+    notes: list[Problem] = []
+    for uid, asset in {**env.sim.robots, **env.sim.articulations}.items():
+        often = overlapping_links(asset.parsed)
+        listed = ", ".join(f"{a} and {b} {share:.0%}" for (a, b), share in often.items())
+        if listed:
+            what = f"links that are in each other in many of 200 postures: {listed}"
+            advice = "self_collision.exclude leaves pairs out, include says that they are meant"
+            notes.append(Problem(uid, f"{what}; {advice}"))
+    return notes

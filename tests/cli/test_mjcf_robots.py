@@ -117,6 +117,62 @@ def test_drives_under_a_files_effort_limits_get_the_armature_that_they_need(task
     assert list(armature) == ["wrist_3_joint"] and 5.0 < armature["wrist_3_joint"] < 5.5
 
 
+FOLDED = """<robot name="f">{links}{joints}</robot>""".format(
+    links="".join(
+        f'<link name="{name}"><inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" '
+        'ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry><sphere radius="0.05"/>'
+        "</geometry></collision></link>"
+        for name in ("base", "upper", "left_tip", "right_tip")
+    ),
+    joints="".join(
+        f'<joint name="{child}_joint" type="revolute"><parent link="{parent}"/>'
+        f'<child link="{child}"/><origin xyz="0 0 {z}"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="9" velocity="1"/></joint>'
+        for parent, child, z in (
+            ("base", "upper", 0.2),
+            ("upper", "left_tip", -0.15),
+            ("upper", "right_tip", 0.2),
+        )
+    ),
+)
+
+
+def test_self_collision_is_said_by_run_validate_and_show(task, capsys):
+    # left_tip is 0.05 m from the base, whose radius is that of the tip: 0.05 m deep.
+    folder = task(FOLDED, robot={"drive_pros": {"stiffness": 10}})
+    words = ["task=mine", "--config-dir", folder]
+    told = "base and left_tip (50 mm); those named like pairs that are: base and right_tip"
+    for verb in (["run", "max_steps=2", "episodes=1", "--quiet"], ["validate"]):
+        assert main([*verb, *words]) == 0
+        assert told in capsys.readouterr().err
+    assert main(["show", *words, "--json"]) == 0
+    tables = json.loads(capsys.readouterr().out)
+    assert any(told in row["note"] for row in tables["notes on files"])
+    (row,) = tables["self-collision"]
+    assert row["overlap at the start"] == "base - left_tip, base - right_tip"
+    include = "+task.robot.self_collision.include=[[base, .*_tip]]"
+    assert main(["show", *words, "--json", include]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["self-collision"]
+    assert (row["overlap at the start"], row["included"]) == (
+        "",
+        "base - left_tip, base - right_tip",
+    )
+    assert main(["validate", *words, "+task.robot.self_collision.exclude=[[base, left_tp]]"]) == 2
+    said = capsys.readouterr().err
+    assert "self_collision.exclude.0.1: no link matches 'left_tp'" in said
+    assert "Did you mean 'left_tip'?" in said
+
+
+def test_validate_names_links_that_overlap_in_many_postures(task, capsys):
+    # With the joint at 0.2 m instead of 0.05, left_tip is in the base in no posture at the start.
+    away = FOLDED.replace('xyz="0 0 -0.15"', 'xyz="0.2 0 -0.2"').replace('lower="-1"', 'lower="-3"')
+    robot = {"init_qpos": {"left_tip_joint": 0.5}}
+    folder = task(away.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 1 0"/>'), robot=robot)
+    assert main(["validate", "task=mine", "--config-dir", folder, "--json"]) == 0
+    notes = json.loads(capsys.readouterr().out).get("notes", [])
+    assert len([n for n in notes if "in many of 200 postures: " in n["message"]]) == 1
+
+
 def test_one_writes_over_a_files_gains_in_yaml(task, capsys):
     folder = task(UR5E, robot={"drive_pros": {"stiffness": {"elbow_joint": 900}}})
     words = ["show", "task=mine", "--config-dir", folder, "--json"]

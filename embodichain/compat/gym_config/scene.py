@@ -273,6 +273,9 @@ def _parts_of_articulation(
     if data.get("attrs") is not None:
         _attrs(draft, data["attrs"], (*source, "attrs"), (*target, "attrs"))
     root, where = data.get("root_props"), (*source, "root_props")
+    given = root.get("self_collision_enabled") if isinstance(root, Mapping) else None
+    if given is None and data.get("disable_self_collision") is None:  # EmbodiChain's default
+        draft.put((*target, "disable_self_collision"), True, source)
     if root is not None and draft.carry(root, where, target, known.ROOT_PROPS):
         if "fixed_base" in root:
             draft.put((*target, "fix_base"), root["fixed_base"], (*where, "fixed_base"))

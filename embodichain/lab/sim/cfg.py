@@ -52,6 +52,7 @@ __all__ = [
     "RigidBodyAttributesCfg",
     "RigidObjectCfg",
     "RobotCfg",
+    "SelfCollisionCfg",
     "SimulationManagerCfg",
     "SolverCfg",
     "URDFCfg",
@@ -240,6 +241,19 @@ class CollisionShapeCfg(ObjectBaseCfg):
 
 
 @configclass
+class SelfCollisionCfg:
+    """Pairs of links that collide, or do not, whatever the rule of the robot's file is.
+
+    An entry is two link regexes. `include` is stronger than `exclude`.
+    """
+
+    exclude: list[tuple[str, str]] = dataclasses.field(default_factory=list)
+    """Pairs that do not collide with each other."""
+    include: list[tuple[str, str]] = dataclasses.field(default_factory=list)
+    """Pairs that do, even if the rule, `disable_self_collision` or `exclude` leaves them out."""
+
+
+@configclass
 class ArticulationCfg(ObjectBaseCfg):
     """A jointed mechanism read from a URDF or MJCF file.
 
@@ -263,7 +277,10 @@ class ArticulationCfg(ObjectBaseCfg):
     and inertia come from the file."""
     fix_base: bool = True
     """Whether the root is fixed (overrides the file); False gives it a free joint."""
-    disable_self_collision: bool = True
+    disable_self_collision: bool = False
+    """Whether no links collide with each other. EmbodiChain's default is True; here an MJCF decides
+    for itself, and links of a URDF collide, except for parent and child and for links that overlap
+    at the start."""
     init_qpos: Any = None
     """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else an MJCF's
     `qpos0` (zeros, or each joint's `ref`), a URDF's zeros clamped to the limits. With `attach`, a
@@ -301,6 +318,10 @@ class ArticulationCfg(ObjectBaseCfg):
     """Joint regex -> position (rad or m) at which joints of a URDF are fixed, no longer joints."""
     contact: dict[str, ContactCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     """Link or geom regex -> contact parameters; later entries override earlier ones."""
+    self_collision: SelfCollisionCfg = dataclasses.field(
+        default_factory=SelfCollisionCfg, kw_only=True
+    )
+    """Pairs of links that collide, or do not, instead of what the rule of the file says."""
 
 
 @configclass

@@ -169,7 +169,7 @@ class Scene:
                 self.world,
             )
             self.compiled = self._prepared.take_scene(parts) or compile_scene(*parts)
-            notes = [f"{parsed.uid}: {note}" for parsed in articulations for note in parsed.notes]
+            notes = [f"{p.uid}: {note}" for p in articulations for note in p.all_notes]
             if self._cfg.prepared_scene is None:  # else the check of the task's file has said them
                 notes += self._without_effect()
             for note in (*notes, *self.compiled.notes):

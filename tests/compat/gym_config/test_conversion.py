@@ -56,6 +56,7 @@ def test_lists_become_maps_keyed_by_uid() -> None:
             "stiffness": 1e4,  # a number, though YAML 1.1 reads text
             "damping": {"Joint[1-3]": 1000.0, "Joint[4-6]": 500},
         },
+        "disable_self_collision": True,  # EmbodiChain's default
     }
 
 
@@ -337,7 +338,7 @@ def test_components_of_a_robot_are_kept() -> None:
     assert found["robot.urdf_cfg.components.0.wheel_type"] == "it has no effect"
     assert "nothing is written" in found["robot.urdf_cfg.fname"]
     beside = convert({"robot": {"fpath": "c.urdf", "urdf_cfg": urdf}})
-    assert beside.task["robot"] == {"fpath": "c.urdf"}
+    assert beside.task["robot"] == {"fpath": "c.urdf", "disable_self_collision": True}
     assert notes(beside) == {"robot.urdf_cfg": "fpath names the robot's file"}
 
 
@@ -392,6 +393,24 @@ def test_an_articulation_without_uid_is_called_like_its_file() -> None:
     drawer = {"fpath": "Drawer/sliding_drawer.urdf", "init_pos": [1, 0, 0]}
     assert set(convert({"articulation": [drawer]}).task["articulations"]) == {"sliding_drawer"}
     assert "uid: missing value" in only_problem({"articulation": [{"init_pos": [1, 0, 0]}]})
+
+
+@pytest.mark.parametrize(
+    ("given", "disabled"),
+    [
+        ({}, True),
+        ({"disable_self_collision": False}, False),
+        ({"disable_self_collision": True}, True),
+        ({"root_props": {"self_collision_enabled": True}}, False),
+        ({"root_props": {"fixed_base": True}}, True),
+    ],
+)
+def test_the_default_of_self_collision_is_written_out(given: Any, disabled: bool) -> None:
+    for section in ("robot", "articulation"):
+        thing = {"uid": "a", "fpath": "a.urdf", **given}
+        task = convert({section: [thing] if section == "articulation" else thing}).task
+        made = task["robot"] if section == "robot" else task["articulations"]["a"]
+        assert made["disable_self_collision"] is disabled
 
 
 def test_what_nothing_reads_there_is_a_note() -> None:

@@ -42,7 +42,6 @@ from embodichain.lab.sim.compiler.known import known_entities
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.compiler.physics_options import check_options
 from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
-from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
 from embodichain.lab.sim.compiler.scene import compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
@@ -284,19 +283,12 @@ def _parse(
     """The articulations that could be read, by path, and every mistake in any entity."""
     parsed: dict[str, ParsedArticulation] = {}
     problems: list[Problem] = []
-    masked = 0
     for path, uid, cfg in entities:
         found: list[Problem] = []
         if isinstance(cfg, ArticulationCfg):
             articulation, found = parse_with_problems(uid, cfg, step, changes.get(uid, ()))
             if articulation is not None:
                 parsed[path] = articulation
-            masked += cfg.disable_self_collision
-            if cfg.disable_self_collision and masked == MAX_MASKED + 1:
-                message = (
-                    f"at most {MAX_MASKED} articulations of a scene can set it, this is one more"
-                )
-                found.append(Problem("disable_self_collision", message))
         elif isinstance(cfg, RigidObjectCfg):
             found = check_object(cfg)
             if path.startswith("scene."):  # `check_furniture` names the keys of table and pedestal

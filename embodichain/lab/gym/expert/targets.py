@@ -93,7 +93,8 @@ class TargetPoses:
         """MuJoCo ids of a target's bodies: of an entity all; none of commands and functions."""
         if not isinstance(target, str) or target in (WORLD, *self._env.command_manager.terms):
             return frozenset()
-        entity = self._env.scene_entity(_fields(target))
+        fields, _ = _fields(target, self._env.sim.known())  # `add` has checked it
+        entity = self._env.scene_entity(fields)
         link = entity.link_body
         every = entity.asset.entity.body_ids if link is None else [link]
         return frozenset(map(int, every))

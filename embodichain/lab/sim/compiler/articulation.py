@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import ArticulationCfg, RobotCfg, URDFCfg
-from embodichain.lab.sim.compiler.base_contacts import restore_base_contacts
 from embodichain.lab.sim.compiler.collision_shapes import replace_shapes, resolve_shapes
 from embodichain.lab.sim.compiler.contact_patterns import apply_contacts, check_contacts
 from embodichain.lab.sim.compiler.couplings import (
@@ -34,6 +33,7 @@ from embodichain.lab.sim.compiler.index import F64, Mask
 from embodichain.lab.sim.compiler.kept_inertias import HullLimit
 from embodichain.lab.sim.compiler.model_size import reported
 from embodichain.lab.sim.compiler.names import exact_pattern, match
+from embodichain.lab.sim.compiler.postures import start_posture
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
 from embodichain.lab.sim.compiler.robot_files import (
@@ -57,6 +57,8 @@ from embodichain.lab.sim.compiler.robot_joints import (
 )
 from embodichain.lab.sim.compiler.robot_links import (
     AttachedOptions,
+    RobotModel,
+    Tool,
     add_attachments,
     add_tools,
     check_attachments,
@@ -65,6 +67,11 @@ from embodichain.lab.sim.compiler.robot_links import (
     resolve_tools,
 )
 from embodichain.lab.sim.compiler.robot_root import Placement, Root, place, set_root
+from embodichain.lab.sim.compiler.self_collision import (
+    LinkOrigins,
+    SelfCollision,
+    set_self_collision,
+)
 from embodichain.lab.sim.compiler.spec_frames import names_in_spec
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_conjugate, quat_rotate
@@ -124,6 +131,7 @@ class ParsedArticulation:
         options: The physics options that its own file gives, see `given_options`.
         attached_options: Path of each attached file, an empty model with its physics options, and
             the names of those it gives.
+        self_collision: Which of its links collide with each other.
         notes: Messages for the user about the file, one line each.
         floors: Floors of its file, still in `spec`: see `compiler.floors`.
         attached_floors: Floors of attached files.
@@ -171,6 +179,7 @@ class ParsedArticulation:
     keyframe: Keyframe | None
     options: frozenset[str]
     attached_options: tuple[AttachedOptions, ...]
+    self_collision: SelfCollision
     notes: tuple[str, ...]
     floors: tuple[str, ...]
     attached_floors: tuple[str, ...]
@@ -185,6 +194,12 @@ class ParsedArticulation:
     def geom_names(self) -> tuple[str, ...]:
         """Its geoms that have a name."""
         return tuple(geom.name for geom in self.spec.geoms if geom.name)
+
+    @property
+    def all_notes(self) -> tuple[str, ...]:
+        """Messages about the file, and about links that do not collide with each other."""
+        left_out = self.self_collision.note()
+        return (*self.notes, f"{self.path}: {left_out}") if left_out else self.notes
 
     def with_given_armature(self, armature: Mapping[str, float]) -> ParsedArticulation:
         """Return it as if the config gave the added armature: joint -> kg m^2 or kg."""
@@ -319,11 +334,14 @@ def _parse(
         spec = root.spec
         notes += [f"{file.path}: {line}" for line in root.notes]
         model = compile_quietly(spec)
-        as_file = not file.is_urdf and not cfg.disable_self_collision
-        if cfg.fix_base and as_file and restore_base_contacts(spec, model, root.name):
-            model = compile_quietly(spec)
         added = np.zeros(count)
         rigidity = Rigidity(np.zeros(count), np.zeros(count))
+        collision = SelfCollision()
+        if not problems:
+            origins = _origins(cfg, robot, root.name, tools)
+            posture = start_posture(model, qpos, keyframe)
+            collision, problems, changed = set_self_collision(spec, model, cfg, origins, posture)
+            model = compile_quietly(spec) if changed else model
         if step is not None and not problems:
             added, said = _quieten(
                 spec, model, joints.names, gains, mimics, qpos, parts, step, changes
@@ -390,6 +408,7 @@ def _parse(
             keyframe=keyframe,
             options=file.options,
             attached_options=robot.attached_options,
+            self_collision=collision,
             notes=tuple(notes),
             floors=robot.floors,
             attached_floors=robot.attached_floors,
@@ -448,6 +467,20 @@ def _driven_mimics(
     if not idle:
         return []
     return [f"{file.path}: drive_pros has no effect on joints that follow: {'; '.join(idle)}"]
+
+
+def _origins(
+    cfg: ArticulationCfg, robot: RobotModel, root: str, tools: Mapping[str, Tool]
+) -> LinkOrigins:
+    """Return which file each link is from; the world of a file is the root, if one was added."""
+    model = robot.model
+    links = [model.body(i).name for i in range(model.nbody)]
+    static: set[str] = set()
+    if cfg.fix_base:
+        static = {links[i] for i in np.flatnonzero(model.body_weldid == 0).tolist()}
+        static |= set() if root in links else {root}
+    added = {*cfg.attachments, *(tool.link for tool in tools.values() if tool.pose is not None)}
+    return LinkOrigins(robot.is_urdf, added, static)
 
 
 def _overloaded(

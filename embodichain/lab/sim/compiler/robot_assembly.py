@@ -257,6 +257,7 @@ def attach_files(
     joints = read_joints(model, limits, urdf, tuple(prefix for prefix in parts if prefix))
     keyframe = _joined(parts, joints.names)
     notes = [*dict.fromkeys(notes)]  # two grippers of one file
+    is_urdf = {prefix: part.is_urdf[""] for prefix, part in parts.items()}
     attached_parts = {prefix: part for prefix, part in parts.items() if prefix}
     whole = RobotModel(
         spec,
@@ -279,6 +280,7 @@ def attach_files(
                 for hull in part.hulls
             ),
         ),
+        is_urdf=is_urdf,
     )
     return whole, problems
 

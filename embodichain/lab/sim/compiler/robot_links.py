@@ -36,7 +36,6 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     add_shape,
     check_pose,
     check_shape,
-    collides,
     initial_pose,
     set_collision,
 )
@@ -56,7 +55,6 @@ from embodichain.utils.errors import Problem
 from embodichain.utils.math import quat_multiply, quat_rotate, rotvec_to_quat
 
 __all__ = [
-    "MAX_MASKED",
     "WHOLE",
     "AttachedOptions",
     "RobotModel",
@@ -67,12 +65,8 @@ __all__ = [
     "lock_joints",
     "prepare_file",
     "resolve_tools",
-    "separate",
 ]
 
-MAX_MASKED = 30
-"""Maximum number of articulations without self-collision: one contype bit each, except bit 0."""
-_ALL_BITS = 0x7FFFFFFF
 AttachedOptions = tuple[str, mujoco.MjSpec, frozenset[str]]
 
 
@@ -94,6 +88,8 @@ class RobotModel:
         floors: Its horizontal planes, in whose place the scene's ground is.
         attached_floors: Those of the attached files.
         hulls: Meshes whose convex hull is limited.
+        is_urdf: Prefix of names of an attached file ("" is the robot's own) -> whether it is a
+            URDF; else it is an MJCF.
     """
 
     spec: mujoco.MjSpec
@@ -108,6 +104,7 @@ class RobotModel:
     floors: tuple[str, ...] = ()
     attached_floors: tuple[str, ...] = ()
     hulls: tuple[HullLimit, ...] = ()
+    is_urdf: Mapping[str, bool] = field(default_factory=dict)
 
 
 def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
@@ -143,6 +140,7 @@ def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
         planes=planes,
         floors=floors,
         hulls=tuple(hulls),
+        is_urdf={"": file.is_urdf},
     )
 
 
@@ -209,23 +207,6 @@ def prepare_shapes(
                 geom.group = VISUAL_GROUP
             elif drawn:
                 geom.group = COLLISION_GROUP
-
-
-def separate(spec: mujoco.MjSpec, number: int) -> None:
-    """Disable collisions among the shapes of a spec; other collisions do not change.
-
-    Two geoms collide if one's contype matches the other's conaffinity: each articulation has one
-    contype bit and accepts all bits but that one.
-
-    Args:
-        spec: The articulation.
-        number: 1 to `MAX_MASKED`, different for each articulation.
-    """
-    bit = 1 << number
-    for geom in spec.geoms:
-        in_world = geom.type == mujoco.mjtGeom.mjGEOM_PLANE
-        if collides(geom) and not in_world:
-            geom.contype, geom.conaffinity = bit, _ALL_BITS & ~bit
 
 
 # ------------------------------------------------------------------------------------ locked joints

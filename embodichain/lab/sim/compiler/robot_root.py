@@ -114,7 +114,7 @@ def set_root(
     A fixed base is a mocap body, so its pose is state and can differ between environments. It has
     no degrees of freedom and behaves as if fixed to the world, with one exception: MuJoCo lets the
     children of a fixed body collide with it, but not those of a mocap body
-    (see `restore_base_contacts`).
+    (see `set_self_collision`).
 
     The root is the file's top-level body if there is one alone and nothing else is in the file's
     world. Else a body is added whose children are all of them, and to which the file's world

@@ -33,7 +33,6 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     shapes_of,
 )
 from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, compile_quietly
-from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
 from embodichain.lab.sim.compiler.robot_root import take_sizes
 from embodichain.lab.sim.compiler.scene_sensors import (
     CameraIndex,
@@ -130,7 +129,6 @@ def compile_scene(
     spec.modelname = "embodichain"
     spec.compiler.degree = False
     apply_options(spec, sim_cfg)
-    masked = 0
     notes: list[str] = []
     if world is not None:
         child = world.spec.copy()
@@ -142,11 +140,7 @@ def compile_scene(
     set_look(spec, sim_cfg.scene)
     add_lights(spec, lights)
     for parsed in articulations:
-        child = parsed.spec.copy()
-        if parsed.cfg.disable_self_collision:
-            masked += 1
-            separate(child, masked)
-        notes += _attach(spec, child, parsed)
+        notes += _attach(spec, parsed.spec.copy(), parsed)
     terrain = None
     if sim_cfg.scene.terrain is not None:
         from embodichain.lab.sim.compiler.terrain import add_terrain  # few scenes have one
@@ -214,10 +208,6 @@ def _check(
         taken[uid] = "another entity"
     for uid, cfg in objects.items():
         problems += [p.below(uid) for p in check_object(cfg)]
-    masked = [p.uid for p in articulations if p.cfg.disable_self_collision]
-    if len(masked) > MAX_MASKED:
-        message = f"at most {MAX_MASKED} articulations of a scene can do without self-collision"
-        problems.append(Problem(masked[MAX_MASKED], f"{message}, this is one more"))
     if problems:
         raise ConfigError(problems)
 

@@ -147,7 +147,7 @@ FOLDED = """<mujoco><worldbody><body name="a"><geom size="0.1"/>
 
 
 @pytest.mark.parametrize("disabled", [True, False])
-def test_links_of_one_articulation_collide_only_if_asked(tmp_path, disabled):
+def test_links_of_one_articulation_collide_unless_switched_off(tmp_path, disabled):
     name = write(tmp_path / "folded.xml", FOLDED)
     cfg = RobotCfg(fpath=name, init_pos=(0, 0, 1), disable_self_collision=disabled)
     scene = scene_of({"r": cfg})
@@ -161,8 +161,8 @@ def test_different_articulations_collide_with_each_other_and_with_the_ground(tmp
     name = write(tmp_path / "folded.xml", FOLDED)
     scene = scene_of(
         {
-            "r": RobotCfg(fpath=name, init_pos=(0, 0, 0.05)),
-            "s": RobotCfg(fpath=name, init_pos=(0, 0, 0.15)),
+            "r": RobotCfg(fpath=name, init_pos=(0, 0, 0.05), disable_self_collision=True),
+            "s": RobotCfg(fpath=name, init_pos=(0, 0, 0.15), disable_self_collision=True),
         }
     )
     pairs = touching(scene, start(scene, {}))

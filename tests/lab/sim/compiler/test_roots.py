@@ -40,7 +40,6 @@ def test_a_mocap_base_moves_the_arm_exactly_as_a_fixed_body_does(tmp_path, groun
     cfg = RobotCfg(
         fpath=write(tmp_path / "arm.xml", ARM.format(pos="0.3 0 0.2", extra="")),
         drive_pros=JointDrivePropertiesCfg(drive_type="none"),
-        disable_self_collision=False,
     )
     sim = SimulationManagerCfg(physics_dt=0.005, ground_plane=ground)
     scene = scene_of({"arm": cfg}, sim=sim)
