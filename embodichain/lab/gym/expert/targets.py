@@ -101,7 +101,7 @@ class TargetPoses:
         if target in commands and target not in entities:
             return self._command(target, path)
         try:
-            fields, problems = _fields(target, env.sim.known())
+            fields, problems = _fields(target, env.sim.known)
             if problems:
                 raise ConfigError(problems)
             entity = env.scene_entity(fields)

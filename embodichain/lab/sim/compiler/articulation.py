@@ -22,7 +22,7 @@ from embodichain.lab.sim.compiler.drives import (
     resolve_drives,
 )
 from embodichain.lab.sim.compiler.index import F64, Mask
-from embodichain.lab.sim.compiler.names import exact_pattern, match
+from embodichain.lab.sim.compiler.names import exact_pattern, match, names_in_spec
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
 from embodichain.lab.sim.compiler.robot_files import (
@@ -51,7 +51,6 @@ from embodichain.lab.sim.compiler.robot_links import (
     resolve_tools,
     set_root,
 )
-from embodichain.lab.sim.compiler.spec_frames import names_in_spec
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_conjugate, quat_rotate
 from embodichain.utils.suggest import listing

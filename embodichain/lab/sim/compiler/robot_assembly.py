@@ -10,6 +10,7 @@ import numpy as np
 
 from embodichain.lab.sim.cfg import AttachedFileCfg, ObjectBaseCfg
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import find_in_spec
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_files import (
     MUJOCO_ERRORS,
@@ -26,7 +27,7 @@ from embodichain.lab.sim.compiler.robot_joints import (
     resolve_qpos,
 )
 from embodichain.lab.sim.compiler.robot_links import RobotModel, prepare_file
-from embodichain.lab.sim.compiler.spec_frames import find_in_spec, on_frame
+from embodichain.lab.sim.compiler.spec_frames import on_frame
 from embodichain.lab.sim.urdf_cfg import COMPONENTS, URDFCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean

@@ -20,7 +20,7 @@ from embodichain.lab.sim.cfg import (
     SolverCfg,
 )
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.names import FrameKind, match, no_such
+from embodichain.lab.sim.compiler.names import FrameKind, match, names_in_spec, no_such
 from embodichain.lab.sim.compiler.rigid_objects import (
     COLLISION_GROUP,
     HULL_VERTICES,
@@ -41,7 +41,7 @@ from embodichain.lab.sim.compiler.robot_joints import (
     read_keyframe,
     read_mimics,
 )
-from embodichain.lab.sim.compiler.spec_frames import names_in_spec, on_frame
+from embodichain.lab.sim.compiler.spec_frames import on_frame
 from embodichain.lab.sim.shapes import PlaneCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate, rotvec_to_quat
