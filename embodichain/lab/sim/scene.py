@@ -6,11 +6,16 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from embodichain.lab.sim.cfg import ArticulationCfg, RigidObjectCfg, SimulationManagerCfg, name_of
+from embodichain.lab.sim.cfg import (
+    ArticulationCfg,
+    LightCfg,
+    RigidObjectCfg,
+    SimulationManagerCfg,
+    name_of,
+)
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
 from embodichain.lab.sim.compiler.known import known_entities
-from embodichain.lab.sim.compiler.names import Known
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.compiler.world import World, read_world
@@ -47,6 +52,7 @@ class Scene:
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
             contains no robots.
         world: The file of ``cfg.scene``, or None. Its objects are in `rigid_objects`.
+        known: What references may name: all entities and their parts, by uid.
         compiled: The model and the indices of each entity; None before `compile`.
 
     Raises:
@@ -64,6 +70,7 @@ class Scene:
         self.world: World | None = self._prepared.take_world(cfg.scene)
         if self.world is None and (cfg.scene.fpath or cfg.scene.keyframe):
             self.world = read_world(cfg.scene)
+        self.known = known_entities({}, {}, {}, self.world)
         self.compiled: CompiledScene | None = None
 
     @property
@@ -97,6 +104,10 @@ class Scene:
         uid = name_of(cfg)
         if uid in self.uids:
             raise ConfigError([Problem(uid, f"uid {uid!r} is taken; taken: {self.uids}")])
+        if isinstance(cfg, RigidObjectCfg):
+            self.known |= known_entities({}, {uid: cfg}, {}, None, self._cfg.scene.table)
+        elif isinstance(cfg, LightCfg):
+            self.known[uid] = "light"
         return uid
 
     def parse(
@@ -113,25 +124,16 @@ class Scene:
         parsed = self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
         each = bytes_of(parsed.model, self._cfg.persistent)
         require_memory_for(self._cfg.num_envs, each, "environments with this robot", "num_envs")
+        self.known[uid] = parsed
         return parsed
 
     def plan_sensor(self, cfg: SensorCfg) -> SensorPlan:
         """Look up the links of a sensor; raises as `claim` does."""
         uid = self.claim(cfg)
-        plan, problems = plan_sensor(uid, cfg, self.known(), ground=self._cfg.has_ground)
+        plan, problems = plan_sensor(uid, cfg, self.known, ground=self._cfg.has_ground)
         if plan is None:
             raise ConfigError(p.below(uid) for p in problems)
         return plan
-
-    def known(self) -> Known:
-        """What references may name: all entities and their parts, by uid."""
-        return known_entities(
-            {uid: handle.parsed for uid, handle in self.jointed.items()},
-            {uid: o.cfg for uid, o in self.rigid_objects.items() if uid not in self.inside},
-            self.lights,
-            self.world,
-            self._cfg.scene.table,
-        )
 
     def remove(self, uid: str) -> bool:
         """Remove an entity or a sensor; returns whether it existed.
@@ -147,6 +149,7 @@ class Scene:
             )
         if uid in self.inside:
             raise ValueError(f"{uid!r} is part of the scene's file: it cannot be removed")
+        self.known.pop(uid, None)
         groups = self.robots, self.articulations, self.rigid_objects, self.lights, self.sensors
         return any(group.pop(uid, None) is not None for group in groups)
 
@@ -201,6 +204,7 @@ class Scene:
     def destroy(self) -> None:
         """Drop the model, and have every handle drop the engine."""
         self.compiled = None
+        self.known.clear()
         groups = self.jointed, self.rigid_objects, self.lights, self.sensors
         for handle in (handle for group in groups for handle in group.values()):
             handle.destroy()

@@ -101,7 +101,7 @@ class SimulationManager:
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
             contains no robots.
         inside: Those rigid objects that are bodies of the scene's file, by uid.
-        known: Returns what references may name: all entities and their parts, by uid.
+        known: What references may name: all entities and their parts, by uid.
         drive_changes: Values that events may draw for drives and links, by articulation uid.
         physics_seconds: Wall time spent on physics steps in `update` so far.
 

@@ -93,7 +93,7 @@ class TargetPoses:
         """MuJoCo ids of a target's bodies: of an entity all; none of commands and functions."""
         if not isinstance(target, str) or target in (WORLD, *self._env.command_manager.terms):
             return frozenset()
-        fields, _ = _fields(target, self._env.sim.known())  # `add` has checked it
+        fields, _ = _fields(target, self._env.sim.known)  # `add` has checked it
         entity = self._env.scene_entity(fields)
         link = entity.link_body
         every = entity.asset.entity.body_ids if link is None else [link]
@@ -111,7 +111,7 @@ class TargetPoses:
         if target in commands and target not in entities:
             return self._command(target, path)
         try:
-            fields, problems = _fields(target, env.sim.known())
+            fields, problems = _fields(target, env.sim.known)
             if problems:
                 raise ConfigError(problems)
             entity = env.scene_entity(fields)

@@ -32,7 +32,7 @@ from embodichain.lab.sim.compiler.drives import (
 from embodichain.lab.sim.compiler.index import F64, Mask
 from embodichain.lab.sim.compiler.kept_inertias import HullLimit
 from embodichain.lab.sim.compiler.model_size import reported
-from embodichain.lab.sim.compiler.names import exact_pattern, match
+from embodichain.lab.sim.compiler.names import exact_pattern, match, names_in_spec
 from embodichain.lab.sim.compiler.postures import start_posture
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
@@ -72,7 +72,6 @@ from embodichain.lab.sim.compiler.self_collision import (
     SelfCollision,
     set_self_collision,
 )
-from embodichain.lab.sim.compiler.spec_frames import names_in_spec
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_conjugate, quat_rotate
 from embodichain.utils.suggest import listing

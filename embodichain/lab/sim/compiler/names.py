@@ -28,9 +28,11 @@ __all__ = [
     "check_uid",
     "exact_pattern",
     "find_frame",
+    "find_in_spec",
     "frame_in_model",
     "frame_names",
     "match",
+    "names_in_spec",
     "no_such",
     "pick",
 ]
@@ -248,6 +250,20 @@ def find_frame(
         message += f"; {kind}s: {listing(there[kind], wanted)}" if there[kind] else ""
     every = [one for own in there.values() for one in own]
     return None, [Problem(path, message, _closest(wanted, every))]
+
+
+def names_in_spec(spec: mujoco.MjSpec, kind: FrameKind) -> Sequence[str]:
+    """The names of a spec's links, sites or geoms; of links those of the world's are left out."""
+    if kind == "link":
+        return [body.name for body in spec.bodies[1:]]  # the first is the world
+    return [one.name for one in (spec.sites if kind == "site" else spec.geoms) if one.name]
+
+
+def find_in_spec(
+    spec: mujoco.MjSpec, name: str, path: str
+) -> tuple[tuple[FrameKind, str] | None, list[Problem]]:
+    """Resolve a name without a kind, see `find_frame`."""
+    return find_frame(name, lambda kind: names_in_spec(spec, kind), path)
 
 
 def pick(

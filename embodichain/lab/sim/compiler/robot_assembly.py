@@ -13,6 +13,7 @@ from embodichain.lab.sim.compiler.contact_patterns import apply_contacts, check_
 from embodichain.lab.sim.compiler.couplings import read_couplings
 from embodichain.lab.sim.compiler.floors import move_to_world, without_references
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import find_in_spec
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_files import (
     MUJOCO_ERRORS,
@@ -37,7 +38,7 @@ from embodichain.lab.sim.compiler.robot_root import (
     remove_free_joint,
     take_sizes,
 )
-from embodichain.lab.sim.compiler.spec_frames import find_in_spec, on_frame
+from embodichain.lab.sim.compiler.spec_frames import on_frame
 from embodichain.lab.sim.compiler.urdf_reading import UrdfLimits
 from embodichain.lab.sim.urdf_cfg import COMPONENTS, URDFCfg
 from embodichain.utils.errors import ConfigError, Problem

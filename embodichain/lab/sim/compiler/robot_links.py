@@ -28,7 +28,7 @@ from embodichain.lab.sim.compiler.couplings import read_couplings
 from embodichain.lab.sim.compiler.floors import Plane, floors_of, planes_of
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.kept_inertias import HullLimit, keep_inertias, limit_hulls
-from embodichain.lab.sim.compiler.names import FrameKind, match, no_such
+from embodichain.lab.sim.compiler.names import FrameKind, match, names_in_spec, no_such
 from embodichain.lab.sim.compiler.rigid_objects import (
     COLLISION_GROUP,
     HULL_VERTICES,
@@ -48,7 +48,7 @@ from embodichain.lab.sim.compiler.robot_joints import (
     read_keyframe,
 )
 from embodichain.lab.sim.compiler.robot_root import leave_out_lights
-from embodichain.lab.sim.compiler.spec_frames import names_in_spec, on_frame
+from embodichain.lab.sim.compiler.spec_frames import on_frame
 from embodichain.lab.sim.shapes import PlaneCfg
 from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import Problem

@@ -1,35 +1,18 @@
-"""Links, sites and geoms of one file's spec, before the scene exists: names, and where they are."""
+"""Where links, sites and geoms of one file are, before the scene exists."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.names import FrameKind, find_frame
+from embodichain.lab.sim.compiler.names import FrameKind
 from embodichain.lab.sim.compiler.robot_files import compile_quietly
-from embodichain.utils.errors import Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
 
-__all__ = ["find_in_spec", "local_pose", "names_in_spec", "on_frame"]
+__all__ = ["local_pose", "on_frame"]
 
 _UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def names_in_spec(spec: mujoco.MjSpec, kind: FrameKind) -> Sequence[str]:
-    """The names of a spec's links, sites or geoms; of links those of the world's are left out."""
-    if kind == "link":
-        return [body.name for body in spec.bodies[1:]]  # the first is the world
-    return [one.name for one in (spec.sites if kind == "site" else spec.geoms) if one.name]
-
-
-def find_in_spec(
-    spec: mujoco.MjSpec, name: str, path: str
-) -> tuple[tuple[FrameKind, str] | None, list[Problem]]:
-    """Resolve a name without a kind, see `find_frame`."""
-    return find_frame(name, lambda kind: names_in_spec(spec, kind), path)
 
 
 def on_frame(

@@ -386,7 +386,21 @@ class Articulation(FrameReads):
         values = self.drives.take_controls(values, columns, ids, seconds)
         self.engine.write("ctrl", values, ids, columns_of(columns))
 
-    # -- masses --------------------------------------------------------------------------------
+    # -- links ---------------------------------------------------------------------------------
+
+    def body_of(self, link: str | None) -> int:
+        """MuJoCo body id of a link; None is the root link.
+
+        Raises:
+            ValueError: If there is no such link; lists the links.
+        """
+        if link is None:
+            return self.index.root_body_id
+        names = self.link_names
+        if link not in names:
+            there = f"{', '.join(names)}.{did_you_mean(link, names)}"
+            raise ValueError(f"{self.uid} has no link {link!r}; there are: {there}")
+        return int(self.index.body_ids[names.index(link)])
 
     def get_mass(self, link_names: Sequence[str] | None = None) -> torch.Tensor:
         """(N, k) link masses in kg."""

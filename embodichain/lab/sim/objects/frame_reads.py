@@ -35,18 +35,8 @@ class FrameReads(BatchEntity):
     link_names: list[str]
 
     def body_of(self, link: str | None) -> int:
-        """MuJoCo body id of a link; None is the root link.
-
-        Raises:
-            ValueError: If there is no such link; lists the links.
-        """
-        if link is None:
-            return self.index.root_body_id
-        names = self.link_names
-        if link not in names:
-            there = f"{', '.join(names)}.{did_you_mean(link, names)}"
-            raise ValueError(f"{self.uid} has no link {link!r}; there are: {there}")
-        return int(self.index.body_ids[names.index(link)])
+        """MuJoCo body id of a link; None is the root link."""
+        raise NotImplementedError
 
     def _bodies_of(self, links: Sequence[str] | None) -> Ids:
         return np.asarray([self.body_of(link) for link in links or self.link_names], np.int64)

@@ -390,7 +390,7 @@ def test_targets_of_experts_are_sites_and_geoms(make) -> None:  # noqa: F811
         np.testing.assert_allclose(at, pos, atol=1e-12)
         for one, own in zip(np.array(quat), axes, strict=True):
             np.testing.assert_allclose(rotation(one), own, atol=1e-12)
-    known = env.sim.known()
+    known = env.sim.known
     problems = check_target("crate/hadle", "expert.0.to", known, [])
     assert "no link of 'crate' matches 'hadle'" in problems[0].message
     assert "sites: handle" in problems[0].message

@@ -422,7 +422,7 @@ def resolve_entity(
 
     if not isinstance(cfg, SceneEntityCfg):
         cfg = _from_mapping(cfg)
-    known = sim.known()
+    known = sim.known
     picked, problems = pick(path, vars(cfg), known)
     if problems:
         raise ConfigError(problems)
