@@ -145,7 +145,7 @@ def _try_out(resolved: Resolved, verb: Verb) -> list[Problem]:
 
 def _overlaps(env: BaseEnv) -> list[Problem]:
     """Return a note for each robot with links that overlap in many postures."""
-    from embodichain.lab.sim.compiler.postures import overlapping_links
+    from embodichain.lab.sim.compiler.overlaps import overlapping_links
 
     notes: list[Problem] = []
     for uid, asset in {**env.sim.robots, **env.sim.articulations}.items():

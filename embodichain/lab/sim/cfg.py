@@ -26,6 +26,7 @@ from embodichain.lab.sim.scene_cfg import (
     Vec3,
     ViewCfg,
 )
+from embodichain.lab.sim.self_collision_cfg import SelfCollisionCfg
 from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg, VariantCfg
 from embodichain.lab.sim.solver_cfg import SolverCfg
 from embodichain.lab.sim.urdf_cfg import URDFCfg
@@ -239,19 +240,6 @@ class CollisionShapeCfg(ObjectBaseCfg):
     """A shape that a link collides as; its pose is in the frame of the link."""
 
     shape: AnyShapeCfg = CubeCfg()
-
-
-@configclass
-class SelfCollisionCfg:
-    """Pairs of links that collide, or do not, whatever the rule of the robot's file is.
-
-    An entry is two link regexes. `include` is stronger than `exclude`.
-    """
-
-    exclude: list[tuple[str, str]] = dataclasses.field(default_factory=list)
-    """Pairs that do not collide with each other."""
-    include: list[tuple[str, str]] = dataclasses.field(default_factory=list)
-    """Pairs that do, even if the rule, `disable_self_collision` or `exclude` leaves them out."""
 
 
 @configclass

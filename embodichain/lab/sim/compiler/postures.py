@@ -1,8 +1,6 @@
-"""Postures of a robot: its start, positions drawn within its limits, and what touches there."""
+"""Postures of a robot: its start, positions drawn within its limits, what touches there."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -12,15 +10,12 @@ from embodichain.lab.sim.compiler.link_siblings import Pair
 from embodichain.lab.sim.compiler.robot_joints import Keyframe, movable_joints
 from embodichain.utils.random import GAMMA, splitmix64
 
-if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
-
-__all__ = ["DEPTH", "deepest_contacts", "draw_postures", "overlapping_links", "start_posture"]
+__all__ = ["DEPTH", "POSTURES", "deepest_contacts", "draw_postures", "start_posture"]
 
 DEPTH = 1e-3
 """Metres: links that are deeper in each other overlap."""
-_POSTURES = 200
-_SHARE = 0.05
+POSTURES = 200
+"""How many postures stand for all that a robot can take."""
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
@@ -40,7 +35,7 @@ def start_posture(model: mujoco.MjModel, qpos: F64, keyframe: Keyframe | None) -
     return start
 
 
-def draw_postures(model: mujoco.MjModel, start: F64, count: int = _POSTURES) -> F64:
+def draw_postures(model: mujoco.MjModel, start: F64, count: int = POSTURES) -> F64:
     """Return fixed positions of a model's joints, uniform within their limits.
 
     A hinge without limits turns by half a turn to both sides. Other joints stay at the start:
@@ -89,52 +84,3 @@ def deepest_contacts(
     for (a, b), distance in zip(bodies, data.contact.dist.tolist(), strict=True):
         found[a, b] = max(found.get((a, b), -np.inf), -distance)
     return found
-
-
-def overlapping_links(parsed: ParsedArticulation) -> dict[tuple[str, str], float]:
-    """Return pairs of links that collide and overlap in many postures -> share of the postures.
-
-    These are hulls that are larger than what they stand for, or real limits of the robot. Pairs
-    that the config names in `self_collision.include` are left out.
-
-    Args:
-        parsed: The robot.
-
-    Returns:
-        Pairs that are more than 1 mm in each other in more than 5 % of 200 fixed postures, the
-        most frequent first.
-    """
-    model = parsed.model
-    data = mujoco.MjData(model)
-    start = start_posture(model, parsed.init_qpos, parsed.keyframe)
-    columns = [int(model.joint(name).qposadr[0]) for name in parsed.joint_names]
-    counts: dict[Pair, int] = {}
-    for qpos in draw_postures(model, start):
-        qpos[columns] = _with_followers(parsed, qpos[columns])
-        for pair, depth in deepest_contacts(model, data, qpos).items():
-            if pair[0] and depth > DEPTH:
-                counts[pair] = counts.get(pair, 0) + 1
-    often = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-    named = {
-        (model.body(a).name, model.body(b).name): n / _POSTURES
-        for (a, b), n in often
-        if n > _SHARE * _POSTURES
-    }
-    return {k: v for k, v in named.items() if k not in parsed.self_collision.included}
-
-
-def _with_followers(parsed: ParsedArticulation, qpos: F64) -> F64:
-    """Set joints that follow others; a chain of them is followed to its end."""
-    rules = [
-        *zip(
-            parsed.mimic_ids,
-            parsed.mimic_parents,
-            parsed.mimic_multipliers,
-            parsed.mimic_offsets,
-            strict=True,
-        )
-    ]
-    for _ in range(len({*parsed.mimic_ids} & {*parsed.mimic_parents}) + 1):
-        for follower, leader, multiplier, offset in rules:
-            qpos[follower] = multiplier * qpos[leader] + offset
-    return qpos
