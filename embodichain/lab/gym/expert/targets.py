@@ -36,7 +36,7 @@ def _fields(target: str, known: Known) -> tuple[dict[str, Any], list[Problem]]:
     entity = known.get(uid)
     if not slash or entity is None:
         return {"uid": uid, **({"link": name} if slash else {})}, []
-    frame, problems = find_frame(name, lambda kind: frame_names(entity, kind), "", uid)
+    frame, problems = find_frame(name, lambda kind: frame_names(entity, uid, kind), "", uid)
     return {"uid": uid, **({} if frame is None else {frame[0]: frame[1]})}, problems
 
 

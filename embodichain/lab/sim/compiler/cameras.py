@@ -182,9 +182,9 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
         entity = entities.get(uid)
         if entity is None:  # a light, or unreadable
             return LinksCfg(uid=uid), []
-        return _mounted(uid, *find_frame(rest, _names_of(entity), "extrinsics.parent"))
+        return _mounted(uid, *find_frame(rest, _names_of(uid, entity), "extrinsics.parent"))
     jointed = {u: e for u, e in entities.items() if not isinstance(e, KnownObject)}
-    found = [_mounted(u, *find_frame(parent, _names_of(e), "")) for u, e in jointed.items()]
+    found = [_mounted(u, *find_frame(parent, _names_of(u, e), "")) for u, e in jointed.items()]
     there = [where for where, _ in found if where is not None]
     if len(there) == 1:
         return there[0], []
@@ -193,7 +193,7 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
         message = f"several entities have {parent!r}: write UID/NAME, UID one of {uids}"
         return None, [Problem("extrinsics.parent", message)]
     names = {
-        kind: tuple(n for e in jointed.values() for n in frame_names(e, kind) or ())
+        kind: tuple(n for u, e in jointed.items() for n in frame_names(e, u, kind) or ())
         for kind in FRAME_KINDS
     }
     if slash and not any(name.startswith(f"{uid}/") for own in names.values() for name in own):
@@ -202,9 +202,10 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
 
 
 def _names_of(
+    uid: str,
     entity: Jointed | KnownObject,
 ) -> Callable[[FrameKind], tuple[str, ...] | None]:
-    return lambda kind: frame_names(entity, kind)
+    return lambda kind: frame_names(entity, uid, kind)
 
 
 def _mounted(

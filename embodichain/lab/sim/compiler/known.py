@@ -131,5 +131,5 @@ def find_place(name: str, known: Known) -> tuple[Place | None, list[Problem]]:
     entity = known.get(uid)
     if not slash or entity is None or isinstance(entity, str):
         return None, []
-    frame, problems = find_frame(rest, lambda kind: frame_names(entity, kind), "", uid)
+    frame, problems = find_frame(rest, lambda kind: frame_names(entity, uid, kind), "", uid)
     return (None if frame is None else place_of(entity, uid, *frame)), problems

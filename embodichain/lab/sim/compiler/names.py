@@ -197,10 +197,12 @@ class Picked:
     parts: tuple[str, ...] = ()
 
 
-def frame_names(entity: Jointed | KnownObject | str, kind: FrameKind) -> tuple[str, ...] | None:
+def frame_names(
+    entity: Jointed | KnownObject | str, uid: str, kind: FrameKind
+) -> tuple[str, ...] | None:
     """The names of an entity's frames of a kind; None if they are not known."""
     if isinstance(entity, str):
-        return ()
+        return (uid,) if kind == "link" else ()
     if isinstance(entity, KnownObject):
         return entity.names(kind)
     found: tuple[str, ...] = getattr(entity, f"{kind}_names")
@@ -350,7 +352,7 @@ def _frames(
     if kind in given[kind] and len(given[kind]) > 1:
         other = next(key for key in given[kind] if key != kind)
         return Picked(), [Problem(kind, f"{other} is given as well: leave one of them out")]
-    names = (uid,) if isinstance(entity, str) and kind == "link" else frame_names(entity, kind)
+    names = frame_names(entity, uid, kind)
     if names is None:
         return Picked(kind=kind, key=key), []
     ids, problems = _numbered("body_ids", fields, len(names), "links", uid)
@@ -363,7 +365,7 @@ def _frames(
             matching = ", ".join(names[i] for i in matched or ())
             found.append(Problem(name, f"one {kind} is wanted, these match: {matching}"))
         picked += matched or ()
-        problems += [_with_other_kind(p, entity, fields[name], kind) for p in found]
+        problems += [_with_other_kind(p, entity, uid, fields[name], kind) for p in found]
         if kind != "link" and matched == [] and not found:
             problems.append(Problem(name, f"names no {kind}; leave it out for the root"))
     return Picked(kind=kind, frames=tuple(_ordered(picked, fields)), key=key), problems
@@ -373,12 +375,16 @@ _KEYS = _FRAME_KEYS.items()
 
 
 def _with_other_kind(
-    problem: Problem, entity: Jointed | KnownObject | str, wanted: Any, kind: FrameKind
+    problem: Problem,
+    entity: Jointed | KnownObject | str,
+    uid: str,
+    wanted: Any,
+    kind: FrameKind,
 ) -> Problem:
     """The problem, with the other kind of which a frame has the name, if there is one."""
     wanted = [wanted] if isinstance(wanted, str) else wanted
     for other in FRAME_KINDS:
-        there = () if other == kind else frame_names(entity, other) or ()
+        there = () if other == kind else frame_names(entity, uid, other) or ()
         called = [str(name) for name in wanted if str(name) in there and name in problem.message]
         if called:
             keys = f"{other}: {called[0]}, or {other}_names"

@@ -274,7 +274,7 @@ class _Names:
         entity = self.known.get(cfg.uid)
         if problems or entity is None:
             return None, problems
-        names = (cfg.uid,) if isinstance(entity, str) else frame_names(entity, picked.kind)
+        names = frame_names(entity, cfg.uid, picked.kind)
         if names is None:
             return None, []
         if not _picks(cfg):
@@ -319,7 +319,7 @@ class _Names:
     def site(self, cfg: FramePoseSensorCfg) -> list[Problem]:
         """Check the site that is named beside the entity."""
         entity = self.known.get(cfg.entity_cfg.uid)
-        names = None if entity is None else frame_names(entity, "site")
+        names = None if entity is None else frame_names(entity, cfg.entity_cfg.uid, "site")
         if names is None or cfg.site is None or cfg.site in names:
             return []
         return [no_such("site", cfg.site, names or ("none",), "site")]

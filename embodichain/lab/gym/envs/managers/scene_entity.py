@@ -428,7 +428,7 @@ def resolve_entity(
         raise ConfigError(problems)
     entity: Any = known[cfg.uid]
     assets: dict[str, Any] = {**sim.robots, **sim.articulations, **sim.rigid_objects}
-    there = (frame_names(entity, picked.kind) or ()) if picked.frames else ()
+    there = (frame_names(entity, cfg.uid, picked.kind) or ()) if picked.frames else ()
     names = tuple(there[i] for i in picked.frames)
     joints = getattr(entity, "joint_names", ())
     return ResolvedEntity(
