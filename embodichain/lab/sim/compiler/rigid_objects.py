@@ -57,6 +57,7 @@ __all__ = [
     "given_pose",
     "inertia_about_axes",
     "initial_pose",
+    "keep_hull_inertia",
     "set_collision",
     "shapes_of",
 ]
@@ -321,6 +322,7 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
             geom.mass = 0.0
             for part in geoms:
                 part.rgba[3] = 0.0
+    keep_hull_inertia(spec, body)
 
 
 def add_shape(
@@ -481,6 +483,41 @@ def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:
     inertia = inertia_about_axes(model.body_iquat[body], model.body_inertia[body])
     linear = np.full(3, cfg.attrs.linear_damping * model.body_mass[body])
     return np.concatenate([linear, cfg.attrs.angular_damping * inertia])
+
+
+def keep_hull_inertia(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+    """Give a body the mass and inertia that its meshes have without a limit on hull vertices.
+
+    They differ where a mesh has the inertia of its hull.
+
+    Args:
+        spec: The scene.
+        body: The body, its shapes added.
+    """
+    heavy = [geom for geom in body.geoms if geom.mass != 0.0]
+    meshes = {geom.meshname: spec.mesh(geom.meshname) for geom in heavy if geom.meshname}
+    if not any(mesh.inertia == _INERTIA.mjMESH_INERTIA_CONVEX for mesh in meshes.values()):
+        return
+    alone = mujoco.MjSpec()
+    there = alone.worldbody.add_body()
+    for name, mesh in meshes.items():
+        copy = alone.add_mesh(name=name, file=mesh.file)
+        copy.scale, copy.inertia = mesh.scale, mesh.inertia
+    for geom in heavy:
+        copy = there.add_geom(type=geom.type, meshname=geom.meshname)
+        for field in ("pos", "quat", "size", "mass", "density"):
+            setattr(copy, field, getattr(geom, field))
+    try:
+        model = alone.compile()
+    except ValueError:
+        return  # the scene, which has the same meshes, cannot be compiled: it says why
+    starts = [int(start) for start in model.mesh_graphadr if start >= 0]
+    if all(model.mesh_graph[start] <= HULL_VERTICES for start in starts):
+        return
+    body.explicitinertial = True
+    body.mass = float(model.body_mass[1])
+    body.ipos, body.iquat = model.body_ipos[1], model.body_iquat[1]
+    body.inertia = model.body_inertia[1]
 
 
 def inertia_about_axes(iquat: F64, moments: F64) -> F64:

@@ -37,6 +37,7 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     check_pose,
     check_shape,
     initial_pose,
+    keep_hull_inertia,
     set_collision,
 )
 from embodichain.lab.sim.compiler.robot_files import ModelFile, compile_quietly
@@ -330,6 +331,7 @@ def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg
         given = ContactParameters.of_config(cfg.contact)
         set_contact_parameters(body.geoms, given.over(usual))
         set_collision(body.geoms, cfg.enable_collision)
+        keep_hull_inertia(spec, body)
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,17 @@ import struct
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
-from embodichain.lab.sim.cfg import RobotCfg, SimulationManagerCfg
+from embodichain.lab.sim.cfg import (
+    AttachmentCfg,
+    RigidBodyAttributesCfg,
+    RigidObjectCfg,
+    RobotCfg,
+    SimulationManagerCfg,
+)
 from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError
 from tests.helpers.kept_files import Twin, in_scene
 from tests.lab.sim.compiler.helpers import scene_of, write
@@ -291,30 +299,68 @@ def test_what_cannot_touch_the_ground_is_named(tmp_path, caplog):
     assert "a: no shape of it can touch the ground, whose bits are contype 0" in caplog.text
 
 
-def _bumpy_stl(points: int) -> bytes:
-    """A binary STL file of a ball with many corners: triangles of a Fibonacci sphere's hull."""
-    from scipy.spatial import ConvexHull
-
+def _bumpy(points: int) -> tuple[np.ndarray, ConvexHull]:
+    """The corners of an ellipsoid, on a Fibonacci spiral, and their hull."""
     k = np.arange(points) + 0.5
     polar, turn = np.arccos(1 - 2 * k / points), np.pi * (1 + 5**0.5) * k
     xyz = np.stack(
         [np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)], axis=1
     )
     xyz *= [0.1, 0.07, 0.05]
-    faces = ConvexHull(xyz).simplices
-    data = b"\0" * 80 + struct.pack("<I", len(faces))
-    for face in faces:
+    return xyz, ConvexHull(xyz)
+
+
+def _triangles(points: int) -> list[np.ndarray]:
+    """(3, 3) corners of each triangle of the hull, counterclockwise from outside."""
+    xyz, hull = _bumpy(points)
+    found = []
+    for face in hull.simplices:
         corners = xyz[face]
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-        if normal @ corners[0] < 0:
-            corners = corners[::-1]
-        data += struct.pack("<12fH", *normal, *corners.reshape(-1), 0)
+        found.append(corners if normal @ corners[0] > 0 else corners[::-1])
+    return found
+
+
+def _binary_stl(points: int) -> bytes:
+    triangles = _triangles(points)
+    data = b"\0" * 80 + struct.pack("<I", len(triangles))
+    for corners in triangles:
+        data += struct.pack("<12fH", 0, 0, 0, *corners.reshape(-1), 0)
     return data
+
+
+def _ascii_stl(points: int) -> str:
+    """MuJoCo does not read this: it is converted, and weighs as its hull."""
+    lines = ["solid ball"]
+    for corners in _triangles(points):
+        lines += ["facet normal 0 0 0", "outer loop"]
+        lines += [f"vertex {x:.9g} {y:.9g} {z:.9g}" for x, y, z in corners]
+        lines += ["endloop", "endfacet"]
+    return "\n".join([*lines, "endsolid ball"])
+
+
+def test_a_limit_on_hull_vertices_changes_no_mass_of_an_object(tmp_path):
+    path = tmp_path / "ball.stl"
+    path.write_text(_ascii_stl(400))
+    _, hull = _bumpy(400)
+    ball = RigidObjectCfg(
+        shape=MeshCfg(fpath=str(path)), attrs=RigidBodyAttributesCfg(mass=0.0, density=500.0)
+    )
+    carried = AttachmentCfg(link="a", shape=MeshCfg(fpath=str(path)), mass=2.0)
+    arm = robot('<body name="a"><joint name="j"/><geom size=".1"/></body>')
+    cfg = RobotCfg(fpath=write(tmp_path / "arm.xml", arm), attachments={"load": carried})
+    model = scene_of({"arm": cfg}, {"ball": ball}).model
+    assert model.mesh("ball/mesh").vertnum[0] >= 400
+    assert model.body("ball").mass[0] == pytest.approx(500.0 * hull.volume, rel=1e-6)
+    assert model.body("arm/load").mass[0] == pytest.approx(2.0, rel=1e-12)
+    # Both are the same body, of another mass.
+    moments = model.body("ball").inertia / model.body("ball").mass[0]
+    np.testing.assert_allclose(model.body("arm/load").inertia / 2.0, moments, rtol=1e-9)
 
 
 @pytest.mark.parametrize("inertia", ["convex", "exact", "legacy", "shell"])
 def test_a_limit_on_hull_vertices_changes_no_mass(tmp_path, inertia):
-    (tmp_path / "ball.stl").write_bytes(_bumpy_stl(400))
+    (tmp_path / "ball.stl").write_bytes(_binary_stl(400))
     path = tmp_path / "robot.xml"
     path.write_text(
         robot(
