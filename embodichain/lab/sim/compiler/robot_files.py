@@ -134,7 +134,7 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
     try:
         root, line_of = parse_xml(source)
     except XmlError as error:
-        raise ConfigError(f"{path}:{error.line}: not well-formed XML: {error}") from error
+        raise _not_xml(path, error) from error
     options = given_options(root, path.parent)
     if root.tag != "robot":
         raise ConfigError(
@@ -143,12 +143,19 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
     return replace(_read_urdf(path, root, line_of, convex_parts), options=options)
 
 
+def _not_xml(path: Path, error: XmlError) -> ConfigError:
+    return ConfigError(f"{path}:{error.line}: not well-formed XML: {error}")
+
+
 def _read_checked_mjcf(path: Path, source: bytes, convex_parts: bool) -> ModelFile:
     """Read an MJCF; what only MuJoCo can read of its text is not looked at before."""
     try:
         root, line_of = parse_xml(source)
-    except XmlError:
-        return _read_mjcf(path, convex_parts)
+    except XmlError as error:
+        try:
+            return _read_mjcf(path, convex_parts)
+        except ConfigError:
+            raise _not_xml(path, error) from error
     check_copies(path, root, line_of)
     options = given_options(root, path.parent)
     return replace(_read_mjcf(path, convex_parts), options=options)
