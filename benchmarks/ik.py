@@ -1,8 +1,9 @@
 """Inverse kinematics: success and CPU time per pose, beside mink's.
 
-`python -m benchmarks.ik [--poses 10000] [--peer 200] [--out FILE]`: random reachable poses of four
-arms (those of the tests), from the initial joint positions. mink solves quadratic programs (daqp)
-pose by pose, with the same tolerances, limits and number of iterations, without restarts.
+`python -m benchmarks.ik [--poses 10000] [--peer 200] [--all] [--out FILE]`: random reachable
+poses of four arms (those of the tests), from the initial joint positions. mink solves quadratic
+programs (daqp) pose by pose, with the same tolerances, limits and number of iterations, without
+restarts. With `--all`: how many solutions a pose has, and what it costs to find them.
 """
 
 from __future__ import annotations
@@ -51,6 +52,32 @@ def measured(name: str, closed: bool, folder: Path, poses: int, peer: int) -> di
     found |= with_mink(robot, pos[:peer], quat[:peer])
     sim.destroy()
     return found
+
+
+def all_solutions(name: str, closed: bool, folder: Path, poses: int) -> dict[str, Any]:
+    """Solutions of a pose and microseconds of CPU time per pose for one arm."""
+    sim, robot = arm_in(arm_cfg(name, folder, closed_form=closed))
+    solver, ids = robot.get_solver("arm"), np.zeros(poses, np.int64)
+    start = np.tile(robot.read_qpos(), (poses, 1))
+    qpos = start.copy()
+    qpos[:, robot.get_joint_ids("arm")] = random_qpos(robot, poses)
+    pos, quat = solver.forward(qpos, ids)
+    began = time.process_time()
+    _, exist = solver.solutions(start, pos, quat, ids)
+    spent = time.process_time() - began
+    found: dict[str, Any] = {"arm": name, "closed_form": solver.has_closed_form, "poses": poses}
+    found |= {"solutions": float(exist.sum(axis=0).mean()), "all_us": 1e6 * spent / poses}
+    sim.destroy()
+    return found
+
+
+def report_all(found: list[dict[str, Any]]) -> str:
+    """What `all_solutions` measured, as a Markdown table."""
+    lines = ["| arm | solutions of a pose, mean | us/pose |", "| --- | --- | --- |"]
+    for one in found:
+        arm = one["arm"] + (", closed form" if one["closed_form"] else "")
+        lines.append(f"| {arm} | {one['solutions']:.1f} | {one['all_us']:.0f} |")
+    return "\n".join(lines)
 
 
 def with_mink(robot: Robot, pos: NDArray[Any], quat: NDArray[Any]) -> dict[str, float]:
@@ -104,13 +131,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--poses", type=int, default=10_000)
     parser.add_argument("--peer", type=int, default=200, help="poses that mink solves")
+    parser.add_argument("--all", action="store_true", help="all solutions of a pose")
     parser.add_argument("--out", type=Path, help="a JSON file")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = [measured(*arm, Path(folder), given.poses, given.peer) for arm in ARMS]
+        if given.all:
+            found = [all_solutions(*arm, Path(folder), given.poses) for arm in ARMS]
+        else:
+            found = [measured(*arm, Path(folder), given.poses, given.peer) for arm in ARMS]
     if given.out:
         given.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    print(report(found))
+    print(report_all(found) if given.all else report(found))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ import click
 
 from embodichain.cli.app import verb
 from embodichain.cli.new_robot import UR10, describe_robot
+from embodichain.cli.new_time_step import TimeStep, time_step
 from embodichain.cli.output import print_json
 from embodichain.utils.errors import ConfigError
 
@@ -98,15 +99,22 @@ def command(what: str, name: str, python: bool, robot: str | None, json: bool) -
     own = names.package or Path(f"{name}.py").exists()
     if python and not own and importlib.util.find_spec(name) is not None:
         raise ConfigError(f"Python has a module '{name}' already: choose another name")
-    words = UR10 if robot is None else describe_robot(robot, python=python)
+    words, step = UR10, TimeStep(0.005)
+    if robot is not None:
+        words, files_own = describe_robot(robot, python=python)
+        step = time_step(files_own, lambda tried: _yaml(words | tried.words))
+    words = words | step.words
     files = _files(names, words, python=python)
     _write(files)
     needed = _needed(project, names, python=python)
     written, commands = [path.as_posix() for path in files], _next(names)
     if json:
-        print_json({"wrote": written, "next": commands, "pyproject": needed})
+        data = {"wrote": written, "next": commands, "pyproject": needed}
+        print_json(data | {"physics_dt": step.dt, "why": step.why} if step.why else data)
         return
     lines = [f"wrote {path}" for path in written]
+    if step.why:
+        lines.append(f"physics_dt {step.dt:g} s: {step.why}")
     lines += ["", "next:", *(f"  {command}" for command in commands)]
     if needed:
         lines += ["", "to find it where the package is installed, pyproject.toml needs:"]
@@ -182,6 +190,12 @@ def _files(names: _Names, robot: dict[str, str], *, python: bool) -> dict[Path, 
         inits[names.python.parent] = "Tasks."
     missing = {f / "__init__.py": f'"""{text}"""\n' for f, text in inits.items()}
     return texts | {path: text for path, text in missing.items() if not path.exists()}
+
+
+def _yaml(words: dict[str, str]) -> str:
+    """The YAML of a task without a class."""
+    templates = resources.files("embodichain.cli") / "templates"
+    return Template((templates / "task.yaml.tmpl").read_text(encoding="utf-8")).substitute(words)
 
 
 def _path(root: str, path: Path) -> str:

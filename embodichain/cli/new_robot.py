@@ -50,6 +50,11 @@ actions:                           # controls of its actuators
 _KEY = 1000
 """Characters of a key in a flow mapping; YAML 1.2, section 7.4.2, allows 1024 with its quotes."""
 _CLIP = "      clip: [-1, 1]\n"
+_TOOLS = ("tcp", "tool", "end_effector", "eef", "ee", "grasp", "grip", "pinch", "attachment")
+"""How sites at which tools are, or are to be fixed, are called: the first is preferred."""
+_TOOL = re.compile(
+    rf"(?:^|[/_])({'|'.join(_TOOLS)})(?:_site|_frame|_point|_center)*$", re.IGNORECASE
+)
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
 
 
@@ -58,7 +63,7 @@ def _words(
     fpath: str,
     height: float,
     home: Sequence[float],
-    tool: str,
+    tool: tuple[str, str],
     marker: Sequence[float],
     radius: float,
     scale: float | Mapping[str, float],
@@ -74,7 +79,7 @@ def _words(
         fpath: The robot's file, as `get_data_path` takes it.
         height: Height of its root above the ground, m.
         home: Initial joint positions, rad or m.
-        tool: The link that has to reach the marker.
+        tool: What has to reach the marker: "link" or "site", and its name.
         marker: (x, y, z) of the tool at the start, m.
         radius: Largest distance of the marker from the tool, m.
         scale: Displacement for an action of 1, rad or m: one number, or joint -> number.
@@ -96,7 +101,9 @@ def _words(
         if floating
         else "gravcomp: 1                      # it does not sag",
         "drives": f"drive_pros: {{stiffness: 500, damping: 50{effort}}}",
-        "tool": tool,
+        "tool": tool[1],
+        "kind": tool[0],
+        "picked": f"link_names: [{tool[1]}]" if tool[0] == "link" else f"site: {tool[1]}",
         "marker": _list(marker),
         "radius": _number(radius),
         "near": _number(round(min(0.05, 0.5 * radius), 2)),
@@ -111,8 +118,8 @@ def _words(
     }
 
 
-def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
-    """Read a robot's file; returns the template variables.
+def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float | None]:
+    """Read a robot's file; returns the template variables, and the time step of an MJCF in s.
 
     Args:
         fpath: A URDF or MJCF, as `get_data_path` takes it.
@@ -129,7 +136,8 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
     from embodichain.lab.sim.compiler.articulation import parse_with_problems
     from embodichain.lab.sim.compiler.robot_files import locate, read_model
 
-    types = read_model(locate(fpath)).model.jnt_type
+    file = read_model(locate(fpath))
+    types = file.model.jnt_type
     floating = bool((types == mujoco.mjtJoint.mjJNT_FREE).any())
     uid = re.sub(r"\W+", "_", Path(fpath).stem).strip("_").lower() or "robot"
     uid = f"{uid}_robot" if uid in _TAKEN else uid
@@ -150,19 +158,23 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
     data = mujoco.MjData(parsed.model)
     for name, value in zip(names, home, strict=True):
         data.joint(name).qpos = value
+    root = parsed.placement.root_pos
+    if floating:
+        at = int(parsed.model.jnt_qposadr[parsed.model.body(parsed.root_link_name).jntadr[0]])
+        data.qpos[at : at + 7] = [0.0, 0.0, root[2], *parsed.placement.root_quat]
     mujoco.mj_kinematics(parsed.model, data)
     lowest = _lowest(parsed.model, data)
     lift = math.ceil(100 * (-lowest if floating else max(0.0, -lowest)) - 1e-6) / 100
-    tool = _tool(parsed)
-    x, y, z = data.body(tool).xpos.tolist()
+    kind, tool = _tool(parsed)
+    x, y, z = (data.body(tool) if kind == "link" else data.site(tool)).xpos.tolist()
     length = math.dist((x, y, z), data.body(parsed.root_link_name).xpos)
     limits = parsed.qf_limits[active]
     words = _words(
         uid=uid,
         fpath=fpath,
-        height=lift,
+        height=lift + float(root[2]) if floating else lift,
         home=[round(float(value), 4) for value in home],
-        tool=tool,
+        tool=(kind, tool),
         marker=[round(value, 2) + 0.0 for value in (x, y, z + lift)],
         radius=round(min(0.2, max(0.04, 0.25 * length)), 2),
         scale=_scale(parsed, active),
@@ -175,7 +187,7 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
     if passive:
         bounded = np.isfinite(parsed.ctrl_limits).all()
         words["actions"] = _CONTROLS.format(uid=uid) + ("" if bounded else _CLIP)
-    return words
+    return words, None if file.is_urdf else float(file.spec.option.timestep)
 
 
 def _home(parsed: ParsedArticulation) -> list[float]:
@@ -227,14 +239,17 @@ def _lowest(model: Any, data: Any) -> float:
     return min(heights, default=0.0)
 
 
-def _tool(parsed: ParsedArticulation) -> str:
-    """The link at the end of the longest chain of hinges, before sliding fingers."""
+def _tool(parsed: ParsedArticulation) -> tuple[str, str]:
+    """Kind and name: a site that is called as tools are, at the end of the longest chain of hinges.
+
+    Else the link there, before sliding fingers.
+    """
     import mujoco
 
     model = parsed.model
 
-    def rank(name: str) -> tuple[int, int, int]:
-        body, depth, kinds = model.body(name).id, 0, []
+    def rank(body: int) -> tuple[int, int, int]:
+        depth, kinds = 0, []
         while body > 0:
             kinds += model.jnt_type[model.jnt_bodyid == body].tolist()
             body, depth = int(model.body_parentid[body]), depth + 1
@@ -242,7 +257,16 @@ def _tool(parsed: ParsedArticulation) -> str:
         slides = kinds.count(mujoco.mjtJoint.mjJNT_SLIDE)
         return (hinges, -slides, depth) if hinges else (slides, 0, depth)
 
-    return max(sorted(parsed.link_names, key=lambda name: model.body(name).id), key=rank)
+    links = sorted(parsed.link_names, key=lambda name: model.body(name).id)
+    last = max(links, key=lambda name: rank(model.body(name).id))
+    end = rank(model.body(last).id)[:2]
+    named = {name: _TOOL.search(name) for name in parsed.site_names}
+    sites = [
+        (_TOOLS.index(found[1].lower()), -rank(int(model.site(name).bodyid[0]))[2], name)
+        for name, found in named.items()
+        if found and rank(int(model.site(name).bodyid[0]))[:2] == end
+    ]
+    return ("site", min(sites)[2]) if sites else ("link", last)
 
 
 def _scale(parsed: ParsedArticulation, active: list[int]) -> float | dict[str, float]:
@@ -294,7 +318,7 @@ UR10 = _words(
     fpath="UniversalRobots/UR10/UR10.urdf",
     height=1.0,
     home=(1.57, -1.57, 1.57, -1.57, -1.57, 0.0),
-    tool="ee_link",
+    tool=("link", "ee_link"),
     marker=(-0.16, 0.69, 1.65),
     radius=0.2,
     scale=0.6,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import time
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ from embodichain.cli.output import number, print_facts, print_json, to_json
 from embodichain.cli.process import started
 from embodichain.cli.reporting import ProgressDisplay
 from embodichain.config.run_folder import SUMMARY
+from embodichain.lab.gym.failures import failed_in
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
 from embodichain.utils.atomic import write_text
 
@@ -157,6 +159,7 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
         "diverged": int(counted.column("diverged").sum()),
         "metrics": _means(counted, "metrics/"),
         "rewards": _means(counted, "rewards/"),
+        **_failures(counted),
     }
 
 
@@ -182,6 +185,25 @@ def _spread(counted: EpisodeStatistics, name: str) -> dict[str, float] | None:
 def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float | None]:
     names = [name for name in counted.names() if name.startswith(prefix)]
     return {name.removeprefix(prefix): counted.mean(name) for name in names}
+
+
+def _failures(counted: EpisodeStatistics) -> dict[str, Any]:
+    """Of a planned policy: how many episodes failed in each step, and why the first of them did.
+
+    Every failure is a line of `run.log`.
+    """
+    if "failure" not in counted.names():
+        return {}
+    steps: Counter[str] = Counter()
+    first: dict[str, str] = {}
+    columns = (counted.column(name) for name in ("env", "episode", "failure"))
+    for env, episode, failure in zip(*columns, strict=True):
+        if failure:
+            _log.info("episode %d of environment %d failed: %s", episode, env, failure)
+            steps[failed_in(failure)] += 1
+            first.setdefault(failed_in(failure), failure)
+    listed = dict(steps.most_common())
+    return {"failed_in": listed, "failed_for": {step: first[step] for step in listed}}
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
@@ -210,6 +232,10 @@ def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
         rows.append(("success", f"{summary['success_rate']:.1%}"))
     rows += [(f"metric {name}", value) for name, value in summary["metrics"].items()]
     rows += [(f"reward {name}", value) for name, value in summary["rewards"].items()]
+    for step, count in summary.get("failed_in", {}).items():
+        rows.append((f"failed in: {step}", count))
+        detail = summary["failed_for"][step].removeprefix(step).removeprefix(":").strip()
+        rows += [("for instance", detail)] if detail else []
     if summary["diverged"]:
         rows.append(("diverged", f"{summary['diverged']} episodes"))
     names = ("seed", "log", "video", "folder")

@@ -281,6 +281,7 @@ def _notes(env: BaseEnv) -> Rows:
     """Changes to robots' files in compilation, and what was left out of them."""
     parsed = _articulations(env).items()
     notes = [{"entity": uid, "note": note} for uid, file in parsed for note in file.all_notes]
+    notes += [{"entity": uid, "note": hull.text} for uid, file in parsed for hull in file.hulls]
     return notes + [{"entity": "", "note": note} for note in env.sim.scene.notes]
 
 

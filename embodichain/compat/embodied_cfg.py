@@ -18,6 +18,7 @@ from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
 from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, name_of
 from embodichain.lab.sim.sensors.cfg import CameraCfg
 from embodichain.utils.configclass import configclass, is_configclass
+from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["EmbodiedEnvCfg"]
@@ -172,9 +173,14 @@ def _default(field: dataclasses.Field[Any]) -> Any:
 
 
 def _same(value: Any, default: Any) -> bool:
-    """Whether two values are equal; False for arrays, whose comparison is not one bool."""
+    """Whether two values are equal; False for arrays, whose comparison is not one bool.
+
+    A value that was given differs from a default of which this can be told.
+    """
     if value is default:
         return True
+    if is_given(value) != is_given(default):
+        return False
     return not hasattr(value, "shape") and bool(_plain(value) == _plain(default))
 
 

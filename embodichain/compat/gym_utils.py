@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from embodichain.compat.gym_config.env_cfg import config_to_cfg
 from embodichain.compat.gym_config.file import read_gym_config
+from embodichain.utils.defaults import DefaultFloat, DefaultInt, DefaultStr, is_given
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -28,12 +29,15 @@ DEFAULT_MANAGER_MODULES = [
 RENDERERS = ("hybrid", "fast-rt", "rt", "auto", "no-render")
 _UNUSED = "accepted for compatibility: no effect"
 _FLAGS: dict[str, tuple[Any, str]] = {
-    "num_envs": (1, "environments that run in parallel"),
-    "device": ("cpu", "where physics runs: cpu, cuda or cuda:N"),
+    "num_envs": (DefaultInt(1), "environments that run in parallel"),
+    "device": (DefaultStr("cpu"), "where physics runs: cpu, cuda or cuda:N"),
     "headless": (False, "open no window"),
-    "renderer": ("hybrid", "accepted for compatibility: images are MuJoCo's in any case"),
-    "arena_space": (5.0, "metres between environments in viewers"),
-    "gpu_id": (0, f"{_UNUSED} on the CPU"),
+    "renderer": (
+        DefaultStr("hybrid"),
+        "accepted for compatibility: images are MuJoCo's in any case",
+    ),
+    "arena_space": (DefaultFloat(5.0), "metres between environments in viewers"),
+    "gpu_id": (DefaultInt(0), f"{_UNUSED} on the CPU"),
 }
 """Flags that are also keys of a gym config -> default and help."""
 
@@ -52,7 +56,9 @@ def add_env_launcher_args_to_parser(parser: argparse.ArgumentParser) -> None:
             add(f"--{name}", action="store_true", help=text)
         else:
             choices = RENDERERS if name == "renderer" else None
-            add(f"--{name}", type=type(default), default=default, choices=choices, help=text)
+            # Without a type a text stays what it is; `str` would make the default a given one.
+            kind: Any = next((kind for kind in (int, float) if isinstance(default, kind)), None)
+            add(f"--{name}", type=kind, default=default, choices=choices, help=text)
     add("--gym_config", type=str, default="", help="EmbodiChain's config of a task: YAML or JSON")
     add("--action_config", type=str, default=None, help="a YAML or JSON file for the script")
     add("--preview", action="store_true", help=_UNUSED)
@@ -66,7 +72,7 @@ def build_env_cfg_from_args(
 ) -> tuple[EnvCfg, dict[str, Any], dict[str, Any]]:
     """Build an environment's config from the files and flags of a launcher.
 
-    A flag that differs from its default overrides the file (in EmbodiChain defaults do too).
+    A flag that was given overrides the file (in EmbodiChain defaults do too).
 
     Args:
         args: Arguments of `add_env_launcher_args_to_parser`; `gym_config` is EmbodiChain's config
@@ -84,10 +90,15 @@ def build_env_cfg_from_args(
     config = read_gym_config(args.gym_config)
     if gym_config_modifier is not None:
         config = gym_config_modifier(config) or config
-    given = {key: getattr(args, key, default) for key, (default, _) in _FLAGS.items()}
-    flags = {key: value for key, value in given.items() if value != _FLAGS[key][0]}
+    values = {key: getattr(args, key, default) for key, (default, _) in _FLAGS.items()}
+    flags = {key: value for key, value in values.items() if _was_given(value)}
     if getattr(args, "filter_visual_rand", False):
         flags["env"] = {**(config.get("env") or {}), "filter_visual_rand": True}
     cfg = config_to_cfg({**config, **flags})
     action = read_gym_config(args.action_config) if args.action_config else {}
     return cfg, config, action
+
+
+def _was_given(value: Any) -> bool:
+    """Whether a flag was given; a switch that is False was not."""
+    return value is not False and is_given(value)

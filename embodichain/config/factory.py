@@ -67,6 +67,8 @@ def make(
     except ConfigError:
         _check_name(task, config_dir)
         raise
+    for note in resolved.notes:
+        _log.warning("%s", note)
     return make_batch(with_warp_values(resolved, None, kwargs), **kwargs)
 
 

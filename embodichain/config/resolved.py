@@ -59,6 +59,8 @@ _DEFAULTS: dict[Verb, dict[str, Any]] = {
 _SEED_BITS = 31
 _KWARGS = ("autoreset_mode", "render_mode", "run_dir")
 """Arguments of `BaseEnv` besides its config; it passes others on to methods of subclasses."""
+_OF_ROOT = ("num_envs",)
+"""Keys of the root that the simulation names, and nothing else has."""
 _OF_MAKE = ("task", "num_envs", "overrides", "seed", "config_dir")
 """Arguments of `embodichain.make`, for messages."""
 
@@ -71,8 +73,8 @@ class Resolved:
         tree: Frozen plain mappings and tuples, as written to files (`dump_yaml`).
         overrides: As typed.
         task_name: The option of the group `task`.
-        notes: What was left out or changed in converting a gym config, and derived values that
-            change the physics.
+        notes: What was left out or changed in converting a gym config, given keys that change
+            nothing, and derived values that change the physics.
         source: Function from a key path to where the key was set, or an empty string.
         prepared: The scene that the check compiled, reused by the first environment.
     """
@@ -154,6 +156,9 @@ class Resolved:
         if problem.source:
             return problem
         path = ".".join(part for part in (section, problem.path) if part)
+        key = path.rpartition(".")[2]
+        if key in _OF_ROOT:
+            path = key
         return problem.at(self.source(path) if path else "", path)
 
 
@@ -210,7 +215,7 @@ def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], 
     if found.problems:
         raise ConfigError(found.problems)
     tree, notes = _with_armature(_with_defaults(found.types.tree, verb), found.scene)
-    return Resolved(freeze(tree), (), task_name, notes, source, found.scene)
+    return Resolved(freeze(tree), (), task_name, (*found.notes, *notes), source, found.scene)
 
 
 def _with_pretrained(resolved: Resolved) -> Resolved:
@@ -350,4 +355,13 @@ def build_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
     with resolved.locating("task"):
-        return BaseEnv(cfg, **kwargs)
+        env = BaseEnv(cfg, **kwargs)
+        if cfg.expert is not None:
+            from embodichain.lab.gym.expert.fingers import check_fingers
+
+            try:
+                check_fingers(env)
+            except ConfigError:
+                env.close()
+                raise
+        return env

@@ -20,6 +20,7 @@ from hydra.core.override_parser.types import OverrideType
 
 from embodichain.config.check_types import TypeCheck, check_types
 from embodichain.config.composed import Composed
+from embodichain.config.given_keys import check_given
 from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.config.schema import (
     LARGEST_TRAINING_SEED,
@@ -59,11 +60,13 @@ class Check:
         problems: Every mistake; empty if there is none.
         types: The config with the task's suggestions, as plain values and as data classes.
         scene: The scene that was compiled for the check.
+        notes: Given keys that change nothing.
     """
 
     problems: list[Problem]
     types: TypeCheck
     scene: PreparedScene
+    notes: tuple[Problem, ...] = ()
 
 
 def validate(composed: Composed, verb: Verb = "run") -> list[Problem]:
@@ -121,11 +124,14 @@ def check_tree(
     types = check_types(_with_suggestions(rest, verb, chosen))
     problems += types.problems
     missing, scene = [*lost, *types.pruned], PreparedScene()
+    notes: list[Problem] = []
     if types.root is not None:
+        found, notes = check_given(types.root, types.tree)
+        problems += found
         further = _check_meaning(types.root, verb, missing, allow_import, scene)
         problems += [p for p in further if not _below(p.path, missing)]
     distinct = {p.path + p.message: p for p in problems}.values()
-    return Check(_located(distinct, source), types, scene)
+    return Check(_located(distinct, source), types, scene, tuple(_located(notes, source)))
 
 
 def _located(problems: Iterable[Problem], source: Callable[[str], str]) -> list[Problem]:

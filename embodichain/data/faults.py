@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from pathlib import Path
 
 from embodichain.data.lookup import resolve_package_uri
 from embodichain.utils.errors import DataNotFoundError
 
-__all__ = ["fault_of"]
+__all__ = ["fault_of", "unexpanded"]
+
+_UNEXPANDED = re.compile(r"\$\([^)]*\)?|\$\{[^}]*\}?")
+_UNREAD = ("gazebo", "transmission")
+"""Elements of a URDF that MuJoCo ignores, with what is in them."""
 
 
 def fault_of(path: Path) -> str:
@@ -28,7 +34,7 @@ def _of_mjcf(root: ET.Element) -> str:
 
 
 def _of_urdf(path: Path, root: ET.Element) -> str:
-    if any("xacro" in str(element.tag) for element in root.iter()):
+    if any(unexpanded(root)):
         return "xacro has to be expanded to URDF first"
     if root.find("link") is None:
         return "the robot has no <link>"
@@ -37,6 +43,21 @@ def _of_urdf(path: Path, root: ET.Element) -> str:
     if not missing:
         return ""
     return f"{len(missing)} of {len(names)} mesh files are missing, such as {missing[0]}"
+
+
+def unexpanded(root: ET.Element) -> Iterator[tuple[ET.Element, str]]:
+    """Yield elements of a URDF with something that xacro or roslaunch replaces, and what it is."""
+    if "xacro" in str(root.tag):
+        yield root, f"<{root.tag}>"
+    for name, value in root.attrib.items():
+        left = _UNEXPANDED.search(value)
+        if left is not None:
+            yield root, f'{left[0]} in <{root.tag} {name}="{value}">'
+        elif "xacro:" in name and not name.startswith("xmlns"):
+            yield root, f"{name} in <{root.tag}>"
+    for child in root:
+        if child.tag not in _UNREAD:
+            yield from unexpanded(child)
 
 
 def _exists(name: str, path: Path) -> bool:

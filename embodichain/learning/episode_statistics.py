@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from embodichain.lab.gym.failures import failures_of
+from embodichain.lab.gym.policies import PlannedPolicy
+
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
@@ -144,6 +147,8 @@ class EpisodeStatistics:
 def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> Iterator[None]:
     """Step a batch until every environment has finished its quota; yields after each control step.
 
+    Of a `PlannedPolicy` the value `failure` is kept: why an episode failed, or "".
+
     Args:
         env: A batched environment that was just reset and resets its environments itself.
         policy: The policy; it is reset for environments that begin a new episode.
@@ -151,12 +156,15 @@ def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> 
         counted: The statistics, updated in place.
     """
     has_success = env.judges_success
+    planned = policy if isinstance(policy, PlannedPolicy) else None
     while not counted.complete:
         obs, reward, terminated, truncated, info = env.step(policy(obs, env))
         ended = as_array(terminated)
         done = ended | as_array(truncated)
         finished = bool(done.any())
         kept = _ended_values(info, ended, has_success) if finished else {}
+        if planned is not None and finished:
+            kept["failure"] = failures_of(env, planned, done, ended, kept)
         counted.add(as_array(reward), done, kept)
         if finished:
             policy.reset(np.flatnonzero(done))

@@ -57,7 +57,10 @@ class ActionScale:
         if not isinstance(space, spaces.Box) or len(space.shape) != 1:
             raise ConfigError(f"learning needs a Box (A,) as action space, got {space}")
         if not space.shape[0]:
-            raise ConfigError("learning needs actions: this task has neither robot nor action term")
+            raise ConfigError(
+                "learning needs actions: nothing in this task is driven; give it an action term, "
+                "or a robot that has actuators or drives (drive_pros)"
+            )
         self._low = np.asarray(space.low, np.float32)
         self._high = np.asarray(space.high, np.float32)
         finite = np.isfinite(self._low) & np.isfinite(self._high)

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.failures import DONE, LATE, failed_in, known_failure
 from embodichain.lab.gym.policies import PlannedPolicy, Policy
 from embodichain.lab.gym.teleop import DISCARDED
 from embodichain.recording.attempts import Attempts
@@ -31,7 +32,6 @@ __all__ = ["Collected", "Collector", "EndRules", "failed_in"]
 
 WRITE_SECONDS = 0.5
 """Interval between two additions to the lists: a kill loses episodes of this time at most."""
-_TERMINATED = "terminated: "
 Mask = NDArray[np.bool_]
 
 
@@ -88,11 +88,6 @@ class Collected:
         self.failures += 1
         self.failures_in_a_row += 1
         self.failed_in[failed_in(episode.failure or "")] += 1
-
-
-def failed_in(failure: str) -> str:
-    """The step that failed, without its details: what is before the colon."""
-    return failure if failure.startswith(_TERMINATED) else failure.partition(":")[0]
 
 
 class Collector:
@@ -239,21 +234,16 @@ class Collector:
     def _failure(self, i: int, terminated: bool, info: dict[str, Any]) -> str:
         """Why the episode of an environment failed, in one line."""
         env = self._env
-        failures: Sequence[str | None] = () if self._planned is None else self._planned.failures
-        if info["diverged"][i]:
-            return "diverged"
-        if failures and (planned := failures[i]) is not None:
-            return " ".join(planned.split())
-        if terminated:
-            fired = [n for n, value in env.termination_manager.values.items() if value[i]]
-            return _TERMINATED + (", ".join(fired) or "fail")
+        known = known_failure(env, i, self._planned, terminated, bool(info["diverged"][i]))
+        if known is not None:
+            return known
         if self._held[i] >= self._rules.success_steps:
             return "success did not last"
         if self._cut[i]:
-            return "done, but no success"
+            return DONE
         at_limit = env.episodes.elapsed[i] >= env.max_episode_steps
         timed_out = [n for n, value in env.termination_manager.values.items() if value[i]]
-        return "ran out of time" if at_limit or timed_out else "ended by hand"
+        return LATE if at_limit or timed_out else "ended by hand"
 
 
 def _success(info: dict[str, Any]) -> Mask:

@@ -59,7 +59,8 @@ def _floats(values: Any) -> F64:
 def _products(a: F64, b: F64) -> F64:
     """All products a[i] b[j], (..., n^2), of vectors (..., n)."""
     pairs = a[..., :, None] * b[..., None, :]
-    found: F64 = pairs.reshape(*pairs.shape[:-2], -1)
+    # Not -1: of an array without rows it is undetermined.
+    found: F64 = pairs.reshape(*pairs.shape[:-2], pairs.shape[-2] * pairs.shape[-1])
     return found
 
 

@@ -96,6 +96,8 @@ def show_value(value: Any) -> str:
 def _expected(error: ErrorDetails, patterns: Mapping[str, str]) -> str:
     if error["type"] == "literal_error":
         choices = [repr(choice) for choice in _choices(error)]
+        if not choices:  # numbers
+            return f"one of {error['ctx']['expected']}"
         return choices[0] if len(choices) == 1 else f"one of {', '.join(choices)}"
     if error["type"] == "string_pattern_mismatch":
         pattern = error["ctx"]["pattern"]

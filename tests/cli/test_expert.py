@@ -35,6 +35,32 @@ def test_a_run_counts_the_successes_of_the_expert(tmp_path, monkeypatch, capsys)
     assert main(["eval", str(tmp_path / "outputs" / "latest"), "--json"]) != 0  # no checkpoint
 
 
+def test_a_run_says_why_episodes_failed(tmp_path, monkeypatch, capsys):
+    """In the terminal, in `summary.json` and in `run.log`."""
+    monkeypatch.chdir(tmp_path)
+    steps = "task.expert=[{grasp: {of: cube, offset: [0, 0, 0.09]}}, {lift: 0.1}]"
+    words = ["task=pick_place", "policy=expert", "task.max_episode_steps=90", steps, *SHORT]
+    step, why = "step 1, grasp cube", "the fingers closed on nothing"
+    assert main(["run", *words]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"failed in: {step} 4" in printed and f"for instance {why}" in printed
+    folder = tmp_path / "outputs" / "latest"
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["failed_in"] == {step: 4}
+    assert summary["failed_for"] == {step: f"{step}: {why}"}
+    log = (folder / "run.log").read_text()
+    for env in range(4):
+        assert f"episode 0 of environment {env} failed: {step}: {why}" in log
+    done = ["task=pick_place", "policy=expert", "task.max_episode_steps=90"]
+    assert main(["run", *done, "task.expert=[{lift: 0.1}]", *SHORT, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["failed_in"] == {"done, but no success": 4}
+    short = [*done[:2], "task.max_episode_steps=20"]
+    assert main(["run", *short, *SHORT, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["failed_in"] == {"ran out of time": 4}
+    assert main(["run", *short[:1], *short[2:], "policy=zero", *SHORT, "--json"]) == 0
+    assert "failed_in" not in json.loads(capsys.readouterr().out)  # it plans nothing
+
+
 def test_episodes_of_a_run_begin_with_the_first_step(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["task=press_button", "policy=expert", "task.max_episode_steps=75", "episodes=3"]

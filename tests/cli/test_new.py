@@ -301,3 +301,39 @@ def test_a_robot_that_cannot_act_is_refused(capsys: pytest.CaptureFixture[str]) 
     assert main(["new", "task", "mine", "--robot", "nowhere.urdf"]) == 2
     assert "nowhere.urdf" in capsys.readouterr().err
     assert not Path("conf").exists()
+
+
+REED = """<mujoco>
+  <option timestep="{dt}"/>
+  <worldbody>
+    <body name="base" pos="0 0 .5"><geom type="box" size=".05 .05 .05"/>
+      <body name="reed" pos="0 0 .06">
+        <joint name="bend" axis="0 1 0" stiffness="6" damping="0.001" springref="20"/>
+        <geom type="box" size=".005 .005 .04" mass=".004"/></body>
+      <body name="stick" pos=".1 0 .06"><joint name="turn" axis="0 1 0" range="-60 60"/>
+        <geom type="capsule" fromto="0 0 0 0 0 .2" size=".01" mass=".2"/></body></body>
+  </worldbody>
+  <actuator><position name="t" joint="turn" kp="20" kv="2" ctrlrange="-1 1"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("dt", "written", "words"),
+    [(0.0004, 0.0004, ["the file's; stable"]), (0.005, 0.001, ["largest", "0.005, 0.002 s"])],
+)
+def test_the_time_step_is_the_files_or_the_largest_that_is_stable(capsys, dt, written, words):
+    # a spring of 6 N m/rad on 2.1e-6 kg m^2: 1700 rad/s, stable up to 2 / 1700 s = 1.2 ms
+    Path("reed.xml").write_text(REED.format(dt=dt))
+    made = new(capsys, "reed", "--robot", "reed.xml")
+    task = yaml.safe_load(Path("conf/task/reed.yaml").read_text())
+    assert made["physics_dt"] == task["physics"]["physics_dt"] == written
+    assert task["sim_steps_per_control"] == round(0.02 / written)
+    assert all(word in made["why"] for word in words)
+    assert main(["run", "task=reed", "policy=zero", "max_steps=60", "record=none", "seed=1"]) == 0
+    assert "diverged" not in capsys.readouterr().err
+
+
+def test_a_urdf_gets_the_largest_time_step_that_is_stable(capsys):
+    new(capsys, "arm", "--robot", "UniversalRobots/UR10/UR10.urdf")
+    task = yaml.safe_load(Path("conf/task/arm.yaml").read_text())
+    assert (task["physics"]["physics_dt"], task["sim_steps_per_control"]) == (0.005, 4)

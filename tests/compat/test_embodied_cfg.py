@@ -80,7 +80,13 @@ class Cfg(EmbodiedEnvCfg):
         RigidObjectCfg(uid="table", shape=CubeCfg(size=[0.5, 0.5, 0.4]), init_pos=(0.9, 0, 0.2))
     ]
     rigid_object: list[RigidObjectCfg] = [
-        RigidObjectCfg(uid="cube", shape=CubeCfg(size=[0.06] * 3), init_pos=(0.9, 0, 0.43))
+        RigidObjectCfg(
+            uid="cube",
+            shape=CubeCfg(size=[0.06] * 3),
+            # A gym config has EmbodiChain's default, a Python class 0.
+            attrs=RigidBodyAttributesCfg(linear_damping=0.7, angular_damping=0.7),
+            init_pos=(0.9, 0, 0.43),
+        )
     ]
     events: object = Events()
     observations: object = Observations()

@@ -84,6 +84,9 @@ def test_typed_flags_and_the_modifier_beat_the_file(tmp_path):
     args = _args(tmp_path, "--num_envs", "2", "--action_config", str(tmp_path / "action.json"))
     cfg, _, action = build_env_cfg_from_args(args, lambda c: {**c, "max_episode_steps": 9})
     assert (cfg.num_envs, cfg.max_episode_steps, action) == (2, 9, {"a": 1})
+    # A flag that equals its default was given all the same.
+    cfg, _, _ = build_env_cfg_from_args(_args(tmp_path, "--num_envs", "1"))
+    assert cfg.num_envs == 1
 
 
 def test_mistakes_stand_at_their_path_in_the_file(tmp_path):

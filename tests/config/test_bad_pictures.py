@@ -16,7 +16,6 @@ LINKS = (
     "base_link, shoulder_link, upper_arm_link, forearm_link, wrist_1_link, wrist_2_link, "
     "wrist_3_link, ee_link"
 )
-PARTS = ", ".join(["arm", *(f"arm/{link}" for link in LINKS.split(", "))])
 
 
 def camera(keys: str, kind: str = "camera") -> str:
@@ -45,7 +44,7 @@ CAMERAS = {
     ),
     "a link of nothing": (
         camera("entity_cfg: {link_names: [ee_link]}"),
-        "entity_cfg.uid: missing: the entity that has the links",
+        "entity_cfg.uid: missing: the entity that has the links, sites or geoms",
     ),
     "no width": (camera("width: 0"), "width: must be within 1 and 16384 pixels, got 0"),
     "half a pixel": (camera("width: 64.5"), "width: expected an integer, got 64.5"),
@@ -238,8 +237,8 @@ SCENES = {
     ),
     "view of no link": (
         "views: {a: {eye: [1, 0, 0], body: arm/ee_lnk}}",
-        f"views.a.body: no entity or link is called 'arm/ee_lnk'; there are: {PARTS}. "
-        "Did you mean 'arm/ee_link'?",
+        f"views.a.body: no link of 'arm' matches 'ee_lnk'; there are: {LINKS}; geoms: geom_0, "
+        "geom_1, geom_2, ... (31 in all). Did you mean 'ee_link'?",
     ),
     "view that follows nothing": (
         "views: {a: {eye: [0, 0, 1], follow: pose}}",

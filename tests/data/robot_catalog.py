@@ -9,6 +9,7 @@ INERTIA = "masses or inertias that no body can have are repaired"
 SHELL = "has no volume: taken as a shell"
 COLOUR = "what they colour is drawn grey"
 STL = "not a binary STL file of at most 200,000 faces: converted"
+EMPTY = "joints whose lower equals upper move without limits"
 """What a note says of a repair."""
 
 LOADABLE: dict[str, int] = {
@@ -97,6 +98,9 @@ REPAIRED: dict[str, tuple[str, ...]] = {
     "anymal_c_simple_description/urdf/anymal.urdf": (INERTIA,),
     "b1_description/urdf/b1-z1.urdf": (INERTIA,),
     "b1_description/urdf/b1.urdf": (INERTIA,),
+    "centauro_description/urdf/centauro.urdf": (EMPTY,),
+    "double_pendulum_description/urdf/double_pendulum.urdf": (EMPTY,),
+    "double_pendulum_description/urdf/double_pendulum_simple.urdf": (EMPTY,),
     "finger_edu_description/robots/finger_edu.urdf": (INERTIA,),
     "go1_description/urdf/go1.urdf": (INERTIA,),
     "human_description/robots/human.urdf": (INERTIA,),
@@ -104,6 +108,7 @@ REPAIRED: dict[str, tuple[str, ...]] = {
     "icub_description/robots/icub.urdf": (INERTIA,),
     "icub_description/robots/icub_reduced.urdf": (INERTIA,),
     "pr2_description/urdf/pr2.urdf": (INERTIA,),
+    "quadruped_description/urdf/quadruped.urdf": (EMPTY,),
     "romeo_description/urdf/romeo.urdf": (INERTIA,),
     "romeo_description/urdf/romeo_small.urdf": (INERTIA,),
     "simple_humanoid_description/urdf/simple_humanoid.urdf": (STL,),

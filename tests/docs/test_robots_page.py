@@ -2,7 +2,16 @@
 
 from pathlib import Path
 
-from tests.data.robot_catalog import COLOUR, INERTIA, LOADABLE, NOT_LOADABLE, REPAIRED, SHELL, STL
+from tests.data.robot_catalog import (
+    COLOUR,
+    EMPTY,
+    INERTIA,
+    LOADABLE,
+    NOT_LOADABLE,
+    REPAIRED,
+    SHELL,
+    STL,
+)
 
 PAGE = Path(__file__).parents[2] / "docs" / "robots.md"
 WORDS = {
@@ -10,6 +19,7 @@ WORDS = {
     SHELL: "a mesh without volume is taken as a shell",
     COLOUR: "a part of its feet has no colour: the file misses it",
     STL: "an ASCII STL is converted",
+    EMPTY: "joints whose limits are equal move without limits",
 }
 REASONS = {
     "mesh files are missing": "20 of its mesh files are missing",

@@ -23,7 +23,8 @@ from embodichain.lab.gym.envs.base_env import BaseEnv
 __all__ = ["TERRAIN", "environment", "write_task"]
 
 TERRAIN = (
-    "+task.scene={terrain: {levels: 2, patches: {flat: {type: flat}}}}",
+    "task.scene.ground=null",
+    "+task.scene.terrain={levels: 2, friction: 0.3, patches: {flat: {type: flat}}}",
     "+task.events.ground={func: place_terrain}",
 )
 """Overrides with a flat terrain instead of the plane."""
@@ -47,6 +48,7 @@ _QUADRUPED = """<mujoco model="go"><worldbody><body name="trunk">
 _SCENE = """
 description: Everything that an example may name.
 max_episode_steps: 50
+scene: {ground: {friction: 0.3}}
 robot: {uid: ur10, fpath: UniversalRobots/UR10/UR10.urdf, init_pos: [0, 0, 1],
         init_qpos: [1.57, -1.57, 1.57, -1.57, -1.57, 0]}
 robots:

@@ -1,4 +1,7 @@
-"""A scene for tests of terms: one UR10, a free cube on the floor, a kinematic goal."""
+"""A scene for tests of terms: one UR10, a free cube on the floor, a kinematic goal.
+
+Each friction of cube and ground is larger than another one that it meets, and so can act.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +14,8 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
+from embodichain.lab.sim.contact_cfg import ContactCfg
+from embodichain.lab.sim.scene_cfg import GroundCfg, SceneCfg
 from embodichain.lab.sim.shapes import CubeCfg, SphereCfg
 
 HOME = [1.57079, -1.57079, 1.57079, -1.57079, -1.57079, -3.14159]
@@ -25,10 +30,20 @@ def task(**sections: Any) -> EnvCfg:
         "num_envs": 3,
         "seed": 7,
         "sim_cfg": SimulationManagerCfg(headless=True, num_threads=1),
-        "robot": RobotCfg(uid="ur10", fpath=UR10, init_pos=(0.0, 0.0, 1.0), init_qpos=HOME),
+        "scene": SceneCfg(ground=GroundCfg(friction=[0.3, 0.01, 0.0001])),
+        "robot": RobotCfg(
+            uid="ur10",
+            fpath=UR10,
+            attrs=RigidBodyAttributesCfg(dynamic_friction=0.1),
+            init_pos=(0.0, 0.0, 1.0),
+            init_qpos=HOME,
+        ),
         "objects": {
             "cube": RigidObjectCfg(
-                shape=CubeCfg(size=[0.1, 0.1, 0.1]), init_pos=CUBE_POS, init_rot=(0, 0, 90)
+                shape=CubeCfg(size=[0.1, 0.1, 0.1]),
+                init_pos=CUBE_POS,
+                init_rot=(0, 0, 90),
+                contact=ContactCfg(friction=[0.5, 0.005, 0.0003], condim=6),
             ),
             "goal": RigidObjectCfg(
                 shape=SphereCfg(radius=0.02),

@@ -11,6 +11,7 @@ import yaml
 import embodichain
 from embodichain.cli import main
 from embodichain.config import list_options
+from embodichain.lab.gym.policies import resolve_policy
 from embodichain.lab.sim.physics_values import physics_values
 from tests.helpers.kitchen import KITCHEN
 
@@ -38,12 +39,19 @@ COOK = {
     "observations": {"at": {"func": "position", "params": {"of": {"uid": "cup"}}}},
 }
 
+PENDULUM = """<mujoco><worldbody><body pos="0 0 1"><geom size="0.05"/>
+  <body><joint name="hinge" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 -0.1 0 0 -0.5" size="0.02"/></body></body></worldbody>
+  </mujoco>"""
+SWING = {"max_episode_steps": 10, "robot": {"uid": "r", "fpath": "swing.xml", "init_qpos": [0.5]}}
+
 
 @pytest.fixture
 def write(tmp_path, monkeypatch):
     """``write(tree)``: the task ``mine`` in the working directory, with a kitchen beside it."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "kitchen.xml").write_text(KITCHEN)
+    (tmp_path / "swing.xml").write_text(PENDULUM)
 
     def to(tree):
         (tmp_path / "conf" / "task").mkdir(parents=True, exist_ok=True)
@@ -52,8 +60,10 @@ def write(tmp_path, monkeypatch):
     return to
 
 
-@pytest.mark.parametrize("tree", [FALL, COOK], ids=["objects", "a scene's file"])
-def test_a_task_without_a_robot(write, tree, capsys):
+@pytest.mark.parametrize(
+    "tree", [FALL, COOK, SWING], ids=["objects", "a scene's file", "a robot without actuators"]
+)
+def test_a_task_in_which_nothing_is_driven(write, tree, capsys):
     write(tree)
     assert main(["validate", "task=mine"]) == 0
     words = ["task=mine", "num_envs=3", "seed=1", "episodes=2", "scene_png=false"]
@@ -156,3 +166,22 @@ def test_robots_are_drawn_by_their_visual_meshes():
         assert len(drawn) >= least and not model.geom_contype[drawn].any()
         assert not any("left out" in note for note in env.sim.get_robot(uid).parsed.notes)
         env.close()
+
+
+@pytest.mark.parametrize("policy", ["zero", "random", "hold", "random_around_home"])
+def test_policies_move_a_robot_without_actuators_as_mujoco_does(write, policy):
+    write(SWING)
+    env = embodichain.make("mine", num_envs=2)
+    obs, _ = env.reset(seed=1)
+    assert env.single_action_space.shape == (0,)
+    acts = resolve_policy(policy)
+    for _ in range(5):
+        obs, *_ = env.step(acts(obs, env))
+    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    model.opt.timestep = env.sim.sim_config.physics_dt
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    data = mujoco.MjData(model)
+    data.qpos[0] = 0.5
+    mujoco.mj_step(model, data, 5 * env.cfg.sim_steps_per_control)
+    np.testing.assert_allclose(obs["robot"]["qpos"].numpy(), np.full((2, 1), data.qpos[0]), 1e-5)
+    env.close()

@@ -8,8 +8,8 @@ from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.sim import cfg as sim_cfg
 from embodichain.lab.sim import shapes
 from embodichain.lab.sim.cfg import RigidObjectCfg, RobotCfg, SimulationManagerCfg
-from embodichain.lab.sim.drive_cfg import FileFirst
 from embodichain.utils.configclass import MISSING, configclass
+from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import ConfigError
 
 
@@ -90,12 +90,8 @@ def test_the_published_order_and_defaults():
     assert (drive.max_effort, drive.max_velocity, drive.friction) == (1e10, None, 0.0)
     assert sim_cfg.ArticulationCfg().drive_pros.drive_type == "none"
     body = RigidObjectCfg().attrs
-    assert (body.mass, body.density, body.linear_damping, body.angular_damping) == (
-        1,
-        1000,
-        0.7,
-        0.7,
-    )
+    assert (body.mass, body.density) == (1, 1000)
+    assert (body.linear_damping, body.angular_damping) == (0, 0)  # 0.7 there: free fall is free
     assert (body.dynamic_friction, body.static_friction, body.restitution) == (0.5, 0.5, 0.0)
     assert shapes.CubeCfg().size == [1, 1, 1] and shapes.SphereCfg().radius == 1.0
 
@@ -111,8 +107,8 @@ def test_what_is_not_here_yet_exists_and_says_so(name):
 def test_gains_that_were_not_given_are_still_not_given_after_a_dict():
     """An MJCF robot keeps its actuators when its config was written out and read again."""
     again = RobotCfg.from_dict({"drive_pros": RobotCfg().to_dict()["drive_pros"]}).drive_pros
-    assert isinstance(again.stiffness, FileFirst) and isinstance(again.max_effort, FileFirst)
+    assert not is_given(again.stiffness) and not is_given(again.max_effort)
     given = RobotCfg.from_dict({"drive_pros": {"stiffness": 1e4, "damping": "file"}}).drive_pros
-    assert not isinstance(given.stiffness, FileFirst) and given.damping == "file"
+    assert is_given(given.stiffness) and given.damping == "file"
     with pytest.raises(ConfigError, match="stiffness"):
         RobotCfg.from_dict({"drive_pros": {"stiffness": "soft"}})

@@ -109,3 +109,36 @@ def test_look_at_straight_down_has_x_above():
     np.testing.assert_allclose(axes[:, 1], [1.0, 0.0, 0.0], atol=1e-12)
     with pytest.raises(ValueError, match="the eye is at the target"):
         m.look_at(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 1.0]))
+
+
+WIDTHS = {
+    "cross": (3, 3),
+    "euler_xyz_to_quat": (3,),
+    "look_at": (3, 3, 3),
+    "matrix_to_pose": ((4, 4),),
+    "matrix_to_quat": ((3, 3),),
+    "normalize_quat": (4,),
+    "pose_to_matrix": (7,),
+    "quat_conjugate": (4,),
+    "quat_multiply": (4, 4),
+    "quat_rotate": (4, 3),
+    "quat_to_matrix": (4,),
+    "quat_to_rotvec": (4,),
+    "rotate": ((3, 3), 3),
+    "rotate_back": ((3, 3), 3),
+    "rotvec_to_quat": (3,),
+    "wrapped": (2,),
+}
+
+
+@pytest.mark.parametrize("name", m.__all__)
+def test_every_function_takes_arrays_without_rows(name):
+    widths = [(w,) if isinstance(w, int) else w for w in WIDTHS[name]]
+    unit = [
+        np.resize(np.eye(4).ravel(), w)[None] if len(w) < 2 else np.eye(w[0])[None] for w in widths
+    ]
+    one = [part + i if name == "look_at" else part for i, part in enumerate(unit)]
+    shape = getattr(m, name)(*one).shape[1:]
+    for lead in ((0,), (3, 0), (0, 3)):
+        empty = [np.zeros((*lead, *w)) for w in widths]
+        assert getattr(m, name)(*empty).shape == (*lead, *shape)

@@ -25,6 +25,8 @@ _PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6, {"arm": ["Joint[1-6
 _CAMERA_TYPES = {"Camera": "camera", "StereoCamera": "stereo_camera"}
 _LENS = (600, 600, 320.0, 240.0)
 """EmbodiChain's intrinsics of a camera without any, whatever its size."""
+_DAMPING = 0.7
+"""EmbodiChain's default of the linear and the angular damping, 1/s."""
 _PLAIN = ("Robot", "RobotCfg")
 """The robot class that adds nothing to its config."""
 
@@ -46,6 +48,19 @@ def convert_objects(draft: Draft, section: str, data: Any) -> None:
         if item.get("attrs") is not None:
             _attrs(draft, item["attrs"], (*source, "attrs"), (*target, "attrs"))
         _body_type(draft, section, item, source, target)
+        if not draft.ours:
+            _damping(draft, source, target)
+
+
+def _damping(draft: Draft, source: Path, target: Path) -> None:
+    """Write EmbodiChain's default damping of a body that moves; here it is 0."""
+    cfg = draft.task[target[0]][target[1]]
+    attrs = cfg.get("attrs") or {}
+    if cfg.get("body_type", "dynamic") != "dynamic" or not isinstance(attrs, Mapping):
+        return
+    for key in ("linear_damping", "angular_damping"):
+        if key not in attrs:
+            draft.put((*target, "attrs", key), _DAMPING, (*source, "attrs"))
 
 
 def _attrs(draft: Draft, data: Any, source: Path, target: Path) -> None:

@@ -33,12 +33,16 @@ _SHARED = ("affordance_datas",)
 class _Has(Reference):
     """A reference to an entity of one kind, recognized by an attribute of its handle."""
 
-    def __init__(self, attribute: str, kind: str) -> None:
-        self._attribute, self._kind = attribute, kind
+    def __init__(self, attribute: str, kind: str, links: bool) -> None:
+        self._attribute, self._kind, self._links = attribute, kind, links
 
     def resolve(self, env: TermContext, value: Any) -> Any:
         if not hasattr(value.asset, self._attribute):
             raise ConfigError([Problem("uid", f"{value.uid!r} is not {self._kind}")])
+        if self._links:
+            value.require_links()
+        else:
+            value.require_whole()
         return value
 
 
@@ -46,8 +50,8 @@ if TYPE_CHECKING:
     RigidObject = ResolvedEntity
     Articulation = ResolvedEntity
 else:
-    RigidObject = Annotated[ResolvedEntity, _Has("is_non_dynamic", "a rigid object")]
-    Articulation = Annotated[ResolvedEntity, _Has("parsed", "a robot: it has no joints")]
+    RigidObject = Annotated[ResolvedEntity, _Has("is_non_dynamic", "a rigid object", False)]
+    Articulation = Annotated[ResolvedEntity, _Has("parsed", "a robot: it has no joints", True)]
 
 
 @contextmanager
@@ -89,6 +93,7 @@ def joints_of(
         if mixed:
             raise ConfigError([Problem(mixed[0], "give either entity_cfg or this")])
         entity_cfg.require_joints()
+        entity_cfg.require_whole()
         return entity_cfg
     if joint_ids is not None and part_name is not None:
         raise ConfigError([Problem("part_name", "give either joint_ids or part_name")])

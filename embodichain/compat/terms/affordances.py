@@ -12,6 +12,7 @@ import numpy as np
 from embodichain.compat.terms._targets import asset_of, stored
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.lab.gym.envs.managers.aliases import alias, register_aliases
+from embodichain.lab.gym.envs.managers.param_types import Body, Whole
 from embodichain.lab.gym.envs.managers.registry import import_object, register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
@@ -262,7 +263,7 @@ class RegisterInfoToEnv(Term):
 
     def _put_pose(self, entity: ResolvedEntity, how: PoseParams, env_ids: EnvIndex | None) -> None:
         env, uid = self._env, entity.uid
-        name = uid if entity.link_name is None else f"{uid}_{entity.link_name}"
+        name = uid if entity.frame_name is None else f"{uid}_{entity.frame_name}"
         pos, quat = entity.position(), entity.orientation()
         found = {f"{name}_pose": (pos, quat)}
         back = quat_conjugate(quat)
@@ -298,7 +299,7 @@ def _as_pose(array: NDArray[Any], count: int) -> tuple[F64, F64]:
 
 def _attrs(
     env: TermContext,
-    entity_cfg: ResolvedEntity,
+    entity_cfg: Whole,
     attrs: list[str] | None = None,
     prefix: bool = True,
 ) -> list[Registry]:
@@ -315,7 +316,7 @@ def _attrs(
 
 def _poses(
     env: TermContext,
-    entity_cfg: ResolvedEntity,
+    entity_cfg: Body,
     compute_relative: Relative = "all_robots",
     compute_pose_object_to_arena: bool = True,
     to_matrix: bool = True,
@@ -323,7 +324,7 @@ def _poses(
     """The registry of `register_entity_pose`.
 
     Args:
-        entity_cfg: The entity, or one link of it.
+        entity_cfg: The entity, or one link, site or geom of it.
         compute_relative: Whose poses relative to the entity's are added: `all_robots`,
             `all_objects`, a list of uids, true for all of these, or false for none.
         compute_pose_object_to_arena: Whether attributes of `prepare_extra_attr` that are called

@@ -8,9 +8,17 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.compat.terms._targets import RigidObject, asset_of, stored
-from embodichain.lab.gym.envs.managers.param_types import Axes6, Box2, Box3, Finite, Range
+from embodichain.lab.gym.envs.managers.param_types import (
+    Arm,
+    Axes6,
+    Body,
+    Box2,
+    Box3,
+    Finite,
+    Range,
+    Whole,
+)
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.lab.gym.envs.mdp.events.pushes import EpisodeTimer, PushBySettingVelocity
@@ -68,7 +76,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
     def __init__(
         self,
         env: TermContext,
-        robot_cfg: ResolvedEntity,
+        robot_cfg: Arm,
         entity_cfg: RigidObject,
         position_bounds: Box3,
         control_part: str | None = None,
@@ -77,9 +85,9 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         max_attempts: Annotated[int, Field(ge=1)] = 64,
     ) -> None:
         if control_part is not None:
-            links = list(robot_cfg.link_names) or None
-            picked = {"uid": robot_cfg.uid, "control_parts": control_part, "link_names": links}
-            robot_cfg = env.scene_entity(picked)
+            picked = {"uid": robot_cfg.uid, "control_parts": control_part}
+            tool = {} if robot_cfg.frame_name is None else {robot_cfg.kind: robot_cfg.frame_name}
+            robot_cfg = env.scene_entity(picked | tool)
         env.arrays.require_host("searches for joint positions")
         self._arm = arm_solver(robot_cfg, "robot_cfg")
         self._robot, self._asset = robot_cfg.asset, entity_cfg.asset
@@ -301,7 +309,7 @@ class RandomizeTargetPose(Term):
         rotation_range: Box3 | None = None,
         relative_position: bool = False,
         relative_rotation: bool = False,
-        reference_entity_cfg: ResolvedEntity | None = None,
+        reference_entity_cfg: Body | None = None,
         store_key: str = "target_pose",
     ) -> None:
         if reference_entity_cfg is None and (relative_position or relative_rotation):
@@ -364,7 +372,7 @@ class PushArticulation(PushBySettingVelocity):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Whole,
         interval_range_s: Range,
         velocity_range: Axes6,
     ) -> None:

@@ -10,9 +10,8 @@ from pydantic import Field
 
 from embodichain.compat.terms._targets import RigidObject, joints_of, tool_of
 from embodichain.compat.terms._targets import target_position as stored_position
-from embodichain.lab.gym.envs.managers.param_types import Body, Joints, Range
+from embodichain.lab.gym.envs.managers.param_types import Body, Joints, Range, Whole
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp.quantities.bodies import pose_matrix
 from embodichain.utils.arrays import tensor_of
@@ -119,7 +118,7 @@ def target_position(env: TermContext, target_pose_key: str = "goal_pose") -> F64
 
 
 @register_term("observation")
-def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> torch.Tensor:
+def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: Whole) -> torch.Tensor:
     """(N, 3) scale of an entity's declared shape or file, along its own axes.
 
     Args:
@@ -139,7 +138,7 @@ def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: ResolvedEntity
 
 
 @register_term("observation")
-def get_object_uid(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> torch.Tensor:
+def get_object_uid(env: TermContext, obs: Any, entity_cfg: Whole) -> torch.Tensor:
     """(N,) int32 number of an entity in segmentation images: MuJoCo's id of its (root) body.
 
     Args:

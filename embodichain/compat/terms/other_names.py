@@ -20,6 +20,7 @@ from embodichain.lab.gym.envs.managers.param_types import (
     Range,
     Ranges,
     ScaleRange,
+    Whole,
 )
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._model_fields import Operation
@@ -234,9 +235,7 @@ def _links(
     return found
 
 
-def _joints(
-    env: Any, entity_cfg: ResolvedEntity, joint_ids: list[int] | None = None
-) -> ResolvedEntity:
+def _joints(env: Any, entity_cfg: Whole, joint_ids: list[int] | None = None) -> ResolvedEntity:
     """A robot with joints that are picked by a parameter of their own.
 
     Args:

@@ -116,6 +116,8 @@ def hold(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
     """
     if len(env.action_manager):
         return tensor_of(env.action_manager.hold().astype(np.float32))
+    if env.single_action_space.shape == (0,):  # nothing is driven
+        return _repeated(np.zeros(0), env)
     return _joint_robot(env).body_data.target_qpos[:, env.active_joint_ids]
 
 
@@ -242,6 +244,8 @@ def _home(env: BaseEnv) -> F64:
     """(A,) the action of the initial state."""
     if len(env.action_manager):
         return env.action_manager.home()
+    if env.single_action_space.shape == (0,):
+        return np.zeros(0)
     return np.asarray(_joint_robot(env).parsed.init_qpos, np.float64)[env.active_joint_ids]
 
 

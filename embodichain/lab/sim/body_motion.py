@@ -1,41 +1,42 @@
-"""`BodyMotion`: pose and velocity of one body, each computed once per state."""
+"""`BodyMotion`: pose and velocity of one frame of a body, each computed once per state."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from embodichain.utils.math import cross, quat_to_matrix, rotate, rotate_back
+from embodichain.utils.math import quat_to_matrix, rotate, rotate_back
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import F64, Engine
+    from embodichain.lab.sim.frames import BodyFrames
 
-__all__ = ["BodyMotion", "Frame", "origin_velocities"]
+__all__ = ["BodyMotion", "Frame"]
 
 Frame = Literal["world", "body", "yaw"]
 
 
 class BodyMotion:
-    """Motion of a body's origin in N environments, float64. Do not write to its arrays.
+    """Motion of a frame's origin in N environments, float64. Do not write to its arrays.
 
-    All terms that read a body share one object. Computed values are stored until the engine's
+    All terms that read a frame share one object. Computed values are stored until the engine's
     `version` changes.
 
     Args:
         engine: The engine.
-        index: The entity that the body belongs to.
-        body: MuJoCo's id of the body.
+        index: The entity that the frame belongs to.
+        frame: One frame: that of a body, of a site or of a geom.
     """
 
-    def __init__(self, engine: Engine, index: EntityIndex, body: int) -> None:
+    def __init__(self, engine: Engine, index: EntityIndex, frame: BodyFrames) -> None:
         self._engine = engine
-        self._body = body
+        self._frame = frame
         self._version = -1
         self._known: dict[str, F64] = {}
-        is_root = body == index.root_body_id
+        is_root = frame.kind == "link" and frame.ids == index.root_body_id
         self._qvel = index.free_qvel_adr if is_root else -1
         # Poses of floating and kinematic roots are part of the state.
         self._pose: tuple[F64, F64] | None = None
@@ -57,11 +58,15 @@ class BodyMotion:
 
     def position(self) -> F64:
         """(N, 3) m: a live view, do not store."""
-        return self._engine.derived("xpos")[:, self._body] if self._pose is None else self._pose[0]
+        return self._frame.positions(self._engine) if self._pose is None else self._pose[0]
 
     def orientation(self) -> F64:
         """(N, 4) wxyz: a live view, do not store."""
-        return self._engine.derived("xquat")[:, self._body] if self._pose is None else self._pose[1]
+        if self._pose is not None:
+            return self._pose[1]
+        if self._frame.kind == "link":
+            return self._frame.orientations(self._engine)
+        return self._once("quat", lambda: self._frame.orientations(self._engine))
 
     def _once(self, name: str, compute: Callable[[], F64]) -> F64:
         """The stored value, or a new one if the state has changed."""
@@ -74,17 +79,19 @@ class BodyMotion:
         return found
 
     def axes(self) -> F64:
-        """(N, 3, 3) rotation matrices; the columns are the body's axes in the world."""
-        return self._once("axes", lambda: quat_to_matrix(self.orientation()))
+        """(N, 3, 3) rotation matrices; the columns are the frame's axes in the world."""
+        if self._frame.kind == "link":
+            return self._once("axes", lambda: quat_to_matrix(self.orientation()))
+        return self._frame.axes(self._engine)
 
     def linear_velocity(self, frame: Frame = "world") -> F64:
         """(N, 3) m/s of the origin.
 
-        For a floating root it is read from qvel; else see `origin_velocities`.
+        For a floating root it is read from qvel; else see `point_velocities`.
 
         Args:
-            frame: The axes: of the ``world``, of the ``body``, or of its heading (``yaw``): world
-                axes rotated about z towards the body's x axis.
+            frame: The axes: of the ``world``, of the frame itself (``body``), or of its heading
+                (``yaw``): world axes rotated about z towards the frame's x axis.
         """
         return self._once(f"linear {frame}", lambda: self._linear(frame))
 
@@ -93,7 +100,7 @@ class BodyMotion:
             return self._turned(self.linear_velocity(), frame)
         if self._qvel >= 0:
             return self._engine.state("qvel")[:, self._qvel : self._qvel + 3]
-        return origin_velocities(self._engine, self._body)[0]
+        return self._frame.velocities(self._engine)[0]
 
     def angular_velocity(self, frame: Frame = "world") -> F64:
         """(N, 3) rad/s; see `linear_velocity`."""
@@ -104,7 +111,7 @@ class BodyMotion:
             own = self._engine.state("qvel")[:, self._qvel + 3 : self._qvel + 6]
             return own if frame == "body" else rotate(self.axes(), own)
         if frame == "world":
-            return self._engine.derived("cvel")[:, self._body, :3]
+            return self._engine.derived("cvel")[:, self._frame.bodies, :3]
         return self._turned(self.angular_velocity(), frame)
 
     def _turned(self, vectors: F64, frame: Literal["body", "yaw"]) -> F64:
@@ -123,23 +130,3 @@ class BodyMotion:
         vertical = length == 0.0
         length[vertical] = 1.0
         return np.where(vertical, 1.0, ahead / length), left / length
-
-
-def origin_velocities(engine: Engine, bodies: Any) -> tuple[F64, F64]:
-    """Velocities of bodies' origins, world axes.
-
-    MuJoCo's `cvel` is (angular, linear) at the centre of mass of the kinematic tree; moved to the
-    origin by v = v_com + w x (origin - com).
-
-    Args:
-        engine: The engine.
-        bodies: B ids of bodies, a slice, or one id.
-
-    Returns:
-        Linear in m/s and angular in rad/s, (N, B, 3) each; (N, 3) of one id.
-    """
-    roots = engine.model.body_rootid[bodies].astype(np.int64)
-    cvel = engine.derived("cvel")[:, bodies]
-    arm = engine.derived("xpos")[:, bodies] - engine.derived("subtree_com")[:, roots]
-    angular = cvel[..., :3]
-    return cvel[..., 3:] + cross(angular, arm), angular

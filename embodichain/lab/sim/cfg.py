@@ -14,7 +14,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
+from embodichain.lab.sim.contact_cfg import Coefficient, ContactCfg
 from embodichain.lab.sim.drive_cfg import JointDrivePropertiesCfg
+from embodichain.lab.sim.physics_cfg import GPUMemoryCfg, PhysicsCfg, RenderCfg
 from embodichain.lab.sim.scene_cfg import (
     Four,
     LightCfg,
@@ -26,15 +28,19 @@ from embodichain.lab.sim.scene_cfg import (
 )
 from embodichain.lab.sim.self_collision_cfg import SelfCollisionCfg
 from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg, VariantCfg
+from embodichain.lab.sim.solver_cfg import SolverCfg
 from embodichain.lab.sim.urdf_cfg import URDFCfg
 from embodichain.utils.configclass import configclass
+from embodichain.utils.defaults import KEEP_DEFAULT, DefaultFloat, DefaultInt
 from embodichain.utils.errors import Problem
+from embodichain.utils.no_effect import NO_EFFECT, NoEffect
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
     "DEFAULT_RENDERER",
     "ArticulationCfg",
     "AttachedFileCfg",
+    "ContactCfg",
     "EngineName",
     "Four",
     "GPUMemoryCfg",
@@ -61,66 +67,6 @@ __all__ = [
 
 DEFAULT_RENDERER = "hybrid"
 EngineName = Literal["mujoco", "warp"]
-
-
-@configclass
-class RenderCfg:
-    """Renderer choice. All of EmbodiChain's values are accepted; MuJoCo's renderer draws."""
-
-    renderer: Literal["hybrid", "fast-rt", "rt", "auto", "no-render"] = "hybrid"
-    enable_denoiser: bool = True
-    """No effect: MuJoCo rasterizes."""
-    spp: int = 64
-    """No effect: MuJoCo rasterizes."""
-
-
-@configclass
-class PhysicsCfg:
-    """Physics options; the PhysX ones have no effect on MuJoCo."""
-
-    gravity: Vec3 = dataclasses.field(default_factory=lambda: [0.0, 0.0, -9.81])
-    """m/s^2, world frame."""
-    bounce_threshold: float = 2.0
-    """No effect."""
-    enable_pcm: bool = True
-    """No effect."""
-    enable_tgs: bool = True
-    """No effect."""
-    enable_ccd: bool = False
-    """No effect."""
-    enable_enhanced_determinism: bool = False
-    """No effect: always deterministic."""
-    enable_friction_every_iteration: bool = True
-    """No effect."""
-    length_tolerance: float = 0.05
-    """No effect."""
-    speed_tolerance: float = 0.25
-    """No effect."""
-    # ours
-    solver: Literal["Newton", "CG", "PGS"] = dataclasses.field(default="Newton", kw_only=True)
-    iterations: int = dataclasses.field(default=100, kw_only=True)
-    """Maximum number of solver iterations per physics step."""
-    integrator: Literal["implicitfast", "implicit", "Euler", "RK4"] = dataclasses.field(
-        default="implicitfast", kw_only=True
-    )
-    cone: Literal["pyramidal", "elliptic"] = dataclasses.field(default="pyramidal", kw_only=True)
-    impratio: Annotated[float, Field(gt=0, allow_inf_nan=False)] = dataclasses.field(
-        default=1.0, kw_only=True
-    )
-    """Stiffness of friction over that of contact; an elliptic cone and 10 stop creep in grasps."""
-
-
-@configclass
-class GPUMemoryCfg:
-    """PhysX buffer sizes. No effect."""
-
-    temp_buffer_capacity: int = 2**24
-    max_rigid_contact_count: int = 2**19
-    max_rigid_patch_count: int = 2**18
-    heap_capacity: int = 2**26
-    found_lost_pairs_capacity: int = 2**25
-    found_lost_aggregate_pairs_capacity: int = 2**10
-    total_aggregate_pairs_capacity: int = 2**10
 
 
 @configclass
@@ -214,6 +160,15 @@ class SimulationManagerCfg:
         vars(self)["_prepared_scene"] = prepared
 
 
+_SPEED = NoEffect("MuJoCo has no velocity limit")
+_PHYSX = NoEffect("a PhysX setting; MuJoCo has none like it")
+_SLEEP = NoEffect("MuJoCo puts nothing to sleep here")
+_OFFSET = NoEffect("MuJoCo has margin and gap: see contact")
+_RESTITUTION = NoEffect("MuJoCo has no restitution coefficient")
+_STATIC = NoEffect("MuJoCo has one sliding coefficient, dynamic_friction")
+_USD = NoEffect("USD is not read")
+
+
 @configclass
 class RigidBodyAttributesCfg:
     """Mass, damping, friction and contact of a rigid body."""
@@ -222,51 +177,62 @@ class RigidBodyAttributesCfg:
     """kg; 0 computes it from `density`."""
     density: float = 1000.0
     """kg/m^3, used when `mass` is 0."""
-    angular_damping: float = 0.7
-    """1/s: torque = -angular_damping x inertia x angular velocity."""
-    linear_damping: float = 0.7
-    """1/s: force = -linear_damping x mass x velocity."""
-    max_depenetration_velocity: float = 10.0
+    angular_damping: float = 0.0
+    """1/s: torque = -angular_damping x inertia x angular velocity. EmbodiChain's default is 0.7."""
+    linear_damping: float = 0.0
+    """1/s: force = -linear_damping x mass x velocity. EmbodiChain's default is 0.7."""
+    max_depenetration_velocity: Annotated[float, _PHYSX] = 10.0
     """No effect."""
-    sleep_threshold: float = 0.001
+    sleep_threshold: Annotated[float, _SLEEP] = 0.001
     """No effect."""
-    min_position_iters: int = 4
+    min_position_iters: Annotated[int, _PHYSX] = 4
     """No effect."""
-    min_velocity_iters: int = 1
+    min_velocity_iters: Annotated[int, _PHYSX] = 1
     """No effect."""
-    max_linear_velocity: float = 1e2
+    max_linear_velocity: Annotated[float, _SPEED] = 1e2
     """No effect."""
-    max_angular_velocity: float = 1e2
+    max_angular_velocity: Annotated[float, _SPEED] = 1e2
     """No effect."""
-    enable_ccd: bool = False
+    enable_ccd: Annotated[bool, _PHYSX] = False
     """No effect."""
-    contact_offset: float = 0.002
+    contact_offset: Annotated[float, _OFFSET] = 0.002
     """No effect: MuJoCo's soft contacts need no offset."""
-    rest_offset: float = 0.0
+    rest_offset: Annotated[float, _OFFSET] = 0.0
     """No effect."""
     enable_collision: bool = True
-    restitution: float = 0.0
-    """No effect: MuJoCo has no restitution coefficient."""
-    dynamic_friction: float = 0.5
-    """Sliding friction; a contact takes the larger of its two bodies' values."""
-    static_friction: float = 0.5
-    """No effect: MuJoCo has one sliding coefficient, `dynamic_friction`."""
+    restitution: Annotated[float, _RESTITUTION] = 0.0
+    """No effect: MuJoCo has no restitution coefficient. A task file may only say 0."""
+    dynamic_friction: Annotated[float, KEEP_DEFAULT] = DefaultFloat(0.5)
+    """Sliding friction. A contact takes the larger value of its two bodies, but a body that does
+    not move and was given none lets the other one decide. Not given, links of an MJCF keep their
+    own."""
+    static_friction: Annotated[float, KEEP_DEFAULT, _STATIC] = DefaultFloat(0.5)
+    """No effect: MuJoCo has one sliding coefficient, `dynamic_friction`. A task file may only say
+    0."""
 
 
 @configclass
 class AttachmentCfg(ObjectBaseCfg):
     """A rigid shape fixed on a link: a pusher, a tool, a payload. It becomes a separate link.
 
-    Its pose (`init_pos`, `init_rot`, `init_quat`) is in the frame of the link it is fixed on.
+    Its pose (`init_pos`, `init_rot`, `init_quat`) is in the frame of the link, site or geom it is
+    fixed on; one of these is given.
     """
 
     link: str = ""
     """The parent link."""
+    site: str | None = dataclasses.field(default=None, kw_only=True)
+    """A site on the parent link."""
+    geom: str | None = dataclasses.field(default=None, kw_only=True)
+    """A geom of the parent link."""
     shape: AnyShapeCfg = CubeCfg()
     mass: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.1
     """kg."""
-    dynamic_friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
+    dynamic_friction: Annotated[Coefficient, KEEP_DEFAULT] = DefaultFloat(0.5)
     enable_collision: bool = True
+    # ours
+    contact: ContactCfg | None = dataclasses.field(default=None, kw_only=True)
+    """Its other contact parameters."""
 
 
 @configclass
@@ -278,7 +244,17 @@ class CollisionShapeCfg(ObjectBaseCfg):
 
 @configclass
 class ArticulationCfg(ObjectBaseCfg):
-    """A jointed mechanism read from a URDF or MJCF file."""
+    """A jointed mechanism read from a URDF or MJCF file.
+
+    The pose of a floating base (`fix_base` false) is that of its root in the scene; a position or a
+    rotation that is not given is that of the file or its keyframe. The pose of a fixed base is that
+    of the file's world in the scene.
+    """
+
+    init_pos: Vec3 | None = None  # type: ignore[assignment]
+    """Metres; None is the file's."""
+    init_rot: Vec3 | None = None  # type: ignore[assignment]
+    """Euler angles in degrees, intrinsic XYZ (R = Rx Ry Rz); None is the file's."""
 
     fpath: str | None = None
     """A .urdf or .xml file, found by `embodichain.data.get_data_path`."""
@@ -286,7 +262,7 @@ class ArticulationCfg(ObjectBaseCfg):
     body_scale: Vec3 = (1.0, 1.0, 1.0)
     """Only (1, 1, 1) for now."""
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
-    """Friction and collision of all links (an MJCF file's friction stays unless changed here); mass
+    """Friction and collision of all links (an MJCF file's friction stays unless given here); mass
     and inertia come from the file."""
     fix_base: bool = True
     """Whether the root is fixed (overrides the file); False gives it a free joint."""
@@ -295,19 +271,20 @@ class ArticulationCfg(ObjectBaseCfg):
     for itself, and links of a URDF collide, except for parent and child and for links that overlap
     at the start."""
     init_qpos: Any = None
-    """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else zeros
-    clamped to the limits. With `attach`, a list may give those of the robot's own file alone."""
-    sleep_threshold: float = 0.005
+    """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else an MJCF's
+    `qpos0` (zeros, or each joint's `ref`), a URDF's zeros clamped to the limits. With `attach`, a
+    list may give those of the robot's own file alone."""
+    sleep_threshold: Annotated[float, _SLEEP] = 0.005
     """No effect."""
-    min_position_iters: int = 4
+    min_position_iters: Annotated[int, _PHYSX] = 4
     """No effect."""
-    min_velocity_iters: int = 1
+    min_velocity_iters: Annotated[int, _PHYSX] = 1
     """No effect."""
-    build_pk_chain: bool = True
+    build_pk_chain: Annotated[bool, NoEffect("kinematics are MuJoCo's")] = True
     """No effect: kinematics are MuJoCo's."""
-    compute_uv: bool = False
+    compute_uv: Annotated[bool, NO_EFFECT] = False
     """No effect."""
-    use_usd_properties: bool = False
+    use_usd_properties: Annotated[bool, _USD] = False
     """No effect: USD is not read."""
     # ours
     attachments: dict[str, AttachmentCfg] = dataclasses.field(default_factory=dict, kw_only=True)
@@ -328,50 +305,12 @@ class ArticulationCfg(ObjectBaseCfg):
         default_factory=dict, kw_only=True
     )
     """Joint regex -> position (rad or m) at which joints of a URDF are fixed, no longer joints."""
+    contact: dict[str, ContactCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Link or geom regex -> contact parameters; later entries override earlier ones."""
     self_collision: SelfCollisionCfg = dataclasses.field(
         default_factory=SelfCollisionCfg, kw_only=True
     )
     """Pairs of links that collide, or do not, instead of what the rule of the file says."""
-
-
-@configclass
-class SolverCfg:
-    """Tool point of a control part, and settings of its inverse kinematics.
-
-    A `tcp` becomes a separate link, `PART_tcp` (`tcp` for the whole robot), which terms use as the
-    part's tool. Arms built like those of Universal Robots are solved in closed form, others by
-    damped least squares.
-    """
-
-    class_type: str = "SolverCfg"
-    """No effect: the name of a solver of EmbodiChain."""
-    urdf_path: str | None = None
-    """No effect: kinematics are those of the robot."""
-    joint_names: list[str] | None = None
-    """No effect: joints are those of the control part."""
-    end_link_name: str | None = None
-    """The part's last link."""
-    root_link_name: str | None = None
-    """The part's first link; no effect, but it must exist."""
-    tcp: Any = None
-    """The tool point in the frame of `end_link_name`: a 4x4 matrix; None is that frame."""
-    ik_nearest_weight: list[float] | None = None
-    """Weights of the joints of the chain in the distance from the seed, by which the closed form
-    ranks solutions; None is 1."""
-    pos_eps: Annotated[float, Field(gt=0)] = 1e-5
-    """Metres: a solution is at most this far from the target."""
-    rot_eps: Annotated[float, Field(gt=0)] = 1e-5
-    """Rad: likewise."""
-    max_iterations: Annotated[int, Field(ge=1)] = 60
-    """Of one search from one initial point."""
-    num_samples: Annotated[int, Field(ge=0)] = 30
-    """Further initial points of the search, where it fails."""
-    # ours
-    posture: dict[str, float] | None = dataclasses.field(default=None, kw_only=True)
-    """Joint-name regex -> position (rad or m) that a redundant arm approaches in its null space;
-    joints that are not matched have no preference."""
-    closed_form: bool = dataclasses.field(default=True, kw_only=True)
-    """Whether to use the closed form where there is one."""
 
 
 @configclass
@@ -385,17 +324,20 @@ class AttachedFileCfg:
     fpath: str | None = None
     """A .urdf or .xml file, found by `embodichain.data.get_data_path`."""
     to: str = ""
-    """The link it is fixed on; of another attached file, ``NAME/LINK``."""
+    """The link it is fixed on, or the site, such as ``attachment_site``, or the geom; of another
+    attached file, ``NAME/LINK``."""
     pos: Vec3 = (0.0, 0.0, 0.0)
-    """Metres: origin of the file's world in the frame of the link."""
+    """Metres: origin of the file's world in the frame of that link, site or geom."""
     rot: Vec3 = (0.0, 0.0, 0.0)
-    """Euler angles in degrees, intrinsic XYZ, in the frame of the link."""
+    """Euler angles in degrees, intrinsic XYZ, in that frame."""
     quat: Quat | None = None
     """wxyz; overrides `rot`."""
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
     """Friction and collision of its links, as `ArticulationCfg.attrs`."""
     collision: Literal["hull", "decompose"] = "hull"
     """Collision geometry of the file's meshes."""
+    contact: dict[str, ContactCfg] = {}
+    """Link or geom regex of this file -> contact parameters; later entries override earlier."""
 
 
 def _by_part(value: Any) -> Any:
@@ -429,14 +371,14 @@ class RigidObjectCfg(ObjectBaseCfg):
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
     body_type: Literal["dynamic", "kinematic", "static"] = "dynamic"
     """dynamic: simulated; kinematic: moved only by code; static: never moves."""
-    max_convex_hull_num: int = 1
+    max_convex_hull_num: Annotated[int, KEEP_DEFAULT] = DefaultInt(1)
     """Maximum number of convex parts for a mesh's collision (`embodichain[decompose]`); 1 is its
-    hull, unless `collision` is ``decompose``."""
-    sdf_resolution: int = 0
+    hull. Not given, it is the hull, or as many as needed if `collision` is ``decompose``."""
+    sdf_resolution: Annotated[int, _PHYSX] = 0
     """No effect."""
     body_scale: Vec3 = (1.0, 1.0, 1.0)
     """Multiplies the shape's size."""
-    use_usd_properties: bool = False
+    use_usd_properties: Annotated[bool, _USD] = False
     """No effect: USD is not read."""
     # ours
     collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
@@ -444,6 +386,8 @@ class RigidObjectCfg(ObjectBaseCfg):
     any_of: dict[str, VariantCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     """Name -> a shape, in place of `shape`. An environment has the first until the event
     `randomize_shape` draws another one."""
+    contact: ContactCfg | None = dataclasses.field(default=None, kw_only=True)
+    """Contact parameters beside `attrs.dynamic_friction`; those of all its shapes."""
 
 
 @configclass

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Any, Literal
-
-from pydantic import ValidatorFunctionWrapHandler, WrapValidator
+from typing import Annotated, Literal
 
 from embodichain.utils.configclass import configclass
+from embodichain.utils.defaults import KEEP_DEFAULT, DefaultFloat
 
-__all__ = ["NO_LIMIT", "FileFirst", "Gain", "JointDrivePropertiesCfg", "PerJoint"]
+__all__ = ["NO_LIMIT", "Gain", "JointDrivePropertiesCfg", "PerJoint"]
 
 NO_LIMIT = 1e9
 """Efforts and speeds at least this large are no limits (EmbodiChain's default is 1e10)."""
@@ -18,16 +17,7 @@ PerJoint = float | dict[str, float]
 """One value for all joints, or values keyed by joint-name regex or control-part name."""
 
 
-class FileFirst(float):
-    """A default that applies only where the robot file gives no value."""
-
-
-def _kept(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
-    """Keep `FileFirst` defaults as such when a config is read back from a dict."""
-    return value if isinstance(value, FileFirst) else validate(value)
-
-
-Gain = Annotated[float | dict[str, float] | Literal["file"], WrapValidator(_kept)]
+Gain = Annotated[float | dict[str, float] | Literal["file"], KEEP_DEFAULT]
 """"file", one value for all joints, or values by joint-name regex or control-part name."""
 
 
@@ -42,18 +32,18 @@ class JointDrivePropertiesCfg:
 
     drive_type: Literal["force", "acceleration", "none"] = "force"
     """none: no drives; an MJCF file's actuators are kept."""
-    stiffness: Gain = FileFirst(1e4)
+    stiffness: Gain = DefaultFloat(1e4)
     """N m/rad or N/m. "file", the default for an MJCF, keeps the file's actuators."""
-    damping: Gain = FileFirst(1e3)
+    damping: Gain = DefaultFloat(1e3)
     """N m s/rad or N s/m, inside the drive; the joint's own damping is the file's."""
-    max_effort: Gain = FileFirst(1e10)
+    max_effort: Gain = DefaultFloat(1e10)
     """N m or N, positive: bounds the sum of spring and damper. "file", the default for an MJCF,
     takes the limits of the URDF or MJCF; 1e9 or more is no limit."""
     max_velocity: PerJoint | Literal["file"] | None = None
     """rad/s or m/s, positive: limits how fast actions move position targets, and bounds velocity
     actions. "file" takes the limits of the URDF. The joint itself is not clamped."""
-    friction: PerJoint = 0.0
-    """Dry friction loss, N m or N; 0 keeps the file's, a map with 0 clears it."""
+    friction: Annotated[PerJoint, KEEP_DEFAULT] = DefaultFloat(0.0)
+    """Dry friction loss, N m or N. Not given keeps the file's; 0 clears it."""
     # ours
     armature: PerJoint | None = dataclasses.field(default=None, kw_only=True)
     """Reflected rotor inertia, kg m^2 or kg. None keeps the file's and adds the minimum that keeps

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.sim.drive_cfg import FileFirst
+from embodichain.utils.defaults import is_given
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ArticulationCfg
@@ -166,8 +166,8 @@ def _stamp(parsed: ParsedArticulation | World) -> tuple[int, int]:
 
 def _key(value: Any) -> Any:
     """A config as nested tuples, without `uid`, which the sections of a task set."""
-    if isinstance(value, FileFirst):
-        return "file first", float(value)
+    if not is_given(value):
+        return "default", str(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         names = [field.name for field in dataclasses.fields(value) if field.name != "uid"]
         return type(value).__name__, *(_key(getattr(value, name)) for name in names)

@@ -6,13 +6,21 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from embodichain.lab.sim.cfg import ArticulationCfg, RigidObjectCfg, SimulationManagerCfg, name_of
+from embodichain.lab.sim.cfg import (
+    ArticulationCfg,
+    LightCfg,
+    RigidObjectCfg,
+    SimulationManagerCfg,
+    name_of,
+)
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
+from embodichain.lab.sim.compiler.known import known_entities
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.compiler.world import World, read_world
 from embodichain.lab.sim.engine.api import Engine
+from embodichain.lab.sim.engine.room import bytes_of
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
@@ -21,6 +29,8 @@ from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.memory import require_memory_for
+from embodichain.utils.no_effect import changed_without_effect
 
 __all__ = ["Entity", "Scene"]
 
@@ -42,6 +52,7 @@ class Scene:
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
             contains no robots.
         world: The file of ``cfg.scene``, or None. Its objects are in `rigid_objects`.
+        known: What references may name: all entities and their parts, by uid.
         compiled: The model and the indices of each entity; None before `compile`.
 
     Raises:
@@ -59,6 +70,7 @@ class Scene:
         self.world: World | None = self._prepared.take_world(cfg.scene)
         if self.world is None and (cfg.scene.fpath or cfg.scene.keyframe):
             self.world = read_world(cfg.scene)
+        self.known = known_entities({}, {}, {}, self.world)
         self.compiled: CompiledScene | None = None
 
     @property
@@ -92,6 +104,10 @@ class Scene:
         uid = name_of(cfg)
         if uid in self.uids:
             raise ConfigError([Problem(uid, f"uid {uid!r} is taken; taken: {self.uids}")])
+        if isinstance(cfg, RigidObjectCfg):
+            self.known |= known_entities({}, {uid: cfg}, {}, None, self._cfg.scene.table)
+        elif isinstance(cfg, LightCfg):
+            self.known[uid] = "light"
         return uid
 
     def parse(
@@ -105,17 +121,16 @@ class Scene:
         """
         uid = self.claim(cfg)
         wanted = uid, cfg, physics_step(self._cfg), changes.get(uid, ())
-        return self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
+        parsed = self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
+        each = bytes_of(parsed.model, self._cfg.persistent)
+        require_memory_for(self._cfg.num_envs, each, "environments with this robot", "num_envs")
+        self.known[uid] = parsed
+        return parsed
 
     def plan_sensor(self, cfg: SensorCfg) -> SensorPlan:
         """Look up the links of a sensor; raises as `claim` does."""
         uid = self.claim(cfg)
-        known: dict[str, ParsedArticulation | str | None] = {
-            **{name: handle.parsed for name, handle in self.jointed.items()},
-            **dict.fromkeys(self.rigid_objects, "rigid object"),
-            **dict.fromkeys(self.lights, "light"),
-        }
-        plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.has_ground)
+        plan, problems = plan_sensor(uid, cfg, self.known, ground=self._cfg.has_ground)
         if plan is None:
             raise ConfigError(p.below(uid) for p in problems)
         return plan
@@ -134,6 +149,7 @@ class Scene:
             )
         if uid in self.inside:
             raise ValueError(f"{uid!r} is part of the scene's file: it cannot be removed")
+        self.known.pop(uid, None)
         groups = self.robots, self.articulations, self.rigid_objects, self.lights, self.sensors
         return any(group.pop(uid, None) is not None for group in groups)
 
@@ -157,9 +173,23 @@ class Scene:
             )
             self.compiled = self._prepared.take_scene(parts) or compile_scene(*parts)
             notes = [f"{p.uid}: {note}" for p in articulations for note in p.all_notes]
+            if self._cfg.prepared_scene is None:  # else the check of the task's file has said them
+                notes += self._without_effect()
             for note in (*notes, *self.compiled.notes):
                 _log.warning("%s", note)
         return self.compiled
+
+    def _without_effect(self) -> list[str]:
+        """Messages about values of configs made in Python that change nothing."""
+        said: list[str] = []
+        for uid, entity in {**self.jointed, **self.rigid_objects}.items():
+            if uid in self.inside:
+                continue
+            own: Any = entity.cfg
+            for where, cfg in (("", own), ("attrs.", own.attrs)):
+                found = changed_without_effect(cfg)
+                said += [f"{uid}: {where}{name} {mark.message}" for name, mark in found]
+        return said
 
     def bind(self, engine: Engine) -> None:
         """Give every handle the engine and its indices in the compiled model."""
@@ -174,6 +204,7 @@ class Scene:
     def destroy(self) -> None:
         """Drop the model, and have every handle drop the engine."""
         self.compiled = None
+        self.known.clear()
         groups = self.jointed, self.rigid_objects, self.lights, self.sensors
         for handle in (handle for group in groups for handle in group.values()):
             handle.destroy()

@@ -11,7 +11,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from embodichain.lab.sim.contact_cfg import ContactCfg
 from embodichain.utils.configclass import configclass
+from embodichain.utils.no_effect import NoEffect
 
 __all__ = [
     "AnyPatchCfg",
@@ -77,7 +79,7 @@ class LightCfg(ObjectBaseCfg):
     """Relative brightness; 30 is MuJoCo's full diffuse colour."""
     direction: Vec3 = (0.0, 0.0, -1.0)
     """The direction in which a spot or directional light shines."""
-    radius: float = 1e2
+    radius: Annotated[float, NoEffect("MuJoCo's lights have no falloff radius")] = 1e2
     """No effect: MuJoCo's lights have no falloff radius."""
     # ours
     shadow: bool | None = dataclasses.field(default=None, kw_only=True)
@@ -87,8 +89,12 @@ class LightCfg(ObjectBaseCfg):
 
 
 @configclass
-class GroundCfg:
-    """The ground plane at z = 0, entity ``default_plane``."""
+class GroundCfg(ContactCfg):
+    """The ground plane at z = 0, entity ``default_plane``.
+
+    Without `friction` its priority is -1: what stands on it decides. With it the priority is 0 and
+    a contact has the larger friction of the two; with ``priority: 1`` the ground decides.
+    """
 
     type: Literal["checker", "wood", "plain", "none"] = "checker"
     """``none``: there is no ground, for collisions neither."""
@@ -113,8 +119,11 @@ class SkyCfg:
 
 
 @configclass
-class TableCfg:
-    """A static table, entity ``table``: its pose is that of the middle of its top."""
+class TableCfg(ContactCfg):
+    """A static table, entity ``table``: its pose is that of the middle of its top.
+
+    It touches others as the ground does, see `GroundCfg`.
+    """
 
     size: Box = (1.2, 0.8, 0.75)
     """Metres along x, y and z; z is the height of its surface above `pos`."""
@@ -126,13 +135,14 @@ class TableCfg:
     color: Rgb = (0.9, 0.83, 0.71)
     """RGB in [0, 1] of the top."""
     collision: bool = True
-    friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
-    """Sliding friction."""
 
 
 @configclass
-class PedestalCfg:
-    """A static column below a robot's base, entity ``pedestal``."""
+class PedestalCfg(ContactCfg):
+    """A static column below a robot's base, entity ``pedestal``.
+
+    It touches others as the ground does, see `GroundCfg`.
+    """
 
     shape: Literal["cylinder", "box"] = "cylinder"
     size: Box | None = None
@@ -267,12 +277,13 @@ AnyPatchCfg = Annotated[
 
 
 @configclass
-class TerrainCfg:
+class TerrainCfg(ContactCfg):
     """Rough ground from square patches, instead of the ground plane; entity ``default_plane``.
 
     Rows along x are levels of difficulty, columns along y are kinds. It is one height field, so
     vertical walls, such as those of steps, are as steep as the resolution allows. An environment
-    is on its first patch unless the event `place_terrain` chooses another.
+    is on its first patch unless the event `place_terrain` chooses another. It touches others as the
+    ground does, see `GroundCfg`.
     """
 
     patches: Annotated[dict[str, AnyPatchCfg], Field(min_length=1)]
@@ -288,8 +299,6 @@ class TerrainCfg:
     """Metres between two heights."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Of random heights; the run's seed does not change the terrain."""
-    friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
-    """Sliding friction."""
 
 
 @configclass
@@ -337,7 +346,8 @@ class ViewCfg:
     fovy: Annotated[float, Field(gt=0, lt=180)] | None = None
     """Vertical field of view in degrees; None is 40, or the camera's."""
     body: str | None = None
-    """An entity, or ``uid/LINK``, that it follows; `eye` and `target` are relative to it."""
+    """An entity, or a link, site or geom of one, ``uid/NAME``, that it follows; `eye` and `target`
+    are relative to it."""
     follow: Literal["position", "pose"] = "position"
     """``position``: the view does not turn with `body`. ``pose``: it is fixed on it, and `eye` and
     `target` are in its frame."""

@@ -8,6 +8,8 @@ from pydantic import Field
 
 from embodichain.lab.sim.scene_cfg import Quat, Vec3
 from embodichain.utils.configclass import configclass
+from embodichain.utils.defaults import KEEP_DEFAULT, DefaultInt
+from embodichain.utils.no_effect import NO_EFFECT, NoEffect
 from embodichain.utils.type_errors import member_from_dict
 
 __all__ = [
@@ -36,7 +38,7 @@ class VisualMaterialCfg:
     roughness: float = 0.5
     emissive: list[float] = [0.0, 0.0, 0.0]
     emissive_intensity: float = 1.0
-    ior: float = 1.5
+    ior: Annotated[float, NoEffect("MuJoCo's renderer has no refraction")] = 1.5
     """Accepted for compatibility; MuJoCo's renderer has no refraction."""
     textures: list[str] | None = None
     """Image files, or folders of them; None is none. The first is drawn, multiplied with
@@ -77,7 +79,7 @@ class SphereCfg(ShapeCfg):
     shape_type: Literal["Sphere"] = "Sphere"
     radius: float = 1.0
     """Metres."""
-    resolution: int = 20
+    resolution: Annotated[int, NoEffect("MuJoCo's sphere is exact")] = 20
     """Accepted for compatibility; MuJoCo's sphere is exact."""
 
 
@@ -132,10 +134,10 @@ class MeshCfg(ShapeCfg):
     """A .obj, .stl, .dae, .glb, .gltf, .ply, .off or .msh file, found by
     `embodichain.data.get_data_path`. Coordinates are in metres; a .dae file's unit and up axis are
     applied. Its colours are drawn unless `visual_material` is given."""
-    load_option: LoadOption = LoadOption()
-    compute_uv: bool = False
+    load_option: Annotated[LoadOption, NoEffect("MuJoCo's importer reads the mesh")] = LoadOption()
+    compute_uv: Annotated[bool, NO_EFFECT] = False
     """Accepted for compatibility."""
-    project_direction: list[float] = [1.0, 1.0, 1.0]
+    project_direction: Annotated[list[float], NO_EFFECT] = [1.0, 1.0, 1.0]
     """Accepted for compatibility."""
 
 
@@ -174,7 +176,7 @@ class VariantCfg:
     """None is that of the object's `attrs`."""
     body_scale: Vec3 = (1.0, 1.0, 1.0)
     """As of an object."""
-    max_convex_hull_num: int = 1
+    max_convex_hull_num: Annotated[int, KEEP_DEFAULT] = DefaultInt(1)
     """As of an object."""
     collision: Literal["hull", "decompose"] = "hull"
     """As of an object."""

@@ -28,6 +28,7 @@ from embodichain.lab.sim.compiler.drives import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.engine.device_arrays import DeviceArrays
+from embodichain.lab.sim.engine.room import LEAST_BYTES, bytes_of
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
@@ -38,6 +39,7 @@ from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.unavailable import with_simulation_members
 from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
+from embodichain.utils.memory import require_memory_for
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
@@ -93,13 +95,13 @@ class SimulationManager:
         cfg: Physics, device and number of environments.
 
     Attributes:
-        num_envs: N.
-        device: Device of all tensors.
+        num_envs, device: N, and the device of all tensors.
         arrays: Where arrays are: on the host, or on the device (``sim.warp.arrays``).
         instance_id: The simulation's number among those of this process.
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
             contains no robots.
         inside: Those rigid objects that are bodies of the scene's file, by uid.
+        known: What references may name: all entities and their parts, by uid.
         drive_changes: Values that events may draw for drives and links, by articulation uid.
         physics_seconds: Wall time spent on physics steps in `update` so far.
 
@@ -121,6 +123,7 @@ class SimulationManager:
         self.num_envs = int(self.sim_config.num_envs)
         if self.num_envs < 1:
             raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
+        require_memory_for(self.num_envs, LEAST_BYTES, "environments", "num_envs")
         self.instance_id = max(_instances, default=-1) + 1
         _instances[self.instance_id] = weakref.ref(self)
         self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
@@ -130,7 +133,7 @@ class SimulationManager:
         self.rigid_objects = self._scene.rigid_objects
         self.lights = self._scene.lights
         self.sensors = self._scene.sensors
-        self.inside = self._scene.inside
+        self.inside, self.known = self._scene.inside, self._scene.known
         for uid, inside in self.inside.items():
             self.rigid_objects[uid] = RigidObject(inside, uid, self)
         self._destroyed = False
@@ -279,6 +282,8 @@ class SimulationManager:
             sizes = str(cfg.sim_device), cfg.warp.nconmax, cfg.warp.njmax
             self._engine = kind(scene.model, self.num_envs, cfg.num_threads, *sizes)
         else:
+            each = bytes_of(scene.model, cfg.persistent)
+            require_memory_for(self.num_envs, each, "environments of this scene", "num_envs")
             self._engine = CpuEngine(scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
         self._initial_row = scene.initial_row
         self._engine.write("row", self._initial_row)

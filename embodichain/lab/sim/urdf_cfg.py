@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from embodichain.utils.configclass import configclass
+from embodichain.utils.no_effect import NoEffect
 
 __all__ = ["COMPONENTS", "URDFCfg", "URDFComponentCfg"]
 
@@ -20,6 +21,7 @@ COMPONENTS: dict[str, str] = {
     **{"arm": "", "hand": ""},
 }
 """Component -> prefix of its names, in order of assembly."""
+_WRITTEN = NoEffect("robots are assembled when they are read: nothing is written")
 Case = Literal["upper", "lower", "none", "original"]
 
 
@@ -47,13 +49,13 @@ class URDFCfg:
     """A list, or a map by `component_type`."""
     sensors: Any = None
     """Not available: declare sensors beside the robot."""
-    fpath: str | None = None
+    fpath: Annotated[str | None, _WRITTEN] = None
     """No effect: nothing is written."""
-    fname: str | None = None
+    fname: Annotated[str | None, _WRITTEN] = None
     """No effect."""
-    fpath_prefix: str | None = None
+    fpath_prefix: Annotated[str | None, _WRITTEN] = None
     """No effect."""
-    use_signature_check: bool = True
+    use_signature_check: Annotated[bool, _WRITTEN] = True
     """No effect: nothing is cached."""
     base_link_name: str = "base_link"
     """Name of the massless root link."""

@@ -37,8 +37,14 @@ def test_lists_become_maps_keyed_by_uid() -> None:
             "visual_material": {"base_color": [1, 0, 0, 1]},
         },
         "init_pos": [0.8, 0.1, 0.15],
-        "attrs": {"mass": 2.0, "dynamic_friction": 0.8},
+        "attrs": {
+            "mass": 2.0,
+            "dynamic_friction": 0.8,
+            "linear_damping": 0.7,  # EmbodiChain's default; here it is 0
+            "angular_damping": 0.7,
+        },
     }
+    assert "attrs" not in task["objects"]["table"]  # it does not move
     assert task["robot"] == {
         "uid": "arm",
         "fpath": "UniversalRobots/UR10/UR10.urdf",
@@ -110,6 +116,7 @@ def test_spellings_of_release_0_3() -> None:
         "mass": 0.2,
         "linear_damping": 0.1,
         "dynamic_friction": 0.4,
+        "angular_damping": 0.7,  # EmbodiChain's default; here it is 0
     }
     assert task["events"]["joints"]["func"] == "randomize_robot_qpos"  # a module's name is dropped
     effort = task["actions"]["cart"]

@@ -36,6 +36,8 @@ from embodichain.lab.gym.envs.managers.action_manager import (
     ActionManager,
     action_space,
     default_actions,
+    is_passive,
+    no_action,
 )
 from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
 from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
@@ -159,7 +161,9 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         chosen = has_space or self.active_joint_ids or "_step_action" in self.overridden
         if self.drives_robot and not chosen:
             cfg.actions = default_actions(self.robot)
-            self.drives_robot = not cfg.actions
+            self.drives_robot = not cfg.actions and not is_passive(self.robot)
+            if not (cfg.actions or self.drives_robot):
+                self.single_action_space = no_action()
         if self.robot is not None and not self.active_joint_ids:
             self.active_joint_ids = list(self.robot.active_joint_ids)
         self._prepare_scene(**kwargs)

@@ -21,9 +21,11 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     Vec3,
 )
+from embodichain.lab.sim.physics_cfg import OptionsCfg
 from embodichain.lab.sim.scene_cfg import SceneCfg, ViewCfg
 from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
+from embodichain.utils.defaults import KEEP_DEFAULT, DefaultInt
 
 __all__ = [
     "NO_LIMIT",
@@ -58,21 +60,33 @@ Noise = float | list[float] | None
 
 @configclass
 class SceneEntityCfg:
-    """Refers to an entity and, optionally, to its joints or links; regexes must match in full.
+    """Refers to an entity and, optionally, to its joints, and to its links, sites or geoms.
 
-    Resolved against the scene at build: no match is an error that lists the candidates.
-    The order is the declared one when `preserve_order`, else the entity's own.
+    Regexes must match in full. Resolved against the scene at build: no match is an error that lists
+    the candidates. The order is the declared one when `preserve_order`, else the entity's own. A
+    reference names frames of one kind: links, sites or geoms.
     """
 
     uid: str = ""
     joint_names: Names = None
     link_names: Names = None
     body_names: Names = None
+    """Another name of `link_names`."""
     control_parts: Names = None
     """Leaves out joints that mimic another one: they have no drive."""
     preserve_order: bool = False
     joint_ids: list[int] | None = None
     body_ids: list[int] | None = None
+    site_names: Names = None
+    """Sites of the file (MJCF)."""
+    geom_names: Names = None
+    """Geoms of the file that have a name; of a rigid object ``geom``, or ``SHAPE/geom``."""
+    link: str | None = None
+    """One link: its name, or a regex that only it matches."""
+    site: str | None = None
+    """One site, likewise."""
+    geom: str | None = None
+    """One geom, likewise."""
 
 
 @configclass
@@ -208,7 +222,7 @@ class CurriculumCfg(TermCfg):
 
 
 @configclass
-class PhysicsTaskCfg:
+class PhysicsTaskCfg(OptionsCfg):
     """Physics options of a task; None keeps the value of `sim_cfg`."""
 
     physics_dt: Annotated[float, Field(gt=0)] | None = None
@@ -264,7 +278,7 @@ class EnvCfg:
     sim_steps_per_control: Annotated[int, Field(ge=1)] = 4
     """Physics steps a control step (K)."""
     ignore_terminations: bool = False
-    max_episode_steps: int = 300
+    max_episode_steps: Annotated[int, KEEP_DEFAULT] = DefaultInt(300)
     """Control steps; -1 is no limit."""
     first_env: Annotated[int, Field(ge=0)] = dataclasses.field(default=0, kw_only=True)
     """Number of the first environment: environment *i* has the random streams of first_env + i."""

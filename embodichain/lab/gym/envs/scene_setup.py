@@ -28,7 +28,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
-from embodichain.lab.sim.compiler.appearance import check_light
+from embodichain.lab.sim.compiler.appearance import check_ground, check_light
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
@@ -38,7 +38,9 @@ from embodichain.lab.sim.compiler.drives import (
 )
 from embodichain.lab.sim.compiler.furniture import check_furniture, furniture_of
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.known import known_entities
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
+from embodichain.lab.sim.compiler.physics_options import check_options
 from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
 from embodichain.lab.sim.compiler.scene import compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
@@ -111,7 +113,8 @@ def _surroundings(cfg: EnvCfg) -> list[_Entity]:
 
 def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
     scene = _scene(cfg)
-    found = check_furniture(scene, _base(cfg)) if scene.table or scene.pedestal else []
+    found = check_ground(scene)
+    found += check_furniture(scene, _base(cfg)) if scene.table or scene.pedestal else []
     return [problem.below("scene") for problem in found]
 
 
@@ -155,6 +158,7 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
     if cfg.episode_length_s is not None:
         step_dt = sim_cfg.physics_dt * cfg.sim_steps_per_control
         cfg.max_episode_steps = max(1, math.ceil(cfg.episode_length_s / step_dt - 1e-9))
+    cfg.max_episode_steps = int(cfg.max_episode_steps)
     if cfg.max_episode_steps == -1:
         cfg.max_episode_steps = NO_LIMIT
     return cfg
@@ -226,16 +230,14 @@ def describe(
     problems = _check_names(entities, inside) + _check_surroundings(cfg) + problems
     objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
     lights = {e.uid: e.cfg for e in entities if isinstance(e.cfg, LightCfg)}
-    known: dict[str, ParsedArticulation | str | None] = {}
-    for path, uid, entity in entities:
-        kind = "rigid object" if isinstance(entity, RigidObjectCfg) else None
-        kind = "light" if isinstance(entity, LightCfg) else kind
-        known.setdefault(uid, kind or parsed.get(path))
-    prepared.known = known = known | dict.fromkeys(inside, "rigid object")
+    jointed = {e.uid: parsed.get(e.path) for e in entities if isinstance(e.cfg, ArticulationCfg)}
+    known = known_entities(jointed, objects, lights, world, physics.scene.table)
+    prepared.known = known
     open_scene = cfg.id is not None or bool(physics.scene.fpath and world is None)
     incomplete = open_scene or None in known.values()
-    found = check_views(physics.views, *places_of_views(known, world, incomplete))
+    found = check_views(physics.views, *places_of_views(known, world, incomplete), known)
     problems += [p.below("views") for p in found]
+    problems += [p.below("physics") for p in check_options(physics.physics_config)]
     problems += check_references(cfg, known, open_scene=open_scene)
     sensors: dict[str, SensorPlan] = {}
     if cfg.sensors:
@@ -289,6 +291,8 @@ def _parse(
                 parsed[path] = articulation
         elif isinstance(cfg, RigidObjectCfg):
             found = check_object(cfg)
+            if path.startswith("scene."):  # `check_furniture` names the keys of table and pedestal
+                found = [p for p in found if not p.path.startswith("contact.")]
         elif isinstance(cfg, LightCfg):
             found = check_light(cfg)
         problems += [p.below(path) for p in found]
@@ -349,6 +353,8 @@ def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]
         entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
         for param, quantity in getattr(func, "drive_ranges", {}).items():
             bounds, operation = _bounds(params.get(param)), _operation(params, quantity)
+            if quantity == "com" and params.get(param) is not None:
+                bounds, operation = (0.0, 0.0), "add"
             for entity in entities if bounds is not None and operation is not None else ():
                 fields = entity if isinstance(entity, Mapping) else getattr(entity, "__dict__", {})
                 if fields:
@@ -362,8 +368,8 @@ def _names(
     fields: Mapping[str, Any], quantity: str, params: Mapping[str, Any]
 ) -> tuple[str, ...] | None:
     """The patterns of the picked links or joints; None is all."""
-    if quantity == "mass":
-        given = [params.get("link_names") or fields.get("link_names")]
+    if quantity in ("mass", "com"):
+        given = [params.get("link_names") or fields.get("link_names") or fields.get("link")]
     else:
         given = [fields.get("joint_names"), fields.get("control_parts")]
     names = [n for value in given if value for n in ([value] if isinstance(value, str) else value)]

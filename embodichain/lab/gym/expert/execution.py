@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.expert.arms import Arm, DeclaredArm, arms_of, find_arm
+from embodichain.lab.gym.expert.fingers import read_fingers, unclear_fingers
 from embodichain.lab.gym.expert.instructions import EXACT, Goal, Grip, Move, Wait
 from embodichain.lab.gym.expert.program import Program, check_steps, targets_in
 from embodichain.lab.gym.expert.pushes import Pushes
 from embodichain.lab.gym.expert.reading import ReadStep
 from embodichain.lab.gym.expert.targets import WORLD, TargetPoses, target_name
-from embodichain.lab.gym.expert.trajectories import ToolPath, length
+from embodichain.lab.gym.expert.touches import is_touching, obstacles
+from embodichain.lab.gym.expert.trajectories import ToolPath, as_place, length
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
     euler_xyz_to_quat,
@@ -80,6 +82,8 @@ class Execution:
             except ConfigError as error:
                 problems += error.problems
         problems = problems or _orientations(steps, [arm for _, arm in pairs], declared)
+        self._fingers = [read_fingers(arm) for _, arm in pairs]
+        problems = problems or unclear_fingers(steps, pairs, self._fingers)
         if problems:
             raise ConfigError(problems)
         self._targets.add(WORLD, "")
@@ -91,6 +95,7 @@ class Execution:
         close = [one.tolerance if isinstance(one, Move) else None for one in program.instructions]
         self._tolerances = np.array([np.inf if one is None else one for one in [*close, None]])
         self._taken = program.taken()
+        self._taken_bodies = [self._targets.bodies(target) for target in self._taken]
         self._shape = count, sum(env.single_action_space.shape or ())
         shape = count, len(self._arms)
         self._phase: Rows = np.zeros(count, np.int64)
@@ -153,9 +158,17 @@ class Execution:
                 held = self._held[:, a] == number
                 if not held.any():
                     continue
-                slip = length(self._in_tool(a, target) - self._grasp[:, a])
-                lost = np.flatnonzero(held & (slip > _SLIP))
-                self._fail(lost, a, f"the gripper has lost {target_name(target)}")
+                here = self._in_tool(a, target)
+                moved = held & (length(here - self._grasp[:, a]) > _SLIP) & ~self.done
+                lost = [i for i in np.flatnonzero(moved).tolist() if not self._grips(i, a, number)]
+                self._grasp[moved, a] = here[moved]  # what only turns is held on there
+                why = f"the gripper has lost {target_name(target)}"
+                self._fail(np.array(lost, np.int64), a, why)
+
+    def _grips(self, row: int, a: int, number: int) -> bool:
+        """Whether fingers touch what they hold in an environment."""
+        fingers, held = self._fingers[a].bodies, self._taken_bodies[number]
+        return is_touching(self.env.sim.engine, row, fingers, held)
 
     def _in_tool(self, a: int, target: Any) -> F64:
         """(N, 3) position of a target in the axes of a tool."""
@@ -201,9 +214,10 @@ class Execution:
             near &= path.at_rest() | ~exact
             there = path.asked() & (near | ~np.isfinite(tolerance))
             late = (kind[:, a] == _MOVE) & ~there & (steps > path.steps + limit) & ~self.done
-            for row in np.flatnonzero(late):
+            for row in np.flatnonzero(late).tolist():
                 missing = f"{1000 * distance[row]:.0f} mm and {angle[row]:.2f} rad are missing"
-                self._fail(np.array([row]), a, f"the tool has not arrived: {missing}")
+                touched = self._obstacles(row, a)
+                self._fail(np.array([row]), a, f"the tool has not arrived: {touched}; {missing}")
             known = arm.gripper is not None and arm.gripper.opening() is not None
             rest = (self._still[:, a] >= 2) & (steps >= 3) if known else steps >= blind
             over[:, a] |= (kind[:, a] == _MOVE) & there
@@ -212,6 +226,13 @@ class Execution:
         over |= (self._phase < 0)[:, None]  # nothing was begun
         over &= ~self.done[:, None]
         return over
+
+    def _obstacles(self, row: int, a: int) -> str:
+        """What an arm's robot, and what the arm holds, touches in an environment."""
+        number = self._held[row, a]
+        held = self._taken_bodies[number] if number >= 0 else frozenset()
+        robot = frozenset(map(int, self._arms[a].asset.entity.body_ids))
+        return obstacles(self.env.sim.engine, row, robot, held)
 
     def _start(self, index: int, a: int, rows: Rows) -> None:
         """Begin an instruction in some environments."""
@@ -236,8 +257,8 @@ class Execution:
                 pos, quat = self._goal(one.goal, a, rows)
                 reached = self._paths[a].plan(rows, pos, quat, one.speed)
                 for row, place in zip(rows[~reached], pos[~reached], strict=True):
-                    spot = ", ".join(f"{x:.3f}" for x in place)
-                    self._fail(np.array([row]), a, f"no straight line of the tool to ({spot}) m")
+                    why = f"{as_place(place)}: {self._paths[a].obstacles[int(row)]}"
+                    self._fail(np.array([row]), a, f"no straight line of the tool to {why}")
 
     def _end(self, index: int, a: int, rows: Rows) -> None:
         """See what an instruction has achieved."""
@@ -302,9 +323,19 @@ class Execution:
             quat = quat_multiply(axes, np.tile(given, (len(rows), 1)))
         elif goal.align is not None and self._arms[a].term.orientation == "any":
             facing = quat_multiply(tool_quat, held_quat)
+            if not goal.held:
+                facing = self._fingers_along_x(facing, a)
             quat = quat_multiply(self._turn(goal, facing, tool_quat, rows), tool_quat)
         back = np.tile([0.0, 0.0, goal.back], (len(rows), 1))
         return place - quat_rotate(quat, held_pos + back), quat
+
+    def _fingers_along_x(self, quat: F64, a: int) -> F64:
+        """(n, 4) orientations whose x axis is the line along which the tool's fingers move."""
+        angle = self._fingers[a].angle
+        if not angle:
+            return quat
+        turn = rotvec_to_quat(np.array([0.0, 0.0, angle]))
+        return quat_multiply(quat, np.tile(turn, (len(quat), 1)))
 
     def _direction(self, goal: Goal, rows: Rows) -> F64:
         """(n, 3) horizontal unit vectors, away from `goal.start` through the target."""
@@ -320,8 +351,8 @@ class Execution:
             return pos, quat
         path, held = self._paths[a], self._held[rows, a]
         back = quat_conjugate(path.quat[rows])
-        for number, target in enumerate(self._taken):
-            which = held == number
+        for number in np.unique(held):
+            which, target = held == number, self._taken[number]
             place, facing = (part[rows][which] for part in self._targets(target))
             pos[which] = quat_rotate(back[which], place - path.pos[rows][which])
             quat[which] = quat_multiply(back[which], facing)

@@ -33,7 +33,7 @@ __all__ = ["STEPS", "Maker"]
 
 def _as_target(value: Any) -> Target:
     if not isinstance(value, str) and not callable(value):
-        raise ValueError("must be an entity, ENTITY/LINK, a command or world")
+        raise ValueError("must be an entity, ENTITY/NAME, a command or world")
     target: Target = value
     return target
 

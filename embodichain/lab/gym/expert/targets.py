@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.sim.compiler.names import exact_pattern, pick
+from embodichain.lab.sim.compiler.names import find_frame, frame_names, pick
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import normalize_quat, quat_multiply, quat_rotate
 from embodichain.utils.suggest import did_you_mean
@@ -30,10 +30,14 @@ def target_name(target: Target) -> str:
     return target if isinstance(target, str) else str(getattr(target, "__name__", target))
 
 
-def _fields(target: str) -> dict[str, Any]:
-    """The reference to an entity or to its link."""
-    uid, slash, link = target.partition("/")
-    return {"uid": uid, **({"link_names": [exact_pattern(link)]} if slash else {})}
+def _fields(target: str, known: Known) -> tuple[dict[str, Any], list[Problem]]:
+    """The reference to an entity, or to a link, site or geom of it."""
+    uid, slash, name = target.partition("/")
+    entity = known.get(uid)
+    if not slash or entity is None:
+        return {"uid": uid, **({"link": name} if slash else {})}, []
+    frame, problems = find_frame(name, lambda kind: frame_names(entity, uid, kind), "", uid)
+    return {"uid": uid, **({} if frame is None else {frame[0]: frame[1]})}, problems
 
 
 def check_target(
@@ -42,7 +46,7 @@ def check_target(
     """Find what is wrong with a target.
 
     Args:
-        target: ``ENTITY``, ``ENTITY/LINK`` or a command.
+        target: ``ENTITY``, ``ENTITY/NAME`` (a link, site or geom) or a command.
         path: Its key path.
         known: The declared entities.
         commands: The commands.
@@ -51,7 +55,8 @@ def check_target(
     commands = list(commands)
     if target == WORLD or (target in commands and target not in known):
         return []
-    problems = pick(path, _fields(target), known, open_scene)[1]
+    fields, problems = _fields(target, known)
+    problems = problems or pick(path, fields, known, open_scene)[1]
     uid = target.partition("/")[0]
     if commands and uid not in known and problems:
         hint = problems[0].hint or did_you_mean(target, commands).strip()
@@ -84,6 +89,16 @@ class TargetPoses:
         """Position (N, 3) in m and orientation (N, 4), wxyz."""
         return self._readers[target]()
 
+    def bodies(self, target: Target) -> frozenset[int]:
+        """MuJoCo ids of a target's bodies: of an entity all; none of commands and functions."""
+        if not isinstance(target, str) or target in (WORLD, *self._env.command_manager.terms):
+            return frozenset()
+        fields, _ = _fields(target, self._env.sim.known)  # `add` has checked it
+        entity = self._env.scene_entity(fields)
+        link = entity.link_body
+        every = entity.asset.entity.body_ids if link is None else [link]
+        return frozenset(map(int, every))
+
     def _reader(self, target: Target, path: str) -> Callable[[], Poses]:
         env, count = self._env, self._env.num_envs
         if not isinstance(target, str):
@@ -96,7 +111,10 @@ class TargetPoses:
         if target in commands and target not in entities:
             return self._command(target, path)
         try:
-            entity = env.scene_entity(_fields(target))
+            fields, problems = _fields(target, env.sim.known)
+            if problems:
+                raise ConfigError(problems)
+            entity = env.scene_entity(fields)
         except ConfigError as error:
             raise ConfigError([Problem(path, p.message, p.hint) for p in error.problems]) from error
         return lambda: (entity.position(), entity.orientation())

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.expert.arms import Arm
     from embodichain.lab.sim.engine.api import F64
 
-__all__ = ["ToolPath", "length"]
+__all__ = ["ToolPath", "as_place", "length"]
 
 _WAYPOINTS = 16
 """Positions on a line that are solved by inverse kinematics."""
@@ -57,6 +57,12 @@ def length(vectors: F64) -> F64:
     return found
 
 
+def as_place(pos: F64) -> str:
+    """A position (3,) in messages."""
+    spot = ", ".join(f"{x:.3f}" for x in pos)
+    return f"({spot}) m"
+
+
 class ToolPath:
     """Moves one tool in all environments.
 
@@ -71,6 +77,7 @@ class ToolPath:
         path_pos: (N, 3) where the tool is on its path.
         path_quat: (N, 4).
         steps: (N,) control steps of the present path.
+        obstacles: Environment -> where its last line ended that could not be reached, and why.
     """
 
     def __init__(self, arm: Arm, num_envs: int, step_dt: float) -> None:
@@ -91,6 +98,7 @@ class ToolPath:
         self.pos, self.quat = self._solver.forward(arm.asset.read_qpos())
         self.path_pos, self.path_quat = self.pos.copy(), self.quat.copy()
         self._speed: F64 = np.zeros(num_envs)
+        self.obstacles: dict[int, str] = {}
 
     def measure(self) -> None:
         """Read where the tool is."""
@@ -160,15 +168,50 @@ class ToolPath:
         )
         line = found.reshape(len(shares), len(rows), -1)
         line[0] = seed
-        reached &= there.reshape(len(shares), -1)[1:].all(axis=0) & _smooth(line)
+        there = there.reshape(len(shares), -1)
+        there[0] = True
+        reached &= there.all(axis=0) & _smooth(line)
         walk = np.flatnonzero(~reached)
         if len(walk):  # from point to point: slower, but near the previous one
-            now, good = seed[walk], np.ones(len(walk), np.bool_)
+            now = seed[walk]
             for i in range(1, len(shares)):
                 now, arrived = self._inverse(rows[walk], now, place[i, walk], facing[i, walk])
-                line[i, walk], good = now, good & arrived
-            reached[walk] = good & _smooth(line[:, walk])
+                line[i, walk], there[i, walk] = now, arrived
+            reached[walk] = there[:, walk].all(axis=0) & _smooth(line[:, walk])
+        for k in np.flatnonzero(~reached):
+            row = int(rows[k])
+            self.obstacles[row] = self._obstacle(row, line[:, k], there[:, k], place[:, k])
         return np.moveaxis(line, 0, 1)[..., self._solver.moving], reached
+
+    def _obstacle(self, row: int, line: F64, there: NDArray[np.bool_], place: F64) -> str:
+        """Where a line ends in an environment, and which joint or distance ends it.
+
+        Args:
+            row: The environment.
+            line: (W + 1, D) joint positions.
+            there: (W + 1,) whether they reach the line.
+            place: (W + 1, 3) points on it.
+        """
+        moving, names = self._solver.moving, self._solver.names
+        leaps = np.abs(np.diff(line[:, moving], axis=0))
+        i = 1 + int(np.argmax(~there[1:] | (leaps.max(axis=1) >= _LONGEST_LEAP)))
+        where = f"after {100 * (i - 1) / (len(line) - 1):.0f} % of it, at {as_place(place[i - 1])},"
+        if there[i]:
+            joint = int(np.argmax(leaps[i - 1]))
+            unit = "rad" if self._solver.hinges[joint] else "m"
+            return f"{where} {names[joint]} would leap by {leaps[i - 1, joint]:.2f} {unit}"
+        ids = np.array([row])
+        low, high = (limit[:, 0] for limit in self._solver.limits(ids))
+        now = line[i, moving]
+        ends = np.minimum(now - low, high - now)
+        missing = float(length(place[i, None] - self._solver.forward(line[i, None], ids)[0])[0])
+        left = f"{1000 * missing:.0f} mm are missing at the next point"
+        units = np.where(self._solver.hinges, "rad", "m")
+        at_end = [
+            f"{names[j]} is at its limit, {now[j]:.2f} {units[j]}"
+            for j in np.flatnonzero(ends < 1e-3)
+        ]
+        return f"{where} {', '.join([*at_end, left])}"
 
     def _inverse(
         self, rows: NDArray[np.int64], seed: F64, pos: F64, quat: F64

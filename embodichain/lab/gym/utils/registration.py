@@ -16,6 +16,7 @@ import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -28,7 +29,6 @@ __all__ = ["REGISTERED_ENVS", "EnvSpec", "build_env", "make", "make_vec", "regis
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
-_DEFAULT_LIMIT = EnvCfg().max_episode_steps
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,8 @@ def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> Ba
 
     Args:
         env_id: The id.
-        max_episode_steps: Time limit in control steps; None is that of the given `cfg` if it
-            differs from `EnvCfg`'s default, else the registered limit.
+        max_episode_steps: Time limit in control steps; None is that of the given `cfg` if it has
+            one, else the registered limit.
         **kwargs: Passed to the class; override the registered defaults.
 
     Raises:
@@ -122,12 +122,17 @@ def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> Ba
     """
     spec = _find(env_id)
     env: BaseEnv = spec.cls(**{**copy.deepcopy(spec.default_kwargs), **kwargs})
-    given = getattr(kwargs.get("cfg"), "max_episode_steps", _DEFAULT_LIMIT)
-    registered = spec.max_episode_steps if given == _DEFAULT_LIMIT else None
+    registered = None if _limits_episodes(kwargs.get("cfg")) else spec.max_episode_steps
     limit = registered if max_episode_steps is None else max_episode_steps
     if limit is not None:
         env.max_episode_steps = limit
     return env
+
+
+def _limits_episodes(cfg: Any) -> bool:
+    """Whether a config was given a time limit."""
+    steps, seconds = (getattr(cfg, key, None) for key in ("max_episode_steps", "episode_length_s"))
+    return seconds is not None or (steps is not None and is_given(steps))
 
 
 def make_vec(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -9,9 +10,15 @@ from functools import cache
 import mujoco
 import numpy as np
 
+from embodichain.lab.sim.compiler.contact_parameters import (
+    check_fixed_contact,
+    fixed_contact,
+    set_contact_parameters,
+)
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
+from embodichain.lab.sim.contact_cfg import ContactCfg
 from embodichain.lab.sim.scene_cfg import GroundCfg, LightCfg, SceneCfg, SkyCfg
 from embodichain.utils.errors import Problem
 
@@ -22,6 +29,7 @@ __all__ = [
     "add_ground",
     "add_lights",
     "add_wood",
+    "check_ground",
     "check_light",
     "place_lights",
     "set_look",
@@ -92,8 +100,22 @@ def set_look(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
 # ------------------------------------------------------------------------------------------- ground
 
 
+def check_ground(cfg: SceneCfg) -> list[Problem]:
+    """Return every mistake in the contact parameters of a scene's ground, with paths below it."""
+    ground = cfg.ground
+    if ground is None:
+        return []
+    given = [f.name for f in dataclasses.fields(ContactCfg) if getattr(ground, f.name) is not None]
+    if cfg.terrain is not None:
+        message = "the terrain is the ground that things touch: give it in scene.terrain"
+        return [Problem(f"ground.{name}", message) for name in given]
+    if ground.type == "none":
+        return [Problem(f"ground.{name}", "there is no ground: type is none") for name in given]
+    return [p.below("ground") for p in check_fixed_contact(ground)]
+
+
 def add_ground(spec: mujoco.MjSpec, cfg: GroundCfg) -> None:
-    """Add the ground plane at z = 0."""
+    """Add the ground plane at z = 0. What stands on it decides, unless a friction is given."""
     colors = [[float(c) for c in rgb] for rgb in cfg.colors or _COLORS[cfg.type]]
     material = spec.add_material(name=GROUND, reflectance=float(cfg.reflectance))
     material.texuniform = True
@@ -120,12 +142,13 @@ def add_ground(spec: mujoco.MjSpec, cfg: GroundCfg) -> None:
         material.textures[_RGB] = GROUND
         material.texrepeat = 2 * [0.5 / float(cfg.tile)]
     edge = 0.0 if cfg.size is None else 0.5 * float(cfg.size)
-    spec.worldbody.add_geom(
+    plane = spec.worldbody.add_geom(
         name=GROUND,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[edge, edge, 1.0],
         material=GROUND,
     )
+    set_contact_parameters([plane], fixed_contact(cfg))
 
 
 # --------------------------------------------------------------------------------------------- wood

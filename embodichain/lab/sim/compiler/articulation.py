@@ -12,6 +12,14 @@ import numpy as np
 
 from embodichain.lab.sim.cfg import ArticulationCfg, RobotCfg, URDFCfg
 from embodichain.lab.sim.compiler.collision_shapes import replace_shapes, resolve_shapes
+from embodichain.lab.sim.compiler.contact_patterns import apply_contacts, check_contacts
+from embodichain.lab.sim.compiler.couplings import (
+    Rigidity,
+    couple,
+    moving_mimics,
+    rigid_armature,
+    shown_mimics,
+)
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
     DriveGains,
@@ -22,7 +30,9 @@ from embodichain.lab.sim.compiler.drives import (
     resolve_drives,
 )
 from embodichain.lab.sim.compiler.index import F64, Mask
-from embodichain.lab.sim.compiler.names import exact_pattern, match
+from embodichain.lab.sim.compiler.kept_inertias import HullLimit
+from embodichain.lab.sim.compiler.model_size import reported
+from embodichain.lab.sim.compiler.names import exact_pattern, match, names_in_spec
 from embodichain.lab.sim.compiler.postures import start_posture
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_assembly import assemble, attach_files
@@ -35,7 +45,9 @@ from embodichain.lab.sim.compiler.robot_files import (
     read_model,
 )
 from embodichain.lab.sim.compiler.robot_joints import (
+    FileJoints,
     Keyframe,
+    Mimics,
     Servos,
     control_names,
     initial_controls,
@@ -44,6 +56,7 @@ from embodichain.lab.sim.compiler.robot_joints import (
     resolve_qpos,
 )
 from embodichain.lab.sim.compiler.robot_links import (
+    AttachedOptions,
     RobotModel,
     Tool,
     add_attachments,
@@ -52,8 +65,8 @@ from embodichain.lab.sim.compiler.robot_links import (
     lock_joints,
     prepare_file,
     resolve_tools,
-    set_root,
 )
+from embodichain.lab.sim.compiler.robot_root import Placement, Root, place, set_root
 from embodichain.lab.sim.compiler.self_collision import (
     LinkOrigins,
     SelfCollision,
@@ -82,7 +95,7 @@ class ParsedArticulation:
             included: they are simulated, but have no columns in joint arrays.
         link_names: Bodies, parents before children.
         root_link_name: The body with the articulation's pose.
-        root_pose: (7,) pose of the root in the file's own world: x, y, z, qw, qx, qy, qz.
+        placement: Where its root and its file's world are in the scene.
         fixed_base: Whether the root is fixed (a mocap body) or floats on a free joint.
         qpos_limits: (D, 2) rad or m; infinite where there is none.
         qvel_limits, qf_limits: From the file; inf where it has none.
@@ -90,13 +103,17 @@ class ParsedArticulation:
         init_qvel: Initial velocities: the keyframe's, else 0.
         stiffness: Gains of drives and of the file's servos; 0 without either.
         damping: As `stiffness`; the passive damping of a joint without either.
-        joint_damping: Passive damping of the joints themselves, from the file.
+        joint_damping: Passive damping of the joints themselves, from the file; of a mimic joint,
+            with what it carries of its leader's drive.
+        carried_damping: What mimic joints carry of a drive's damping, see `couplings`; the damper
+            of its actuator is smaller by as much.
         max_effort: Effort limits of drives; inf is no limit.
         max_velocity: Limits of position targets and velocity actions; 1e10 is no limit.
         friction: Dry friction.
         armature: Reflected inertia, `added_armature` included.
         added_armature: Armature added so that limited drives do not chatter.
-        mimic_ids: Joints that follow another: ``q = multiplier * q[parent] + offset``.
+        mimic_ids: Joints that follow another, ``q = multiplier * q[parent] + offset``: mimics of a
+            URDF, and joints without drive and servo that an equality of an MJCF couples.
         control_parts: Part -> joint indices.
         tools: Part (``default`` is the whole robot) -> the link that is its tool point.
         own_actuators: Whether actuators of the file are kept.
@@ -110,9 +127,14 @@ class ParsedArticulation:
         init_ctrl: (M,) initial controls.
         init_act: (K,) initial activations, in the order of its actuators.
         keyframe: The file's keyframe, for the root and ball joints, or None.
-        attached_options: Path of each attached file, and an empty model with its physics options.
+        options: The physics options that its own file gives, see `given_options`.
+        attached_options: Path of each attached file, an empty model with its physics options, and
+            the names of those it gives.
         self_collision: Which of its links collide with each other.
         notes: Messages for the user about the file, one line each.
+        floors: Floors of its file, still in `spec`: see `compiler.floors`.
+        attached_floors: Floors of attached files.
+        hulls: Meshes whose convex hull is limited.
     """
 
     uid: str
@@ -123,7 +145,7 @@ class ParsedArticulation:
     joint_names: tuple[str, ...]
     link_names: tuple[str, ...]
     root_link_name: str
-    root_pose: F64
+    placement: Placement
     fixed_base: bool
     qpos_limits: F64
     qvel_limits: F64
@@ -133,6 +155,7 @@ class ParsedArticulation:
     stiffness: F64
     damping: F64
     joint_damping: F64
+    carried_damping: F64
     max_effort: F64
     max_velocity: F64
     friction: F64
@@ -153,14 +176,23 @@ class ParsedArticulation:
     init_ctrl: F64
     init_act: F64
     keyframe: Keyframe | None
-    attached_options: tuple[tuple[str, mujoco.MjSpec], ...]
+    options: frozenset[str]
+    attached_options: tuple[AttachedOptions, ...]
     self_collision: SelfCollision
     notes: tuple[str, ...]
+    floors: tuple[str, ...]
+    attached_floors: tuple[str, ...]
+    hulls: tuple[HullLimit, ...]
 
     @property
     def site_names(self) -> tuple[str, ...]:
         """Its sites that have a name."""
         return tuple(site.name for site in self.spec.sites if site.name)
+
+    @property
+    def geom_names(self) -> tuple[str, ...]:
+        """Its geoms that have a name."""
+        return tuple(geom.name for geom in self.spec.geoms if geom.name)
 
     @property
     def all_notes(self) -> tuple[str, ...]:
@@ -222,6 +254,16 @@ def parse_with_problems(
     With mistakes in the config the articulation is returned, for its names; with one in the file,
     None.
     """
+    with reported(f"{uid}: reading {cfg.fpath or 'the files of urdf_cfg'}"):
+        return _parse(uid, cfg, step, changes)
+
+
+def _parse(
+    uid: str,
+    cfg: ArticulationCfg,
+    step: PhysicsStep | None,
+    changes: Sequence[DriveChange],
+) -> tuple[ParsedArticulation | None, list[Problem]]:
     try:
         file = read_robot(cfg)
     except ConfigError as error:
@@ -229,7 +271,9 @@ def parse_with_problems(
             p if p.path.startswith("urdf_cfg") else Problem("fpath", str(p), "")
             for p in error.problems
         ]
-    problems = [*_unsupported(cfg), *check_pose(cfg)]
+    misplaced = check_pose(cfg)
+    placed = ArticulationCfg(fix_base=cfg.fix_base) if misplaced else cfg
+    problems = [*_unsupported(cfg), *misplaced]
     try:
         wrong = lock_joints(file, cfg.locked_joints)
     except MUJOCO_ERRORS as error:
@@ -241,7 +285,7 @@ def parse_with_problems(
         robot = prepare_file(file, cfg.attrs)
         if attached:
             init_qpos = _of_own_joints(init_qpos, robot.joints.names)
-            robot, wrong = attach_files(robot, attached, file.velocity_limits)
+            robot, wrong = attach_files(robot, attached)
             if wrong:  # which names the robot has is unknown
                 return None, [*problems, *wrong]
     except ConfigError as error:
@@ -249,52 +293,73 @@ def parse_with_problems(
     except MUJOCO_ERRORS as error:
         return None, [*problems, Problem("fpath", f"{file.path}: {as_line(error)[0]}")]
     joints, mimics, keyframe = robot.joints, robot.mimics, robot.keyframe
+    count = len(joints.names)
     parts, wrong = _control_parts(getattr(cfg, "control_parts", None), joints.names)
     problems += wrong
     gains, wrong = resolve_drives(cfg.drive_pros, joints, parts, mimics.ids)
     problems += [p.below("drive_pros") for p in wrong]
-    qpos, wrong = resolve_qpos(init_qpos, joints, mimics, keyframe)
+    qpos, wrong = resolve_qpos(init_qpos, joints, mimics, keyframe, robot.equalities)
     problems += wrong
     links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
-    problems += check_attachments(links, cfg.attachments)
+    problems += check_attachments(file.spec, cfg.attachments)
     shapes, wrong = resolve_shapes(links, cfg)
     problems += wrong
-    tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments])
+    sites = names_in_spec(file.spec, "site")
+    tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments], sites)
     problems += wrong
     try:
         drives, replaced = apply_drives(file.spec, gains, joints)
         driven = gains.driven.any() or joints.servos.count or joints.from_urdf.any()
         if joints.names and not driven and isinstance(cfg, RobotCfg):  # a door needs no drive
-            replaced.append("no joint is driven: it has no actuators, drive_pros names no joint")
+            what = "it has no actuators, drive_pros names no joint: its actions are empty"
+            replaced.append(f"no joint is driven: {what}")
         notes = [*robot.notes, *(f"{file.path}: {line}" for line in replaced)]
+        notes += _without_effort(cfg, joints, mimics)
+        notes += _driven_mimics(cfg, file, joints.names, mimics, parts)
         if not problems:
             replace_shapes(file.spec, shapes, cfg.attrs)
             add_attachments(file.spec, cfg.attachments)
+        problems += check_contacts(file.spec, cfg.contact, list(cfg.attachments))
+        if not problems:
+            apply_contacts(file.spec, cfg.contact)
             add_tools(file.spec, tools)
         for body in file.spec.bodies[1:]:
             if cfg.gravcomp is not None:
                 body.gravcomp = float(cfg.gravcomp)
-            body.simple = 0  # its centre of mass may move: see `add_object`
-        spec, root = set_root(file.spec, cfg.fix_base)
+        _unsimplify(file.spec, changes)
+        notes += _fixed(cfg, file)
+        start = None if keyframe is None else keyframe.root
+        root = set_root(file.spec, cfg.fix_base, robot.planes, start)
+        spec = root.spec
+        notes += [f"{file.path}: {line}" for line in root.notes]
         model = compile_quietly(spec)
+        added = np.zeros(count)
+        rigidity = Rigidity(np.zeros(count), np.zeros(count))
         collision = SelfCollision()
         if not problems:
-            origins = _origins(cfg, robot, root, tools)
-            start = start_posture(model, qpos, keyframe)
-            collision, problems, changed = set_self_collision(spec, model, cfg, origins, start)
+            origins = _origins(cfg, robot, root.name, tools)
+            posture = start_posture(model, qpos, keyframe)
+            collision, problems, changed = set_self_collision(spec, model, cfg, origins, posture)
             model = compile_quietly(spec) if changed else model
-        added = np.zeros(len(joints.names))
         if step is not None and not problems:
-            added, said = _quieten(spec, model, joints.names, gains, qpos, parts, step, changes)
+            added, said = _quieten(
+                spec, model, joints.names, gains, mimics, qpos, parts, step, changes
+            )
             notes += [f"{file.path}: {note}" for note in said]
+            rigidity = couple(
+                spec, model, joints.names, gains, mimics, qpos, joints.qvel_limits, step
+            )
         if not problems and cfg.fix_base:
             notes += _overloaded(cfg, model, gains, qpos)
     except (ConfigError, *MUJOCO_ERRORS) as error:
         text = str(error) if isinstance(error, ConfigError) else as_line(error)[0]
+        if "mjMINVAL" in text and not cfg.fix_base:
+            text += ": a base without mass cannot float; fix_base: true fixes it"
         return None, [*problems, Problem("fpath", f"{file.path}: {text}")]
     servos = read_servos(model, movable_joints(model))
     # Convert damping ratios to gains here: inertias may have changed.
     kept = ~gains.driven & (servos.drive >= 0)
+    shown = shown_mimics(mimics, robot.equalities, gains.driven | (servos.drive >= 0))
     init_ctrl, init_act = initial_controls(model, servos, gains.driven, qpos, keyframe)
     return (
         ParsedArticulation(
@@ -305,8 +370,8 @@ def parse_with_problems(
             model=model,
             joint_names=tuple(model.joint(i).name for i in movable_joints(model)),
             link_names=tuple(model.body(i).name for i in range(1, model.nbody)),
-            root_link_name=root,
-            root_pose=_root_pose(model, root, keyframe),
+            root_link_name=root.name,
+            placement=place(placed, _root_pose(model, root, keyframe)),
             fixed_base=cfg.fix_base,
             qpos_limits=joints.qpos_limits,
             qvel_limits=joints.qvel_limits,
@@ -314,17 +379,18 @@ def parse_with_problems(
             init_qpos=qpos,
             init_qvel=np.zeros(len(qpos)) if keyframe is None else keyframe.qvel,
             stiffness=np.where(kept, servos.stiffness, gains.stiffness),
-            damping=np.where(kept, servos.damping, gains.damping),
-            joint_damping=joints.damping,
+            damping=np.where(kept, servos.damping, gains.damping + rigidity.damping),
+            joint_damping=joints.damping + rigidity.damping,
+            carried_damping=rigidity.carried,
             max_effort=np.where(kept, servos.max_effort, gains.max_effort),
             max_velocity=gains.max_velocity,
             friction=gains.friction,
             armature=np.where(added > 0, _rounded(gains.armature + added), gains.armature),
             added_armature=added,
-            mimic_ids=mimics.ids,
-            mimic_parents=mimics.parents,
-            mimic_multipliers=mimics.multipliers,
-            mimic_offsets=mimics.offsets,
+            mimic_ids=shown.ids,
+            mimic_parents=shown.parents,
+            mimic_multipliers=shown.multipliers,
+            mimic_offsets=shown.offsets,
             control_parts=parts,
             tools={part: tool.link for part, tool in tools.items()},
             own_actuators=model.nactuator > int(gains.driven.sum()),
@@ -339,12 +405,67 @@ def parse_with_problems(
             init_ctrl=init_ctrl,
             init_act=init_act,
             keyframe=keyframe,
+            options=file.options,
             attached_options=robot.attached_options,
             self_collision=collision,
             notes=tuple(notes),
+            floors=robot.floors,
+            attached_floors=robot.attached_floors,
+            hulls=robot.hulls,
         ),
         problems,
     )
+
+
+def _fixed(cfg: ArticulationCfg, file: ModelFile) -> list[str]:
+    """Return a message about free joints of the file that `fix_base` leaves out."""
+    free = [
+        f"{joint.name!r} of {body.name!r}"
+        for body in file.spec.worldbody.bodies
+        for joint in body.joints
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE
+    ]
+    if not cfg.fix_base or not free:
+        return []
+    why = "the base is fixed (fix_base: true, the default); fix_base: false lets it float"
+    return [f"{file.path}: free joint {', '.join(free)} left out: {why}"]
+
+
+def _without_effort(cfg: ArticulationCfg, joints: FileJoints, mimics: Mimics) -> list[str]:
+    """Return a message about joints of URDF files whose effort limit, which is taken, is 0."""
+    zero = joints.limits.zero_effort
+    driven = [n for i, n in enumerate(joints.names) if i not in mimics.ids and n in zero]
+    if cfg.drive_pros.max_effort != "file" or not driven:
+        return []
+    places = ", ".join(f"{name!r} ({zero[name]})" for name in driven)
+    entries = ", ".join(f"{exact_pattern(name)}: N" for name in driven)
+    return [
+        f'effort="0" is taken as no limit for joints {places}: write their limits into the file, '
+        f"or drive_pros.max_effort: {{{entries}}}, in N m or N; a joint that shall not push needs "
+        "stiffness 0 and damping 0"
+    ]
+
+
+def _driven_mimics(
+    cfg: ArticulationCfg,
+    file: ModelFile,
+    names: Sequence[str],
+    mimics: Mimics,
+    parts: Mapping[str, Sequence[int]],
+) -> list[str]:
+    """Return a message about entries of `drive_pros` that pick mimic joints only."""
+    leaders = dict(zip(mimics.ids, mimics.parents, strict=True))
+    idle: list[str] = []
+    for field in ("stiffness", "damping", "max_effort"):
+        given = getattr(cfg.drive_pros, field)
+        for pattern in given if isinstance(given, Mapping) else ():
+            picked = parts.get(pattern) or match(pattern, names, "joint", field)[0]
+            if picked and all(i in leaders for i in picked):
+                which = ", ".join(f"{names[i]!r} mimics {names[leaders[i]]!r}" for i in picked)
+                idle.append(f"{field}.{pattern} ({which})")
+    if not idle:
+        return []
+    return [f"{file.path}: drive_pros has no effect on joints that follow: {'; '.join(idle)}"]
 
 
 def _origins(
@@ -389,6 +510,7 @@ def _quieten(
     model: mujoco.MjModel,
     names: Sequence[str],
     gains: DriveGains,
+    mimics: Mimics,
     home: F64,
     parts: Mapping[str, Sequence[int]],
     step: PhysicsStep,
@@ -399,7 +521,12 @@ def _quieten(
     Returns:
         (D,) added armature, and messages for the user.
     """
-    lacking = quiet_armature(model, names, gains, home, parts, step, changes)
+    quiet = quiet_armature(model, names, gains, home, parts, step, changes)
+    lacking = quiet
+    if mimics.ids:
+        rigid = moving_mimics(model, names, mimics)
+        lacking = quiet_armature(model, names, gains, home, parts, step, changes, rigid)
+        lacking = rigid_armature(model, names, gains, mimics, home, step, lacking)
     given = gains.armature_given | drawn_joints("armature", names, parts, changes)
     added = np.where(given, 0.0, lacking)
     for i in np.flatnonzero(added > 0).tolist():
@@ -409,9 +536,14 @@ def _quieten(
     if added.any():
         mujoco.mj_setConst(model, mujoco.MjData(model))
     enough = gains.armature + lacking
+    why = "limited drives would chatter"
+    if not (quiet > 0).any():
+        why = "joints that mimic others would not follow them"
+    elif (lacking > quiet).any():
+        why += ", and joints that mimic others would not follow them,"
     notes = (
-        _armature_note(_RAISED, names, enough, added > 0, step),
-        _armature_note("is too small", names, enough, given & (lacking > 0), step),
+        _armature_note(_RAISED, names, enough, added > 0, why, step),
+        _armature_note("is too small", names, enough, given & (lacking > 0), why, step),
     )
     return added, [note for note in notes if note]
 
@@ -422,10 +554,10 @@ def _rounded(values: F64) -> F64:
 
 
 def _armature_note(
-    what: str, names: Sequence[str], enough: F64, joints: Mask, step: PhysicsStep
+    what: str, names: Sequence[str], enough: F64, joints: Mask, why: str, step: PhysicsStep
 ) -> str:
     listed = ", ".join(f"{names[i]}: {enough[i]:.4g}" for i in np.flatnonzero(joints).tolist())
-    because = f"limited drives would chatter at a time step of {step.dt:g} s"
+    because = f"{why} at a time step of {step.dt:g} s"
     return f"drive_pros.armature {what}: {because}; enough is {{{listed}}}" if listed else ""
 
 
@@ -480,11 +612,29 @@ def _of_own_joints(init_qpos: Any, names: Sequence[str]) -> Any:
     return dict(zip(map(exact_pattern, names), init_qpos, strict=True)) if own else init_qpos
 
 
-def _root_pose(model: mujoco.MjModel, root: str, keyframe: Keyframe | None) -> F64:
-    if keyframe is not None and keyframe.root is not None:
+def _root_pose(model: mujoco.MjModel, root: Root, keyframe: Keyframe | None) -> F64:
+    """Return (7,) the root's pose in the file's world at the start."""
+    if keyframe is not None and keyframe.root is not None and not root.wrapped:
         return keyframe.root
-    body = model.body(root).id
-    return np.concatenate([model.body_pos[body], model.body_quat[body]])
+    body = model.body(root.name)
+    if body.jntnum[0]:
+        at = int(model.jnt_qposadr[body.jntadr[0]])
+        start: F64 = model.qpos0[at : at + 7].copy()
+        return start
+    return np.concatenate([body.pos, body.quat])
+
+
+def _unsimplify(spec: mujoco.MjSpec, changes: Sequence[DriveChange]) -> None:
+    """Let MuJoCo treat no body as "simple" whose centre of mass events move.
+
+    The mass matrix of a simple body is stored as its diagonal, which a centre of mass beside the
+    joint would not be.
+    """
+    bodies = spec.bodies[1:]  # the first is the world
+    names = [body.name for body in bodies]
+    for change in changes:
+        for index in change.bounds("com", names, {}):
+            bodies[index].simple = 0
 
 
 def _ctrl_limits(model: mujoco.MjModel, drives: Sequence[str], qpos_limits: F64) -> F64:

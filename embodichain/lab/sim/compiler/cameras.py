@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.names import Known, exact_pattern, no_such
+from embodichain.lab.sim.compiler.names import (
+    FRAME_KINDS,
+    FrameKind,
+    Jointed,
+    Known,
+    KnownObject,
+    find_frame,
+    frame_names,
+    no_such,
+)
 from embodichain.lab.sim.compiler.views import DEFAULT_VIEW
 from embodichain.lab.sim.sensors.cfg import (
     CAMERA_IMAGES,
@@ -32,6 +41,7 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import F64, EntityIndex
+    from embodichain.lab.sim.compiler.known import Place
 
 __all__ = [
     "PIXEL",
@@ -89,16 +99,22 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
         if not np.isfinite(offset).all() or not offset.any():
             message = f"must be finite and not zero, metres, got {offset.tolist()}"
             problems.append(Problem("left_to_right_pos", message))
-    if cfg.entity_cfg.link_names is not None and not cfg.entity_cfg.uid:
-        problems.append(Problem("entity_cfg.uid", "missing: the entity that has the links"))
+    named = cfg.entity_cfg != LinksCfg(preserve_order=cfg.entity_cfg.preserve_order)
+    if named and not cfg.entity_cfg.uid:
+        message = "missing: the entity that has the links, sites or geoms"
+        problems.append(Problem("entity_cfg.uid", message))
     if cfg.camera is None:
         return problems + _check_extrinsics(cfg.extrinsics)
     if stereo:
         problems.append(Problem("camera", "a stereo_camera has two cameras: leave it out"))
     own = {"fovy": cfg.fovy, "intrinsics": cfg.intrinsics, "entity_cfg": cfg.entity_cfg.uid}
     own["extrinsics"] = cfg.extrinsics != ExtrinsicsCfg()
-    message = f"camera {cfg.camera!r} has its own: leave it out"
+    message = HAS_ITS_OWN.format(cfg.camera)
     return problems + [Problem(key, message) for key, given in own.items() if given]
+
+
+HAS_ITS_OWN = "camera {!r} has its own: leave it out"
+SAID_BY_EYE = "eye and target are given as well: leave one of them out"
 
 
 def _check_lens(cfg: CameraCfg) -> list[Problem]:
@@ -138,8 +154,7 @@ def _check_extrinsics(cfg: ExtrinsicsCfg) -> list[Problem]:
     default = ExtrinsicsCfg()
     for key in ("pos", "quat"):
         if list(getattr(cfg, key)) != list(getattr(default, key)):
-            message = "eye and target are given as well: leave one of them out"
-            problems.append(Problem(f"extrinsics.{key}", message))
+            problems.append(Problem(f"extrinsics.{key}", SAID_BY_EYE))
     if not problems:
         try:
             look_at(*_points(cfg))
@@ -149,7 +164,7 @@ def _check_extrinsics(cfg: ExtrinsicsCfg) -> list[Problem]:
 
 
 def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]:
-    """Return the link that a camera is fixed on, None for the environment, and every mistake.
+    """Return what a camera is fixed on, None for the environment, and every mistake.
 
     Args:
         cfg: The camera.
@@ -161,22 +176,47 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
     if cfg.entity_cfg.uid:
         message = "entity_cfg is given as well: leave one of them out"
         return None, [Problem("extrinsics.parent", message)]
-    uid, _, link = parent.rpartition("/")
-    if uid:
-        return LinksCfg(uid=uid, link_names=[exact_pattern(link)]), []
-    having = {
-        name: entity.link_names
-        for name, entity in known.items()
-        if entity is not None and not isinstance(entity, str)
+    entities = {u: e for u, e in known.items() if e is not None and not isinstance(e, str)}
+    uid, slash, rest = parent.partition("/")
+    if slash and uid in known:
+        entity = entities.get(uid)
+        if entity is None:  # a light, or unreadable
+            return LinksCfg(uid=uid), []
+        return _mounted(uid, *find_frame(rest, _names_of(uid, entity), "extrinsics.parent"))
+    jointed = {u: e for u, e in entities.items() if not isinstance(e, KnownObject)}
+    found = [_mounted(u, *find_frame(parent, _names_of(u, e), "")) for u, e in jointed.items()]
+    there = [where for where, _ in found if where is not None]
+    if len(there) == 1:
+        return there[0], []
+    if there:
+        uids = [where.uid for where in there]
+        message = f"several entities have {parent!r}: write UID/NAME, UID one of {uids}"
+        return None, [Problem("extrinsics.parent", message)]
+    names = {
+        kind: tuple(n for u, e in jointed.items() for n in frame_names(e, u, kind) or ())
+        for kind in FRAME_KINDS
     }
-    found = [name for name, links in having.items() if link in links]
-    if len(found) == 1:
-        return LinksCfg(uid=found[0], link_names=[exact_pattern(link)]), []
-    if not found:
-        names = [name for links in having.values() for name in links]
-        return None, [no_such("link", link, names, "extrinsics.parent")]
-    message = f"several entities have a link {link!r}: write UID/LINK, UID one of {found}"
-    return None, [Problem("extrinsics.parent", message)]
+    if slash and not any(name.startswith(f"{uid}/") for own in names.values() for name in own):
+        return LinksCfg(uid=uid, link=rest), []  # that there is no such entity is said there
+    return None, find_frame(parent, lambda kind: names[kind], "extrinsics.parent")[1]
+
+
+def _names_of(
+    uid: str,
+    entity: Jointed | KnownObject,
+) -> Callable[[FrameKind], tuple[str, ...] | None]:
+    return lambda kind: frame_names(entity, uid, kind)
+
+
+def _mounted(
+    uid: str, frame: tuple[FrameKind, str] | None, problems: list[Problem]
+) -> tuple[LinksCfg | None, list[Problem]]:
+    """The config of the frame that was found."""
+    if frame is None:
+        return None, problems
+    kind, name = frame
+    given: dict[str, Any] = {kind: name}
+    return LinksCfg(uid=uid, **given), problems
 
 
 def check_memory(cfg: CameraCfg, num_envs: int) -> list[Problem]:
@@ -204,14 +244,14 @@ def camera_names(uid: str, cfg: CameraCfg) -> tuple[str, ...]:
     return (cfg.camera or uid,)
 
 
-def add_camera(spec: mujoco.MjSpec, uid: str, cfg: CameraCfg, body: str | None) -> None:
+def add_camera(spec: mujoco.MjSpec, uid: str, cfg: CameraCfg, place: Place | None) -> None:
     """Add the cameras of a sensor; one that uses a file's camera only needs to find it.
 
     Args:
         spec: The scene.
         uid: The sensor's name.
         cfg: Its checked config.
-        body: The body that it is fixed on; None is the world.
+        place: The body that it is fixed on, and the frame there; None is the world.
 
     Raises:
         ConfigError: If a name is taken, or the file's camera does not exist.
@@ -221,8 +261,11 @@ def add_camera(spec: mujoco.MjSpec, uid: str, cfg: CameraCfg, body: str | None) 
         if cfg.camera not in names:
             raise ConfigError([no_such("camera", cfg.camera, names, f"sensors.{uid}.camera")])
         return
-    parent = spec.worldbody if body is None else spec.body(body)
-    pos, quat = _pose(cfg)
+    parent, (pos, quat) = spec.worldbody, _pose(cfg)
+    if place is not None:
+        body, at, turned = place
+        parent = spec.body(body)
+        pos, quat = at + quat_rotate(turned, pos), quat_multiply(turned, quat)
     lenses = [cfg.intrinsics]
     if isinstance(cfg, StereoCameraCfg):
         lenses.append(cfg.intrinsics_right or cfg.intrinsics)

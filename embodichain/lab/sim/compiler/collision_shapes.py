@@ -12,6 +12,10 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import ArticulationCfg, CollisionShapeCfg, RigidBodyAttributesCfg
+from embodichain.lab.sim.compiler.contact_parameters import (
+    ContactParameters,
+    set_contact_parameters,
+)
 from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.compiler.rigid_objects import (
     COLLISION_GROUP,
@@ -27,8 +31,6 @@ from embodichain.utils.errors import Problem
 __all__ = ["replace_shapes", "resolve_shapes"]
 
 _UNSCALED = np.ones(3)
-_CONTACT = "condim", "contype", "conaffinity", "friction", "margin", "priority", "solimp", "solref"
-"""Attributes of a geom that decide what it collides with, and how."""
 
 
 def resolve_shapes(
@@ -91,7 +93,7 @@ def replace_shapes(
             geom = add_shape(spec, body, f"{name}/collision", cfg.shape, _UNSCALED, number)
             geom.pos, geom.quat, geom.mass, geom.group = pos, quat, 0.0, COLLISION_GROUP
             geom.friction[0] = float(attrs.dynamic_friction)
-            for attribute in _CONTACT if before else ():
-                setattr(geom, attribute, getattr(before[0], attribute))
+            if before:
+                set_contact_parameters([geom], ContactParameters.of_geom(before[0]))
         for geom in before:
             geom.contype = geom.conaffinity = 0

@@ -29,7 +29,8 @@ from embodichain.lab.sim.cfg import SimulationManagerCfg
 from embodichain.lab.sim.compiler.index import F64, Ids, Mask
 from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.compiler.robot_joints import JOINT_TRANSMISSIONS, FileJoints
-from embodichain.lab.sim.drive_cfg import NO_LIMIT, FileFirst, JointDrivePropertiesCfg
+from embodichain.lab.sim.drive_cfg import NO_LIMIT, JointDrivePropertiesCfg
+from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import Problem
 from embodichain.utils.random import RandomStreams
 from embodichain.utils.suggest import did_you_mean, listing
@@ -45,6 +46,7 @@ __all__ = [
     "physics_step",
     "quiet_armature",
     "resolve_drives",
+    "round_up",
 ]
 
 Parts = Mapping[str, Sequence[int]]  # control part -> joint indices
@@ -77,8 +79,8 @@ def resolve_drives(
     """Return one value of each property per joint, and every mistake in the config.
 
     A map's keys are joint regexes or control-part names; parts are applied last. Mimic joints have
-    no drive. A `friction` of 0 (the default) keeps the file's; a map
-    with 0 clears it. ``acceleration`` multiplies both gains by the joint's inertia at qpos0.
+    no drive. A `friction` that is not given keeps the file's.
+    ``acceleration`` multiplies both gains by the joint's inertia at qpos0.
 
     In a URDF every other joint has a drive, with the fields' defaults where no key names it. In an
     MJCF, joints that `stiffness` or `damping` names have one (a number names the joints that the
@@ -97,7 +99,7 @@ def resolve_drives(
             return default.copy(), no_joint
         found = _per_joint(name, wanted, joints.names, parts, problems)
         given = ~np.isnan(found)
-        if isinstance(wanted, FileFirst):
+        if not is_given(wanted):
             given &= urdf
         elif not isinstance(wanted, Mapping):
             given &= ~joints.by_name
@@ -114,12 +116,19 @@ def resolve_drives(
         velocity = np.minimum(joints.qvel_limits, 1e10)
     elif cfg.max_velocity is not None:
         velocity, _ = value("max_velocity", velocity)
-    if not (velocity > 0).all():
+    still = joints.limits.zero_velocity if cfg.max_velocity == "file" else {}
+    for name in (name for name in joints.names if name in still):
+        message = (
+            f'{still[name]}: joint {name!r} has velocity="0": it could never move. Write its speed '
+            "into the file, or a map (joint: rad/s or m/s) or null (no limit) here"
+        )
+        problems.append(Problem("max_velocity", message))
+    if not (velocity > 0).all() and not still:
         problems.append(Problem("max_velocity", "must be positive; null is no limit"))
     files = ~urdf | (cfg.max_effort == "file")
     effort, limited = value("max_effort", np.where(files, joints.qf_limits, 1e10))
     friction = joints.friction.copy()
-    if isinstance(cfg.friction, Mapping) or cfg.friction != 0:
+    if is_given(cfg.friction):
         friction, _ = value("friction", friction)
     armature, armed = joints.armature.copy(), no_joint
     if cfg.armature is not None:
@@ -327,13 +336,15 @@ class DriveChange:
     """Values that an event may draw for the drives or links of one articulation.
 
     Attributes:
-        quantity: The drawn quantity; ``strength`` multiplies gains and limit.
-        names: Regexes or control parts that pick joints (links for ``mass``); None picks all.
-        ranges: (low, high) for all picked ones, or by regex.
+        quantity: The drawn quantity; ``strength`` multiplies gains and limit, ``com`` moves the
+            centre of mass.
+        names: Regexes or control parts that pick joints (links for ``mass`` and ``com``); None
+            picks all.
+        ranges: (low, high) for all picked ones, or by regex; without a meaning for ``com``.
         operation: ``abs`` replaces the compiled value, ``scale`` and ``add`` change it.
     """
 
-    quantity: Literal["stiffness", "damping", "max_effort", "strength", "armature", "mass"]
+    quantity: Literal["stiffness", "damping", "max_effort", "strength", "armature", "mass", "com"]
     names: tuple[str, ...] | None
     ranges: tuple[float, float] | Mapping[str, tuple[float, float]]
     operation: DriveOperation = "abs"
@@ -370,6 +381,7 @@ def quiet_armature(
     parts: Parts,
     step: PhysicsStep,
     changes: Sequence[DriveChange] = (),
+    rigid: Mask | None = None,
 ) -> F64:
     """Return the armature (D,) that each joint lacks to avoid chatter, rounded up to two digits.
 
@@ -385,6 +397,7 @@ def quiet_armature(
         step: Time step and integrator. With Euler and RK4, which take the damper explicitly, drives
             without a limit count too.
         changes: Values that events may draw; the largest gains and the smallest mass count.
+        rigid: (D,) drives that count without a limit too, see `couplings`.
     """
     dofs = np.array([model.joint(name).dofadr[0] for name in names], np.int64)
     links = [model.body(i).name for i in range(1, model.nbody)]
@@ -403,6 +416,7 @@ def quiet_armature(
     kd = extreme("damping", np.where(gains.driven, gains.damping, 0.0), max) * strength
     explicit = step.integrator not in ("implicitfast", "implicit")
     limited = explicit | np.isfinite(extreme("max_effort", gains.max_effort, min))
+    limited = limited if rigid is None else limited | rigid
     need = np.where(limited, 0.5 * step.dt * kd + 0.25 * step.dt**2 * kp, 0.0)
     lacking = np.zeros(len(dofs))
     joints = np.flatnonzero(need > 0)
@@ -422,7 +436,7 @@ def quiet_armature(
     felt = np.linalg.inv(np.linalg.inv(inertia)[picked])
     added = _added(felt, need[joints])
     added[added < _TOLERANCE * need[joints]] = 0.0
-    lacking[joints] = [_round_up(x) if x > 0 else 0.0 for x in added]
+    lacking[joints] = [round_up(x) if x > 0 else 0.0 for x in added]
     return lacking
 
 
@@ -488,7 +502,7 @@ def inertia_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
     return found
 
 
-def _round_up(value: float) -> float:
+def round_up(value: float) -> float:
     """Round a positive number up to two significant digits."""
     digit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / digit - 1e-9) * digit:.2g}")

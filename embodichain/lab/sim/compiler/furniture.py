@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import RigidBodyAttributesCfg, RigidObjectCfg
 from embodichain.lab.sim.compiler.appearance import WOOD_LENGTH, add_wood
+from embodichain.lab.sim.compiler.contact_parameters import (
+    check_fixed_contact,
+    set_contact_parameters,
+)
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.rigid_objects import set_contact
+from embodichain.lab.sim.compiler.object_contacts import object_contact
+from embodichain.lab.sim.compiler.rigid_objects import set_collision
+from embodichain.lab.sim.contact_cfg import ContactCfg
 from embodichain.lab.sim.scene_cfg import PedestalCfg, SceneCfg, TableCfg
 from embodichain.lab.sim.shapes import CubeCfg, CylinderCfg, VisualMaterialCfg
 from embodichain.utils.errors import Problem
@@ -57,7 +65,8 @@ def finish_table(spec: mujoco.MjSpec, cfg: TableCfg) -> None:
             pos=[i * (0.5 * length - half), j * (0.5 * width - half), -under - 0.5 * thickness],
             material=f"{TABLE}/legs",
         )
-    set_contact(body.geoms, float(cfg.friction), cfg.collision)
+    set_contact_parameters(body.geoms, object_contact(_table(cfg)))
+    set_collision(body.geoms, cfg.collision)
 
 
 def check_furniture(scene: SceneCfg, base: F64 | None) -> list[Problem]:
@@ -71,8 +80,11 @@ def check_furniture(scene: SceneCfg, base: F64 | None) -> list[Problem]:
     if scene.table is not None and scene.table.thickness > scene.table.size[2]:
         message = f"at most the table's height, {scene.table.size[2]:g} m"
         problems.append(Problem("table.thickness", f"{message}, got {scene.table.thickness:g}"))
+    if scene.table is not None:
+        problems += [p.below("table") for p in check_fixed_contact(scene.table)]
     if scene.pedestal is not None:
-        problems += [p.below("pedestal") for p in _check_pedestal(scene.pedestal, base)]
+        found = [*_check_pedestal(scene.pedestal, base), *check_fixed_contact(scene.pedestal)]
+        problems += [p.below("pedestal") for p in found]
     return problems
 
 
@@ -117,9 +129,16 @@ def _pedestal(cfg: PedestalCfg, base: F64) -> RigidObjectCfg:
         if cfg.shape == "box"
         else CylinderCfg(radius=0.5 * length, height=height, visual_material=paint),
         attrs=RigidBodyAttributesCfg(enable_collision=cfg.collision),
+        contact=_contact(cfg),
         body_type="static",
         init_pos=[float(x), float(y), z + 0.5 * height],
     )
+
+
+def _contact(cfg: TableCfg | PedestalCfg) -> ContactCfg:
+    """The contact parameters alone."""
+    names = [field.name for field in dataclasses.fields(ContactCfg)]
+    return ContactCfg(**{name: getattr(cfg, name) for name in names})
 
 
 def _table(cfg: TableCfg) -> RigidObjectCfg:
@@ -127,13 +146,12 @@ def _table(cfg: TableCfg) -> RigidObjectCfg:
     length, width, height = (float(x) for x in cfg.size)
     x, y, z = (float(p) for p in cfg.pos)
     thickness = float(cfg.thickness)
-    attrs = RigidBodyAttributesCfg(
-        enable_collision=cfg.collision, dynamic_friction=float(cfg.friction)
-    )
+    attrs = RigidBodyAttributesCfg(enable_collision=cfg.collision)
     paint = VisualMaterialCfg(base_color=[*(float(c) for c in cfg.color), 1.0], roughness=0.7)
     return RigidObjectCfg(
         shape=CubeCfg(size=[length, width, thickness], visual_material=paint),
         attrs=attrs,
+        contact=_contact(cfg),
         body_type="static",
         init_pos=[x, y, z + height - 0.5 * thickness],
     )

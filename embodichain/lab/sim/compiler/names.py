@@ -1,29 +1,53 @@
-"""Names in configs: regexes over names in models, uids, and references to entities."""
+"""Names in configs: regexes over names in models, uids, and references to entities.
+
+A reference picks joints, and frames of one kind: links, sites or geoms. `pick` resolves all of it;
+`find_frame` resolves names that are one string, ``ENTITY/NAME``.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
+if TYPE_CHECKING:
+    import mujoco
+
 __all__ = [
+    "FRAME_KINDS",
     "GROUND",
+    "FrameKind",
     "Jointed",
     "Known",
+    "KnownObject",
     "Picked",
     "check_uid",
     "exact_pattern",
+    "find_frame",
+    "find_in_spec",
+    "frame_in_model",
+    "frame_names",
     "match",
+    "names_in_spec",
     "no_such",
     "pick",
 ]
 
 GROUND = "default_plane"
 """Name of the ground plane, EmbodiChain's."""
+FrameKind = Literal["link", "site", "geom"]
+"""What a reference names beside joints: bodies, or sites or geoms that are fixed on them."""
+FRAME_KINDS: tuple[FrameKind, ...] = ("link", "site", "geom")
+_FRAME_KEYS: dict[FrameKind, tuple[str, ...]] = {
+    "link": ("link_names", "body_names", "link", "body_ids"),
+    "site": ("site_names", "site"),
+    "geom": ("geom_names", "geom"),
+}
+"""Keys of a reference that pick frames of a kind."""
 
 
 def match(
@@ -103,6 +127,10 @@ class Jointed(Protocol):
         """Its sites that have a name."""
 
     @property
+    def geom_names(self) -> tuple[str, ...]:
+        """Its geoms that have a name."""
+
+    @property
     def mimic_ids(self) -> tuple[int, ...]:
         """Joints that follow another one."""
 
@@ -111,24 +139,133 @@ class Jointed(Protocol):
         """Part -> joints."""
 
 
-Known = Mapping[str, Jointed | str | None]
-"""Uid -> the articulation (None if unreadable), or another kind: "rigid object", "light"."""
+@dataclass(frozen=True)
+class KnownObject:
+    """A rigid object: one link, of its own name, with geoms and sites.
+
+    Attributes:
+        uid: The object.
+        body: Its body in the compiled scene.
+        prefix: Names of its geoms and sites in the compiled scene begin with it; references leave
+            it out.
+        alone: Returns a model with the object, the id of its body there, and the prefix of names
+            there; None if its config is wrong. Called only for references to geoms and sites.
+    """
+
+    uid: str
+    body: str
+    prefix: str
+    alone: Callable[[], tuple[mujoco.MjModel, int, str] | None]
+
+    def names(self, kind: FrameKind) -> tuple[str, ...] | None:
+        """Its frames of a kind that have a name; None if its config is wrong."""
+        if kind == "link":
+            return (self.uid,)
+        compiled = self.alone()
+        if compiled is None:
+            return None
+        model, top, prefix = compiled
+        owner = model.site_bodyid if kind == "site" else model.geom_bodyid
+        count = model.nsite if kind == "site" else model.ngeom
+        one = model.site if kind == "site" else model.geom
+        root = model.body_rootid
+        found = [one(i).name for i in range(count) if root[owner[i]] == root[top] and owner[i]]
+        return tuple(name.removeprefix(prefix) for name in found if name)
+
+
+Known = Mapping[str, Jointed | KnownObject | str | None]
+"""Uid -> the articulation (None if unreadable), the object, or another kind: "light"."""
 
 
 @dataclass(frozen=True)
 class Picked:
-    """Joints, links and parts that a reference picks, as indices in the entity's order.
+    """Joints, frames and parts that a reference picks, as indices in the entity's order.
 
     Attributes:
         joints: By default all active joints (no mimic joints); empty if the entity is not an
             articulation.
-        links: By default empty.
+        kind: The kind of the frames.
+        frames: Links, sites or geoms; by default none.
+        key: The key that names them.
         parts: Control parts, by name.
     """
 
     joints: tuple[int, ...] = ()
-    links: tuple[int, ...] = ()
+    kind: FrameKind = "link"
+    frames: tuple[int, ...] = ()
+    key: str = "link_names"
     parts: tuple[str, ...] = ()
+
+
+def frame_names(
+    entity: Jointed | KnownObject | str, uid: str, kind: FrameKind
+) -> tuple[str, ...] | None:
+    """The names of an entity's frames of a kind; None if they are not known."""
+    if isinstance(entity, str):
+        return (uid,) if kind == "link" else ()
+    if isinstance(entity, KnownObject):
+        return entity.names(kind)
+    found: tuple[str, ...] = getattr(entity, f"{kind}_names")
+    return found
+
+
+def frame_in_model(
+    entity: Jointed | KnownObject | str, uid: str, kind: FrameKind, name: str
+) -> str:
+    """The name in the compiled scene of an entity's frame."""
+    if isinstance(entity, KnownObject):
+        return entity.body if kind == "link" else f"{entity.prefix}{name}"
+    return uid if isinstance(entity, str) else f"{uid}/{name}"
+
+
+def find_frame(
+    name: str, names: Callable[[FrameKind], Sequence[str] | None], path: str, uid: str = ""
+) -> tuple[tuple[FrameKind, str] | None, list[Problem]]:
+    """Resolve a name without a kind: a link's, else a site's, else a geom's.
+
+    ``site:NAME`` and ``geom:NAME`` (or ``link:NAME``) say which, where several have the name.
+
+    Args:
+        name: The name.
+        names: Returns the names of a kind; None if they are not known.
+        path: Its key path.
+        uid: The entity, for messages.
+
+    Returns:
+        Kind and name (None if there is no such frame, or names are not known), and the problem.
+    """
+    prefix, colon, rest = name.partition(":")
+    said = next((kind for kind in FRAME_KINDS if colon and prefix == kind), None)
+    wanted, kinds = (rest, (said,)) if said is not None else (name, FRAME_KINDS)
+    there: dict[FrameKind, Sequence[str]] = {}
+    for kind in kinds:
+        own = names(kind)
+        if own is None:
+            return None, []
+        if wanted in own:
+            return (kind, wanted), []
+        there[kind] = own
+    first = kinds[0]
+    what = f"no {first} of {uid!r} matches" if uid else f"no {first} is called"
+    message = f"{what} {wanted!r}; there are: {listing(there[first], wanted)}"
+    for kind in kinds[1:]:
+        message += f"; {kind}s: {listing(there[kind], wanted)}" if there[kind] else ""
+    every = [one for own in there.values() for one in own]
+    return None, [Problem(path, message, _closest(wanted, every))]
+
+
+def names_in_spec(spec: mujoco.MjSpec, kind: FrameKind) -> Sequence[str]:
+    """The names of a spec's links, sites or geoms; of links those of the world's are left out."""
+    if kind == "link":
+        return [body.name for body in spec.bodies[1:]]  # the first is the world
+    return [one.name for one in (spec.sites if kind == "site" else spec.geoms) if one.name]
+
+
+def find_in_spec(
+    spec: mujoco.MjSpec, name: str, path: str
+) -> tuple[tuple[FrameKind, str] | None, list[Problem]]:
+    """Resolve a name without a kind, see `find_frame`."""
+    return find_frame(name, lambda kind: names_in_spec(spec, kind), path)
 
 
 def pick(
@@ -143,12 +280,12 @@ def pick(
         open_scene: Whether Python code may add entities, so that unknown ones are allowed.
 
     Returns:
-        The picked joints and links (empty where wrong or unknown), and every mistake.
+        The picked joints and frames (empty where wrong or unknown), and every mistake.
     """
     uid = str(fields.get("uid") or "")
     entity = known.get(uid)
     picked = Picked()
-    if isinstance(entity, str):
+    if isinstance(entity, (str, KnownObject)):
         picked, problems = _pick_of_body(entity, uid, fields)
     elif entity is not None:
         picked, problems = _pick_of_articulation(entity, uid, fields)
@@ -180,12 +317,15 @@ def _pick_of_articulation(
         if not ids and not problems:
             key = "joint_names" if parts is None else "control_parts"
             problems.append(Problem(key, f"picks no joint of {uid!r}; leave it out for all"))
-    links, found = _links(entity.link_names, uid, fields)
-    problems += found
-    return Picked(tuple(ids), tuple(links), tuple(there[i] for i in parts or ())), problems
+    frames, found = _frames(entity, uid, fields)
+    named = tuple(there[i] for i in parts or ())
+    return replace(frames, joints=tuple(ids), parts=named), problems + found
 
 
-def _pick_of_body(what: str, uid: str, fields: Mapping[str, Any]) -> tuple[Picked, list[Problem]]:
+def _pick_of_body(
+    entity: KnownObject | str, uid: str, fields: Mapping[str, Any]
+) -> tuple[Picked, list[Problem]]:
+    what = "rigid object" if isinstance(entity, KnownObject) else entity
     if what == "light":
         return Picked(), [Problem("uid", f"{uid!r} is a light: terms act on robots and objects")]
     problems = [
@@ -193,22 +333,63 @@ def _pick_of_body(what: str, uid: str, fields: Mapping[str, Any]) -> tuple[Picke
         for name in ("joint_names", "control_parts", "joint_ids")
         if fields.get(name)
     ]
-    links, found = _links((uid,), uid, fields)
-    return Picked(links=tuple(links)), problems + found
+    frames, found = _frames(entity, uid, fields)
+    return frames, problems + found
 
 
-def _links(
-    names: Sequence[str], uid: str, fields: Mapping[str, Any]
-) -> tuple[list[int], list[Problem]]:
+def _frames(
+    entity: Jointed | KnownObject | str, uid: str, fields: Mapping[str, Any]
+) -> tuple[Picked, list[Problem]]:
+    """The picked links, sites or geoms."""
+    given = {k: [key for key in keys if fields.get(key) is not None] for k, keys in _KEYS}
+    kinds = [kind for kind, keys in given.items() if keys]
+    if len(kinds) > 1:
+        first, second = given[kinds[0]][0], given[kinds[1]][0]
+        message = f"{first} is given as well: a reference names links, sites or geoms, of one kind"
+        return Picked(), [Problem(second, message)]
+    kind = kinds[0] if kinds else "link"
+    key = given[kind][0] if kinds else "link_names"
+    if kind in given[kind] and len(given[kind]) > 1:
+        other = next(key for key in given[kind] if key != kind)
+        return Picked(), [Problem(kind, f"{other} is given as well: leave one of them out")]
+    names = frame_names(entity, uid, kind)
+    if names is None:
+        return Picked(kind=kind, key=key), []
     ids, problems = _numbered("body_ids", fields, len(names), "links", uid)
     if ids is not None:
-        return ids, problems
-    bodies: list[int] = []
-    for key in ("link_names", "body_names"):
-        matched, found = _matching(key, fields, names, "link", uid)
-        bodies += matched or ()
-        problems += found
-    return _ordered(bodies, fields), problems
+        return Picked(kind=kind, frames=tuple(ids), key=key), problems
+    picked: list[int] = []
+    for name in given[kind]:
+        matched, found = _matching(name, fields, names, kind, uid)
+        if name == kind and len(matched or ()) > 1:
+            matching = ", ".join(names[i] for i in matched or ())
+            found.append(Problem(name, f"one {kind} is wanted, these match: {matching}"))
+        picked += matched or ()
+        problems += [_with_other_kind(p, entity, uid, fields[name], kind) for p in found]
+        if kind != "link" and matched == [] and not found:
+            problems.append(Problem(name, f"names no {kind}; leave it out for the root"))
+    return Picked(kind=kind, frames=tuple(_ordered(picked, fields)), key=key), problems
+
+
+_KEYS = _FRAME_KEYS.items()
+
+
+def _with_other_kind(
+    problem: Problem,
+    entity: Jointed | KnownObject | str,
+    uid: str,
+    wanted: Any,
+    kind: FrameKind,
+) -> Problem:
+    """The problem, with the other kind of which a frame has the name, if there is one."""
+    wanted = [wanted] if isinstance(wanted, str) else wanted
+    for other in FRAME_KINDS:
+        there = () if other == kind else frame_names(entity, uid, other) or ()
+        called = [str(name) for name in wanted if str(name) in there and name in problem.message]
+        if called:
+            keys = f"{other}: {called[0]}, or {other}_names"
+            return Problem(problem.path, problem.message, f"A {other} is called so: write {keys}.")
+    return problem
 
 
 def _matching(
@@ -221,6 +402,8 @@ def _matching(
     picked: list[int] = []
     problems: list[Problem] = []
     for pattern in [wanted] if isinstance(wanted, str) else wanted:
+        if key == what and pattern in names:  # one name, as it is
+            return [names.index(pattern)], []
         found, wrong = match(str(pattern), names, f"{what} of {uid!r}", key)
         picked += found
         problems += wrong

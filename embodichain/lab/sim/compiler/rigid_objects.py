@@ -12,8 +12,10 @@ import numpy as np
 
 from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.lab.sim.cfg import ObjectBaseCfg, RigidObjectCfg, VariantCfg
+from embodichain.lab.sim.compiler.contact_parameters import set_contact_parameters
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import check_uid
+from embodichain.lab.sim.compiler.object_contacts import check_object_contact, object_contact
 from embodichain.lab.sim.compiler.textures import add_textures, check_textures
 from embodichain.lab.sim.meshes.mesh_conversion import (
     MadePart,
@@ -35,12 +37,15 @@ from embodichain.lab.sim.shapes import (
     SphereCfg,
     VisualMaterialCfg,
 )
+from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, matrix_to_quat, normalize_quat
 
 __all__ = [
     "COLLISION_GROUP",
+    "HAS_SHAPES",
     "HULL_VERTICES",
+    "OF_EACH_SHAPE",
     "VISUAL_GROUP",
     "add_object",
     "add_shape",
@@ -49,9 +54,11 @@ __all__ = [
     "check_shape",
     "collides",
     "damping_of",
+    "given_pose",
     "inertia_about_axes",
     "initial_pose",
-    "set_contact",
+    "keep_hull_inertia",
+    "set_collision",
     "shapes_of",
 ]
 
@@ -69,16 +76,23 @@ _PALETTE = (
     (0.58, 0.44, 0.69),
 )
 _GEOM, _INERTIA = mujoco.mjtGeom, mujoco.mjtMeshInertia
+_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def initial_pose(cfg: ObjectBaseCfg) -> tuple[F64, F64]:
-    """Return position (3,) in metres and unit wxyz quaternion (4,).
+    """Return position (3,) in metres and unit wxyz quaternion (4,); what is not given is no change.
 
     `init_local_pose` overrides `init_quat`, which overrides `init_rot` (degrees, intrinsic XYZ).
 
     Raises:
         ConfigError: If a value has the wrong shape, is not finite, or is not a rotation.
     """
+    pos, quat = given_pose(cfg)
+    return np.zeros(3) if pos is None else pos, _NO_TURN.copy() if quat is None else quat
+
+
+def given_pose(cfg: ObjectBaseCfg) -> tuple[F64 | None, F64 | None]:
+    """As `initial_pose`; None for a position or an orientation that the config does not give."""
     if cfg.init_local_pose is not None:
         matrix = _vector(cfg.init_local_pose, 16, "init_local_pose").reshape(4, 4)
         rotation = matrix[:3, :3]
@@ -87,14 +101,19 @@ def initial_pose(cfg: ObjectBaseCfg) -> tuple[F64, F64]:
             message = "must be a 4x4 rigid transform: a rotation, a translation, last row 0 0 0 1"
             raise ConfigError([Problem("init_local_pose", message)])
         return matrix[:3, 3].copy(), matrix_to_quat(rotation)
-    pos = _vector(cfg.init_pos, 3, "init_pos")
+    # Both are None in an `ArticulationCfg` that does not give them.
+    at: object = cfg.init_pos
+    turned: object = cfg.init_rot
+    pos = None if at is None else _vector(at, 3, "init_pos")
     if cfg.init_quat is not None:
         quat = _vector(cfg.init_quat, 4, "init_quat")
         try:
             return pos, normalize_quat(quat)
         except ValueError as error:
             raise ConfigError([Problem("init_quat", f"{error}, got {quat.tolist()}")]) from error
-    return pos, euler_xyz_to_quat(_vector(cfg.init_rot, 3, "init_rot") * (math.pi / 180.0))
+    if turned is None:
+        return pos, None
+    return pos, euler_xyz_to_quat(_vector(turned, 3, "init_rot") * (math.pi / 180.0))
 
 
 def _vector(value: object, size: int, key: str) -> F64:
@@ -118,12 +137,13 @@ def check_pose(cfg: ObjectBaseCfg) -> list[Problem]:
 
 def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     """Return every mistake in an object's config, with paths below it."""
-    problems = check_pose(cfg) + _check_attrs(cfg)
+    problems = check_pose(cfg) + _check_attrs(cfg) + check_object_contact(cfg)
     if cfg.any_of:
-        for name in ("shape", "body_scale", "max_convex_hull_num", "collision"):
+        # A config made in Python cannot say whether a default was given; for YAML, see
+        # `config.given_keys`.
+        for name in OF_EACH_SHAPE:
             if not _same(getattr(cfg, name), getattr(RigidObjectCfg(), name)):
-                message = "the object has any_of: give each of its shapes there"
-                problems.append(Problem(name, message))
+                problems.append(Problem(name, HAS_SHAPES))
     for name, one in shapes_of(cfg).items():
         if not cfg.any_of:
             return problems + _check_shape(one)
@@ -131,6 +151,11 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
         problems += check_uid(name, path, {})
         problems += [p.below(path) for p in _check_place(cfg.any_of[name]) + _check_shape(one)]
     return problems
+
+
+OF_EACH_SHAPE = ("shape", "body_scale", "max_convex_hull_num", "collision")
+"""Fields of an object that each shape of `any_of` has instead."""
+HAS_SHAPES = "the object has any_of: give each of its shapes there"
 
 
 def _same(a: object, b: object) -> bool:
@@ -168,6 +193,9 @@ def shapes_of(cfg: RigidObjectCfg) -> dict[str, RigidObjectCfg]:
 
 def _check_shape(cfg: RigidObjectCfg) -> list[Problem]:
     problems: list[Problem] = []
+    if cfg.collision == "decompose" and _given_parts(cfg) == 1:
+        message = "1 part is the hull, but collision is decompose: leave one of them out"
+        problems.append(Problem("max_convex_hull_num", message))
     scale = np.asarray(cfg.body_scale, np.float64)
     if scale.shape != (3,) or not (scale > 0).all():
         problems.append(Problem("body_scale", f"must be 3 positive numbers, got {scale.tolist()}"))
@@ -206,9 +234,15 @@ def _check_attrs(cfg: RigidObjectCfg) -> list[Problem]:
 
 def _convex_parts(cfg: RigidObjectCfg) -> int | None:
     """Maximum number of convex parts of a mesh; 1 is its hull, None as many as needed."""
-    if cfg.max_convex_hull_num > 1:
-        return int(cfg.max_convex_hull_num)
+    given = _given_parts(cfg)
+    if given is not None:
+        return given
     return None if cfg.collision == "decompose" else 1
+
+
+def _given_parts(cfg: RigidObjectCfg) -> int | None:
+    number = cfg.max_convex_hull_num
+    return int(number) if is_given(number) else None
 
 
 def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> list[Problem]:
@@ -277,7 +311,8 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
         else:
             geom.density = float(attrs.density)
         geoms = body.geoms[before:]
-        set_contact(geoms, float(attrs.dynamic_friction), attrs.enable_collision)
+        set_contact_parameters(geoms, object_contact(one))
+        set_collision(geoms, attrs.enable_collision)
         if name:
             body.userdata = [0.0]  # the index of the shape, as a field of each environment
             place = initial_pose(_place(cfg.any_of[name]))
@@ -287,6 +322,7 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
             geom.mass = 0.0
             for part in geoms:
                 part.rgba[3] = 0.0
+    keep_hull_inertia(spec, body)
 
 
 def add_shape(
@@ -431,12 +467,10 @@ def collides(geom: mujoco.MjsGeom) -> bool:
     return bool(geom.contype or geom.conaffinity)
 
 
-def set_contact(geoms: Sequence[mujoco.MjsGeom], friction: float, enabled: bool) -> None:
-    """Set the sliding friction of geoms, and whether they collide."""
-    for geom in geoms:
-        geom.friction[0] = friction
-        if not enabled:
-            geom.contype = geom.conaffinity = 0
+def set_collision(geoms: Sequence[mujoco.MjsGeom], enabled: bool) -> None:
+    """Let geoms collide with nothing unless they are enabled."""
+    for geom in geoms if not enabled else ():
+        geom.contype = geom.conaffinity = 0
 
 
 def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:
@@ -449,6 +483,41 @@ def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:
     inertia = inertia_about_axes(model.body_iquat[body], model.body_inertia[body])
     linear = np.full(3, cfg.attrs.linear_damping * model.body_mass[body])
     return np.concatenate([linear, cfg.attrs.angular_damping * inertia])
+
+
+def keep_hull_inertia(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+    """Give a body the mass and inertia that its meshes have without a limit on hull vertices.
+
+    They differ where a mesh has the inertia of its hull.
+
+    Args:
+        spec: The scene.
+        body: The body, its shapes added.
+    """
+    heavy = [geom for geom in body.geoms if geom.mass != 0.0]
+    meshes = {geom.meshname: spec.mesh(geom.meshname) for geom in heavy if geom.meshname}
+    if not any(mesh.inertia == _INERTIA.mjMESH_INERTIA_CONVEX for mesh in meshes.values()):
+        return
+    alone = mujoco.MjSpec()
+    there = alone.worldbody.add_body()
+    for name, mesh in meshes.items():
+        copy = alone.add_mesh(name=name, file=mesh.file)
+        copy.scale, copy.inertia = mesh.scale, mesh.inertia
+    for geom in heavy:
+        copy = there.add_geom(type=geom.type, meshname=geom.meshname)
+        for field in ("pos", "quat", "size", "mass", "density"):
+            setattr(copy, field, getattr(geom, field))
+    try:
+        model = alone.compile()
+    except ValueError:
+        return  # the scene, which has the same meshes, cannot be compiled: it says why
+    starts = [int(start) for start in model.mesh_graphadr if start >= 0]
+    if all(model.mesh_graph[start] <= HULL_VERTICES for start in starts):
+        return
+    body.explicitinertial = True
+    body.mass = float(model.body_mass[1])
+    body.ipos, body.iquat = model.body_ipos[1], model.body_iquat[1]
+    body.inertia = model.body_inertia[1]
 
 
 def inertia_about_axes(iquat: F64, moments: F64) -> F64:

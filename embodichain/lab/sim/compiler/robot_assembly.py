@@ -9,8 +9,11 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import AttachedFileCfg, ObjectBaseCfg
+from embodichain.lab.sim.compiler.contact_patterns import apply_contacts, check_contacts
+from embodichain.lab.sim.compiler.couplings import read_couplings
+from embodichain.lab.sim.compiler.floors import move_to_world, without_references
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.names import no_such
+from embodichain.lab.sim.compiler.names import find_in_spec
 from embodichain.lab.sim.compiler.rigid_objects import check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_files import (
     MUJOCO_ERRORS,
@@ -23,10 +26,20 @@ from embodichain.lab.sim.compiler.robot_files import (
 from embodichain.lab.sim.compiler.robot_joints import (
     Keyframe,
     read_joints,
-    read_mimics,
     resolve_qpos,
 )
-from embodichain.lab.sim.compiler.robot_links import RobotModel, prepare_file
+from embodichain.lab.sim.compiler.robot_links import (
+    AttachedOptions,
+    RobotModel,
+    prepare_file,
+)
+from embodichain.lab.sim.compiler.robot_root import (
+    bind_to_body,
+    remove_free_joint,
+    take_sizes,
+)
+from embodichain.lab.sim.compiler.spec_frames import on_frame
+from embodichain.lab.sim.compiler.urdf_reading import UrdfLimits
 from embodichain.lab.sim.urdf_cfg import COMPONENTS, URDFCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -91,7 +104,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
     spec.worldbody.add_body(name=cfg.base_link_name)
     carrying: dict[str, str] = {}
     links, joints = {cfg.base_link_name: cfg.base_link_name}, dict[str, str]()
-    velocity: dict[str, float] = {}
+    limits = UrdfLimits()
     for kind, prefix in cfg.prefixes().items():
         if kind not in files:
             continue
@@ -106,7 +119,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
         new_joints = _renamed(own_joints, prefix, "", case.get("joint"), set(joints.values()))
         links |= {f"{kind}{_SEPARATOR}{old}": new for old, new in new_links.items()}
         joints |= {f"{kind}{_SEPARATOR}{old}": new for old, new in new_joints.items()}
-        velocity |= {new_joints[old]: v for old, v in file.velocity_limits.items()}
+        limits = limits.joined(file.limits.renamed(new_joints))
         last = own_links[0] if kind in _ON_FIRST else file.last_link
         carrying[kind] = f"{kind}{_SEPARATOR}{last}"
     # The only references in a URDF are mimics, which are equalities.
@@ -118,7 +131,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
         equality.name1, equality.name2 = joints[equality.name1], joints[equality.name2]
     path = next(iter(files.values())).path
     notes = [note for file in files.values() for note in file.notes]
-    return ModelFile(path, True, spec, compile_quietly(spec), velocity, notes=notes)
+    return ModelFile(path, True, spec, compile_quietly(spec), limits, notes=notes)
 
 
 def _read(
@@ -187,7 +200,7 @@ def _renamed(
 
 
 def attach_files(
-    robot: RobotModel, attached: Mapping[str, AttachedFileCfg], velocity_limits: dict[str, float]
+    robot: RobotModel, attached: Mapping[str, AttachedFileCfg]
 ) -> tuple[RobotModel, list[Problem]]:
     """Fix files on links of a robot.
 
@@ -197,7 +210,6 @@ def attach_files(
     Args:
         robot: The robot's own file; its spec changes.
         attached: Name -> file, in order; a later one may be fixed on a link of an earlier one.
-        velocity_limits: Joint name -> limit of the robot's own file.
 
     Returns:
         The robot without the files that are wrong, and every mistake, with paths that begin with
@@ -208,8 +220,8 @@ def attach_files(
     """
     spec, problems = robot.spec, list[Problem]()
     parts, urdf = {"": robot}, {n for n, u in _from_urdf(robot) if u}
-    options: list[tuple[str, mujoco.MjSpec]] = []
-    velocity, notes = dict(velocity_limits), [*robot.notes]
+    options: list[AttachedOptions] = []
+    limits, notes = robot.joints.limits, [*robot.notes]
     for name, cfg in attached.items():
         found, file = _check(name, cfg, spec)
         problems += found
@@ -217,24 +229,59 @@ def attach_files(
             continue
         prefix = f"{name}/"
         part = parts[prefix] = prepare_file(file, cfg.attrs)
-        notes += [*part.notes, *_loosen(file)]
+        wrong = check_contacts(file.spec, cfg.contact)
+        problems += [p.below(f"attach.{name}") for p in wrong]
+        if not wrong:
+            apply_contacts(file.spec, cfg.contact)
+        notes += [*part.notes, *_loosen(file), *_without_walls(file, part)]
         urdf |= {f"{prefix}{n}" for n, u in _from_urdf(part) if u}
-        velocity |= {f"{prefix}{n}": limit for n, limit in file.velocity_limits.items()}
-        options.append((f"{file.path} (attach.{name})", mujoco.MjSpec()))
+        names = {name: f"{prefix}{name}" for name in part.joints.names}
+        limits = limits.joined(file.limits.renamed(names))
+        options.append((f"{file.path} (attach.{name})", mujoco.MjSpec(), file.options))
         options[-1][1].option = file.spec.option
         # The scene's options apply: MuJoCo would warn about each that differs.
         file.spec.option = spec.option
-        attach(spec, file.spec, cfg.to, *initial_pose(_pose(cfg)), prefix)
+        frame, _ = find_in_spec(spec, cfg.to, "")
+        if frame is None:
+            raise RuntimeError(f"{cfg.to!r} was found before")
+        link, pos, quat = on_frame(spec, *frame, *initial_pose(_pose(cfg)))
+        take_sizes(spec, file.spec)
+        equalities = len(spec.equalities)
+        attach(spec, file.spec, link, pos, quat, prefix)
+        bind_to_body(list(spec.equalities)[equalities:], link, pos, quat)
+        for plane in part.floors:  # planes cannot move; the scene's ground takes their place
+            move_to_world(spec, f"{prefix}{plane}", *part.planes[plane])
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError([Problem("attach", as_line(error)[0])]) from error
-    joints = read_joints(model, velocity, urdf, tuple(prefix for prefix in parts if prefix))
+    joints = read_joints(model, limits, urdf, tuple(prefix for prefix in parts if prefix))
     keyframe = _joined(parts, joints.names)
     notes = [*dict.fromkeys(notes)]  # two grippers of one file
     is_urdf = {prefix: part.is_urdf[""] for prefix, part in parts.items()}
+    attached_parts = {prefix: part for prefix, part in parts.items() if prefix}
     whole = RobotModel(
-        spec, model, joints, read_mimics(model), keyframe, tuple(notes), tuple(options), is_urdf
+        spec,
+        model,
+        joints,
+        *read_couplings(model, joints.names, urdf),
+        keyframe,
+        tuple(notes),
+        tuple(options),
+        planes=robot.planes,
+        floors=robot.floors,
+        attached_floors=tuple(
+            f"{prefix}{plane}" for prefix, part in attached_parts.items() for plane in part.floors
+        ),
+        hulls=(
+            *robot.hulls,
+            *(
+                replace(hull, mesh=f"{prefix}{hull.mesh}")
+                for prefix, part in attached_parts.items()
+                for hull in part.hulls
+            ),
+        ),
+        is_urdf=is_urdf,
     )
     return whole, problems
 
@@ -257,8 +304,8 @@ def _check(
         problems.append(
             Problem(f"{path}.to", f"missing value: a link; there are: {', '.join(links)}")
         )
-    elif cfg.to not in links:
-        problems.append(no_such("link", cfg.to, links, f"{path}.to"))
+    else:
+        problems += find_in_spec(robot, cfg.to, f"{path}.to")[1]
     wrong = check_pose(_pose(cfg))
     problems += [replace(p, path=f"{path}.{p.path.removeprefix('init_')}") for p in wrong]
     try:
@@ -280,9 +327,21 @@ def _loosen(file: ModelFile) -> list[str]:
         if free or body.mocap:
             notes.append(f"{file.path}: its free body {body.name!r} is fixed on the robot's link")
         for joint in free:
-            file.spec.delete(joint)
+            left_out = remove_free_joint(file.spec, joint)
+            if left_out:
+                notes.append(f"{file.path}: left out with its free joint: {', '.join(left_out)}")
         body.mocap = False
     return notes
+
+
+def _without_walls(file: ModelFile, part: RobotModel) -> list[str]:
+    """Remove planes that are no floors, and what names them: planes cannot move."""
+    walls = [plane for plane in part.planes if plane not in part.floors]
+    removed = without_references(file.spec, walls)
+    for wall in walls:
+        file.spec.delete(file.spec.geom(wall))
+    names = ", ".join([*(f"plane {wall!r}" for wall in walls), *removed])
+    return [f"{file.path}: left out, for a plane cannot move: {names}"] if walls else []
 
 
 def _joined(parts: Mapping[str, RobotModel], names: tuple[str, ...]) -> Keyframe | None:
@@ -292,7 +351,7 @@ def _joined(parts: Mapping[str, RobotModel], names: tuple[str, ...]) -> Keyframe
         return None
     qpos, qvel = dict[str, float](), dict[str, float]()
     for prefix, part in parts.items():
-        at, _ = resolve_qpos(None, part.joints, part.mimics, part.keyframe)
+        at, _ = resolve_qpos(None, part.joints, part.mimics, part.keyframe, part.equalities)
         speeds = np.zeros(len(at)) if part.keyframe is None else part.keyframe.qvel
         for name, value, speed in zip(part.joints.names, at, speeds, strict=True):
             qpos[f"{prefix}{name}"], qvel[f"{prefix}{name}"] = value, speed

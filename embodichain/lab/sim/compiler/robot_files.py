@@ -7,14 +7,14 @@ import re
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from xml.parsers import expat
 
 import mujoco
 import numpy as np
 
 from embodichain.data import DataNotFoundError, get_data_path, resolve_package_uri
+from embodichain.lab.sim.compiler.file_options import given_options
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.mjcf_meshes import (
     convert_meshes,
@@ -22,7 +22,17 @@ from embodichain.lab.sim.compiler.mjcf_meshes import (
     missing_files,
     split_meshes,
 )
+from embodichain.lab.sim.compiler.model_size import check_copies, check_depth
 from embodichain.lab.sim.compiler.rigid_objects import collides
+from embodichain.lab.sim.compiler.urdf_reading import (
+    UrdfLimits,
+    carriers,
+    check_joints,
+    check_text,
+    planar_notes,
+    read_limits,
+)
+from embodichain.lab.sim.compiler.xml_text import XmlError, parse_xml, root_tag
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler
 from embodichain.lab.sim.meshes.mesh_conversion import (
     MAX_STL_FACES,
@@ -71,18 +81,20 @@ class ModelFile:
         is_urdf: Whether it is a URDF; else MJCF.
         spec: The parsed file, unedited; it compiles.
         model: The file's model.
-        velocity_limits: Joint name -> limit; URDF only.
+        limits: Limits of its joints that the model does not have; URDF only.
         last_link: The last link in the order of the URDF text, not of the tree.
         notes: Messages for the user, one line each.
+        options: The physics options that it gives, see `given_options`.
     """
 
     path: Path
     is_urdf: bool
     spec: mujoco.MjSpec
     model: mujoco.MjModel
-    velocity_limits: dict[str, float] = field(default_factory=dict)
+    limits: UrdfLimits = field(default_factory=UrdfLimits)
     last_link: str = ""
     notes: list[str] = field(default_factory=list)
+    options: frozenset[str] = frozenset()
 
 
 def locate(fpath: str | None) -> Path:
@@ -117,39 +129,36 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
         source = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    if root_tag(source) == "mujoco":
+        return _read_checked_mjcf(path, source, convex_parts)
     try:
         root, line_of = parse_xml(source)
-    except expat.ExpatError as error:
-        message = str(error).split(":")[0]
-        raise ConfigError(f"{path}:{error.lineno}: not well-formed XML: {message}") from error
-    if root.tag == "mujoco":
-        return _read_mjcf(path, convex_parts)
+    except XmlError as error:
+        raise _not_xml(path, error) from error
+    options = given_options(root, path.parent)
     if root.tag != "robot":
         raise ConfigError(
             f"{path}: neither URDF nor MJCF: its root is <{root.tag}>, not <robot> or <mujoco>"
         )
-    return _read_urdf(path, root, line_of, convex_parts)
+    return replace(_read_urdf(path, root, line_of, convex_parts), options=options)
 
 
-def parse_xml(source: bytes) -> tuple[ET.Element, dict[ET.Element, int]]:
-    """Return the root of an XML text, and the line of every element, in document order.
+def _not_xml(path: Path, error: XmlError) -> ConfigError:
+    return ConfigError(f"{path}:{error.line}: not well-formed XML: {error}")
 
-    Tags and attributes keep their namespace prefixes.
 
-    Raises:
-        xml.parsers.expat.ExpatError: If it is not well-formed.
-    """
-    builder, lines = ET.TreeBuilder(), dict[ET.Element, int]()
-    parser = expat.ParserCreate()
-
-    def begin(tag: str, attributes: dict[str, str]) -> None:
-        lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
-
-    parser.StartElementHandler = begin
-    parser.EndElementHandler = builder.end
-    parser.CharacterDataHandler = builder.data
-    parser.Parse(source, True)
-    return builder.close(), lines
+def _read_checked_mjcf(path: Path, source: bytes, convex_parts: bool) -> ModelFile:
+    """Read an MJCF; what only MuJoCo can read of its text is not looked at before."""
+    try:
+        root, line_of = parse_xml(source)
+    except XmlError as error:
+        try:
+            return _read_mjcf(path, convex_parts)
+        except ConfigError:
+            raise _not_xml(path, error) from error
+    check_copies(path, root, line_of)
+    options = given_options(root, path.parent)
+    return replace(_read_mjcf(path, convex_parts), options=options)
 
 
 def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -212,11 +221,14 @@ def _read_urdf(
     path: Path, root: ET.Element, line_of: Mapping[ET.Element, int], convex_parts: bool
 ) -> ModelFile:
     """Compile a URDF, after editing its tree in place so that MuJoCo reads it correctly."""
-    if any("xacro" in element.tag for element in line_of):
-        raise ConfigError(f"{path}: xacro has to be expanded to URDF first: `xacro {path.name}`")
+    check_text(path, root, line_of)
     links = root.findall("link")
     if not links:
         raise ConfigError(f"{path}: the robot has no <link>")
+    check_joints(path, root, line_of)
+    check_depth(path, carriers(root))
+    limits = read_limits(path, root, line_of)
+    planar = planar_notes(root, line_of)
     meshes = _UrdfMeshes(path, convex_parts)
     meshes.prepare(root)
     _drop_repeated_names(root)
@@ -226,7 +238,8 @@ def _read_urdf(
         spec = mujoco.MjSpec.from_string(text)
         _name_elements(spec)
         meshes.finish(spec)
-        notes = [f"{path}: {note}" for note in (*meshes.notes, *_set_masses(spec, root))]
+        notes = [f"{path}: {note}" for note in (*limits.notes, *planar, *meshes.notes)]
+        notes += [f"{path}: {note}" for note in _set_masses(spec, root)]
         model = _compile_repaired(path, spec, notes)
     except MUJOCO_ERRORS as error:
         message, line = as_line(error)
@@ -235,12 +248,7 @@ def _read_urdf(
             pairs = zip(lines.values(), root.iter(), strict=True)
             line = next((line_of.get(e) for written, e in pairs if written >= line), None)
         raise ConfigError(f"{path}:{line}: {message}" if line else f"{path}: {message}") from error
-    velocity = {
-        joint.get("name", ""): float(value)
-        for joint in root.iter("joint")
-        if (limit := joint.find("limit")) is not None and (value := limit.get("velocity"))
-    }
-    return ModelFile(path, True, spec, model, velocity, links[-1].get("name", ""), notes)
+    return ModelFile(path, True, spec, model, limits, links[-1].get("name", ""), notes)
 
 
 def _set_flags(root: ET.Element) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from embodichain.lab.sim.compiler.index import F64, Ids, Mask
 from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.compiler.urdf_reading import UrdfLimits
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import listing
 
@@ -30,7 +31,6 @@ __all__ = [
     "movable_joints",
     "read_joints",
     "read_keyframe",
-    "read_mimics",
     "read_servos",
     "resolve_qpos",
 ]
@@ -184,12 +184,17 @@ class FileJoints:
     armature: F64
     inertia: F64
     """Joint-space inertia at qpos0 (`dof_M0`), kg m^2 or kg."""
+    home: F64
+    """Where joints start without a keyframe, rad or m: an MJCF's `qpos0` (`ref` of a joint); for a
+    URDF, the value nearest zero within the limits."""
     servos: Servos
     """Servos of the files."""
     from_urdf: Mask
     """Joints of URDF files, which have no actuators."""
     by_name: Mask
     """Joints of attached MJCF files: only names in `drive_pros` change them, no single number."""
+    limits: UrdfLimits
+    """Limits of URDF files beyond those that the model has."""
     own_actuators: int
     """Number of actuators of the robot's own file, without attached ones."""
 
@@ -211,7 +216,7 @@ def movable_joints(model: mujoco.MjModel) -> Ids:
 
 def read_joints(
     model: mujoco.MjModel,
-    velocity_limits: Mapping[str, float],
+    limits: UrdfLimits,
     urdf: Collection[str],
     attached: tuple[str, ...] = (),
 ) -> FileJoints:
@@ -219,7 +224,7 @@ def read_joints(
 
     Args:
         model: The model of the file, attached ones included.
-        velocity_limits: Joint name -> limit, where the file has one (an `MjModel` has none).
+        limits: Of URDF files, what an `MjModel` does not have.
         urdf: Names of joints from URDF files, which have no actuators.
         attached: Prefixes of the names of attached files.
     """
@@ -229,18 +234,22 @@ def read_joints(
     limited = model.jnt_limited[ids].astype(np.bool_)[:, None]
     from_urdf = np.array([name in urdf for name in names], np.bool_)
     actuators = [model.actuator(i).name for i in range(model.nactuator)]
+    qpos_limits = np.where(limited, model.jnt_range[ids], [[-np.inf, np.inf]])
+    qpos0 = model.qpos0[model.jnt_qposadr[ids]]
     return FileJoints(
         names=names,
-        qpos_limits=np.where(limited, model.jnt_range[ids], [[-np.inf, np.inf]]),
-        qvel_limits=np.array([velocity_limits.get(name, np.inf) for name in names], np.float64),
+        qpos_limits=qpos_limits,
+        qvel_limits=np.array([limits.velocity.get(name, np.inf) for name in names], np.float64),
         qf_limits=_effort_limits(model, ids),
         damping=model.dof_damping[dofs].copy(),
         friction=model.dof_frictionloss[dofs].copy(),
         armature=model.dof_armature[dofs].copy(),
         inertia=model.dof_M0[dofs].copy(),
+        home=np.where(from_urdf, np.clip(np.zeros(len(ids)), *qpos_limits.T), qpos0),
         servos=read_servos(model, ids),
         from_urdf=from_urdf,
         by_name=np.array([name.startswith(attached) for name in names], np.bool_) & ~from_urdf,
+        limits=limits,
         own_actuators=sum(not name.startswith(attached) for name in actuators),
     )
 
@@ -272,27 +281,6 @@ def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
         gain = abs(float(model.actuator_gainprm[actuator, 0]))
         return gain * float(np.abs(model.actuator_ctrlrange[control]).max())
     return float(np.inf)
-
-
-def read_mimics(model: mujoco.MjModel) -> Mimics:
-    """Return linear joint equalities as mimics (MuJoCo converts URDF's ``mimic`` to one).
-
-    MuJoCo's equality is ``y - y0 = a0 + a1 (x - x0)`` about the joints' reference positions.
-    """
-    number = {int(joint): i for i, joint in enumerate(movable_joints(model))}
-    rows: dict[int, tuple[int, int, float, float]] = {}
-    for eq in range(model.neq):
-        if model.eq_type[eq] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[eq]:
-            continue
-        follower, leader = int(model.eq_obj1id[eq]), int(model.eq_obj2id[eq])
-        a = model.eq_data[eq, :5]
-        if follower in number and leader in number and not a[2:].any():
-            y0 = float(model.qpos0[model.jnt_qposadr[follower]])
-            x0 = float(model.qpos0[model.jnt_qposadr[leader]])
-            offset = y0 + float(a[0]) - float(a[1]) * x0
-            rows[follower] = number[follower], number[leader], float(a[1]), offset
-    columns = zip(*sorted(rows.values()), strict=True)  # by joint
-    return Mimics(*columns) if rows else Mimics()
 
 
 # ----------------------------------------------------------------------------------- initial state
@@ -428,27 +416,34 @@ def _integrated(model: mujoco.MjModel, i: int, qpos: F64) -> float:
 
 
 def resolve_qpos(
-    value: Any, joints: FileJoints, mimics: Mimics, keyframe: Keyframe | None
+    value: Any,
+    joints: FileJoints,
+    mimics: Mimics,
+    keyframe: Keyframe | None,
+    equalities: Mimics | None = None,
 ) -> tuple[F64, list[Problem]]:
     """Return initial joint positions (D,) in rad or m, and every mistake in the config.
 
-    Joints that the config does not name take the keyframe's value, else the value nearest zero
-    within their limits; mimic joints follow their leader.
+    Joints that the config does not name take the keyframe's value, else `FileJoints.home`; mimic
+    joints follow their leader. Of two joints that an equality of an MJCF couples, the one that the
+    config does not name follows the one that it names.
 
     Args:
         value: `ArticulationCfg.init_qpos`: None, D values, or a map by joint regex.
         joints: The file's joints.
         mimics: Which of them follow others.
         keyframe: The file's keyframe, if it has one.
+        equalities: Joint equalities of MJCF files.
     """
     low, high = joints.qpos_limits.T
-    qpos = np.clip(np.zeros(len(low)), low, high) if keyframe is None else keyframe.qpos.copy()
+    qpos = (joints.home if keyframe is None else keyframe.qpos).copy()
     named, problems = _take_qpos(value, joints.names, qpos)
     for i, parent, slope, offset in zip(
         mimics.ids, mimics.parents, mimics.multipliers, mimics.offsets, strict=True
     ):
         if not named[i] and (keyframe is None or named[parent]):
             qpos[i] = slope * qpos[parent] + offset
+    _follow(equalities or Mimics(), named, qpos)
     within = (qpos >= low - _TOLERANCE) & (qpos <= high + _TOLERANCE)  # NaN is not
     problems += [
         Problem(
@@ -460,6 +455,26 @@ def resolve_qpos(
     ]
     # Only given values are checked against limits; rounding beyond limits is clamped.
     return np.where(named, np.clip(qpos, low, high), qpos), problems
+
+
+def _follow(equalities: Mimics, named: Mask, qpos: F64) -> None:
+    """Write the positions of joints that are coupled to named ones into `qpos`."""
+    known = named.copy()
+    rows = [
+        *zip(
+            equalities.ids,
+            equalities.parents,
+            equalities.multipliers,
+            equalities.offsets,
+            strict=True,
+        )
+    ]
+    for _ in rows:  # a chain may be given from any of its joints
+        for i, other, slope, offset in rows:
+            if known[other] and not known[i]:
+                qpos[i], known[i] = slope * qpos[other] + offset, True
+            elif known[i] and not known[other] and slope != 0:
+                qpos[other], known[other] = (qpos[i] - offset) / slope, True
 
 
 def _take_qpos(value: Any, names: tuple[str, ...], qpos: F64) -> tuple[Mask, list[Problem]]:

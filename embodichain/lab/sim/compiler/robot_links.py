@@ -5,7 +5,8 @@ A config adds shapes fixed on links (`attachments`) and tool points of control p
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import dataclasses
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -18,8 +19,16 @@ from embodichain.lab.sim.cfg import (
     RigidBodyAttributesCfg,
     SolverCfg,
 )
+from embodichain.lab.sim.compiler.contact_parameters import (
+    ContactParameters,
+    check_contact,
+    set_contact_parameters,
+)
+from embodichain.lab.sim.compiler.couplings import read_couplings
+from embodichain.lab.sim.compiler.floors import Plane, floors_of, planes_of
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.names import match, no_such
+from embodichain.lab.sim.compiler.kept_inertias import HullLimit, keep_inertias, limit_hulls
+from embodichain.lab.sim.compiler.names import FrameKind, match, names_in_spec, no_such
 from embodichain.lab.sim.compiler.rigid_objects import (
     COLLISION_GROUP,
     HULL_VERTICES,
@@ -28,7 +37,8 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     check_pose,
     check_shape,
     initial_pose,
-    set_contact,
+    keep_hull_inertia,
+    set_collision,
 )
 from embodichain.lab.sim.compiler.robot_files import ModelFile, compile_quietly
 from embodichain.lab.sim.compiler.robot_joints import (
@@ -37,15 +47,17 @@ from embodichain.lab.sim.compiler.robot_joints import (
     Mimics,
     read_joints,
     read_keyframe,
-    read_mimics,
 )
+from embodichain.lab.sim.compiler.robot_root import leave_out_lights
+from embodichain.lab.sim.compiler.spec_frames import on_frame
 from embodichain.lab.sim.shapes import PlaneCfg
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.defaults import is_given
+from embodichain.utils.errors import Problem
 from embodichain.utils.math import quat_multiply, quat_rotate, rotvec_to_quat
 
 __all__ = [
-    "ROOT_NAME",
     "WHOLE",
+    "AttachedOptions",
     "RobotModel",
     "Tool",
     "add_attachments",
@@ -54,12 +66,9 @@ __all__ = [
     "lock_joints",
     "prepare_file",
     "resolve_tools",
-    "set_root",
-    "strip_world",
 ]
 
-ROOT_NAME = "root"
-"""Name of the body added if a file's world has several bodies, or one with joints."""
+AttachedOptions = tuple[str, mujoco.MjSpec, frozenset[str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +79,16 @@ class RobotModel:
         spec: The edited file; names of an attached file begin with ``NAME/``.
         model: The file's model, before it was edited.
         joints: Data of its joints.
-        mimics: Joints that follow others.
+        mimics: Joints that follow others, in URDF files.
+        equalities: Joints that are coupled to others, in MJCF files.
         keyframe: Initial values that the file gives, or None.
         notes: Messages for the user, one line each.
-        attached_options: Path of each attached file, and an empty model with its physics options,
-            which have no effect.
+        attached_options: Path of each attached file, an empty model with its physics options, which
+            have no effect, and the names of those it gives.
+        planes: Planes of the world of the robot's own file.
+        floors: Its horizontal planes, in whose place the scene's ground is.
+        attached_floors: Those of the attached files.
+        hulls: Meshes whose convex hull is limited.
         is_urdf: Prefix of names of an attached file ("" is the robot's own) -> whether it is a
             URDF; else it is an MJCF.
     """
@@ -83,66 +97,107 @@ class RobotModel:
     model: mujoco.MjModel
     joints: FileJoints
     mimics: Mimics
+    equalities: Mimics
     keyframe: Keyframe | None
     notes: tuple[str, ...]
-    attached_options: tuple[tuple[str, mujoco.MjSpec], ...] = ()
+    attached_options: tuple[AttachedOptions, ...] = ()
+    planes: Mapping[str, Plane] = field(default_factory=dict)
+    floors: tuple[str, ...] = ()
+    attached_floors: tuple[str, ...] = ()
+    hulls: tuple[HullLimit, ...] = ()
     is_urdf: Mapping[str, bool] = field(default_factory=dict)
 
 
 def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
     """Read joints and keyframe of a file, and prepare its spec, which changes.
 
-    Lights, planes and keyframes are removed, and shapes are given groups and attributes.
+    Lights and keyframes are removed, hulls of meshes limited, and shapes are given groups and
+    attributes. Masses and inertias stay those of the file.
     """
-    urdf = [joint.name for joint in file.spec.joints] if file.is_urdf else ()
-    joints = read_joints(file.model, file.velocity_limits, urdf)
-    keyframe = read_keyframe(file.spec, file.model)
-    said = [*strip_world(file.spec), *_unused(file.spec, keyframe)]
-    for key in list(file.spec.keys):
-        file.spec.delete(key)
-    prepare_shapes(file.spec, attrs, file.is_urdf)
-    notes = (*file.notes, *(f"{file.path}: {line}" for line in said))
+    spec, model = file.spec, file.model
+    urdf = [joint.name for joint in spec.joints] if file.is_urdf else ()
+    joints = read_joints(model, file.limits, urdf)
+    keyframe = read_keyframe(spec, model)
+    planes = planes_of(spec, model)
+    floors = floors_of(planes)
+    said = [*leave_out_lights(spec), *_unused_keyframes(spec, keyframe), *_unused_sizes(spec)]
+    for key in list(spec.keys):
+        spec.delete(key)
+    spec.nkey = 0  # `<size nkey>` asks for empty keyframes
+    prepare_shapes(spec, attrs, file.is_urdf, planes)
+    hulls = limit_hulls(spec, model)
+    keep_inertias(spec, model, hulls)
+    notes = (
+        *file.notes,
+        *(f"{file.path}: {line}" for line in (*said, *_limited(hulls, file.is_urdf))),
+    )
     return RobotModel(
-        file.spec,
-        file.model,
+        spec,
+        model,
         joints,
-        read_mimics(file.model),
+        *read_couplings(model, joints.names, urdf),
         keyframe,
         notes,
+        planes=planes,
+        floors=floors,
+        hulls=tuple(hulls),
         is_urdf={"": file.is_urdf},
     )
 
 
-def _unused(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
-    """Return messages about unused keyframes and about mocap bodies, which do not move."""
-    said: list[str] = []
+def _unused_keyframes(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
+    """Return a message about keyframes that are not used."""
     others = [repr(key.name) for key in spec.keys if keyframe is None or key.name != keyframe.name]
-    if others:
-        used = keyframe.name if keyframe is not None else ""
-        said.append(f"it starts at its keyframe {used!r}; left out: {', '.join(others)}")
-    tops = list(spec.worldbody.bodies)
-    mocap = [repr(body.name) for body in tops if body.mocap]
-    if mocap and len(tops) > 1:
-        said.append(f"mocap bodies are fixed to its base: {', '.join(mocap)}")
-    return said
+    if not others:
+        return []
+    used = keyframe.name if keyframe is not None else ""
+    return [f"it starts at its keyframe {used!r}; left out: {', '.join(others)}"]
 
 
-def prepare_shapes(spec: mujoco.MjSpec, attrs: RigidBodyAttributesCfg, is_urdf: bool) -> None:
+_SIZES = "nconmax", "njmax", "nstack", "nuserdata"
+
+
+def _unused_sizes(spec: mujoco.MjSpec) -> list[str]:
+    """Return a message about sizes that a scene of several files cannot take from one."""
+    given = [f"{name}={getattr(spec, name)}" for name in _SIZES if getattr(spec, name) > 0]
+    for name in _SIZES:
+        setattr(spec, name, 0 if name == "nuserdata" else -1)
+    return [f"<size> left out: {', '.join(given)}"] if given else []
+
+
+def _limited(hulls: Sequence[HullLimit], is_urdf: bool) -> list[str]:
+    """Return a message about meshes whose hull is limited; `show` lists each."""
+    if not hulls:
+        return []
+    largest = max(hulls, key=lambda hull: hull.vertices)
+    message = (
+        f"{len(hulls)} of its meshes collide as hulls of at most {HULL_VERTICES} vertices (the "
+        f"largest, {largest.mesh!r}, has {largest.vertices})"
+    )
+    return [message if is_urdf else f"{message}; <mesh maxhullvert> sets another limit"]
+
+
+def prepare_shapes(
+    spec: mujoco.MjSpec,
+    attrs: RigidBodyAttributesCfg,
+    is_urdf: bool,
+    planes: Collection[str] = (),
+) -> None:
     """Set groups of visual and collision shapes, and apply a config's attributes.
 
-    A URDF has no friction: `attrs.dynamic_friction` is used. An MJCF keeps its own unless the
-    config's differs from the default.
+    Planes of its world are not of the robot: attributes do not concern them.
+
+    A URDF has no friction: `attrs.dynamic_friction` is used. An MJCF keeps its own unless that is
+    given.
     """
-    friction = float(attrs.dynamic_friction)
-    own_friction = not is_urdf and friction == RigidBodyAttributesCfg().dynamic_friction
+    friction = attrs.dynamic_friction
     for geom in spec.geoms:
-        if not own_friction:
-            geom.friction[0] = friction
+        if geom.name in planes:
+            continue
+        if is_urdf or is_given(friction):
+            geom.friction[0] = float(friction)
         if not attrs.enable_collision:
             geom.contype = geom.conaffinity = 0
-    for mesh in spec.meshes:
-        if mesh.maxhullvert < 0:
-            mesh.maxhullvert = HULL_VERTICES
     for body in spec.bodies if is_urdf else ():
         # MuJoCo's URDF reader gives visual shapes no contact bits and group 1; collision shapes
         # that the config has switched off are recognized by group 0.
@@ -153,66 +208,6 @@ def prepare_shapes(spec: mujoco.MjSpec, attrs: RigidBodyAttributesCfg, is_urdf: 
                 geom.group = VISUAL_GROUP
             elif drawn:
                 geom.group = COLLISION_GROUP
-
-
-def strip_world(spec: mujoco.MjSpec) -> list[str]:
-    """Remove lights, and planes in the world, from a robot file.
-
-    The scene has its own lights and ground. Other shapes of the file's world are kept.
-
-    Returns:
-        One line about removed planes, if any.
-    """
-    planes = [g for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]
-    names = ", ".join(repr(plane.name) for plane in planes)
-    for element in (*spec.lights, *planes):
-        spec.delete(element)
-    return [f"planes {names} of its world left out: the scene has its own ground"] if planes else []
-
-
-def set_root(spec: mujoco.MjSpec, fixed: bool) -> tuple[mujoco.MjSpec, str]:
-    """Make the root a mocap or free body; return the spec to use from now on and the root's name.
-
-    A fixed base is a mocap body, so its pose is state and can differ between environments. It has
-    no degrees of freedom and behaves as if fixed to the world, with one exception: MuJoCo lets the
-    children of a fixed body collide with it, but not those of a mocap body. For an MJCF
-    `set_self_collision` lets them collide.
-
-    Raises:
-        ConfigError: If the file is empty, or has several bodies of which one floats.
-    """
-    tops = list(spec.worldbody.bodies)
-    if not tops:
-        raise ConfigError("the file contains no bodies")
-    root = tops[0]
-    floats = any(j.type == mujoco.mjtJoint.mjJNT_FREE for body in tops for j in body.joints)
-    if floats and len(tops) > 1:
-        names = ", ".join(repr(body.name) for body in tops)
-        message = f"one articulation is one tree, but the file contains free bodies: {names}"
-        raise ConfigError(message)
-    if not floats and (len(tops) > 1 or root.joints):
-        spec, root = _wrapped(spec)
-    for joint in list(root.joints):
-        spec.delete(joint)
-    root.mocap = fixed
-    if not fixed:
-        root.add_freejoint(name="free")
-    return spec, root.name
-
-
-def _wrapped(spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
-    """Attach the whole world of a spec to a new body in a new spec."""
-    for body in spec.worldbody.bodies:
-        body.mocap = False
-    outer = mujoco.MjSpec()
-    outer.compiler.fusestatic = False
-    name = ROOT_NAME
-    while spec.body(name) is not None:
-        name = f"{name}_"
-    root = outer.worldbody.add_body(name=name)
-    outer.option = spec.option
-    outer.attach(spec, frame=root.add_frame(), prefix="")
-    return outer, root
 
 
 # ------------------------------------------------------------------------------------ locked joints
@@ -286,31 +281,57 @@ _UNSCALED = np.ones(3)
 
 
 def check_attachments(
-    links: Sequence[str], attachments: Mapping[str, AttachmentCfg]
+    spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg]
 ) -> list[Problem]:
-    """Return every mistake, with paths in the articulation's config; `links` are the file's."""
+    """Return every mistake, with paths in the articulation's config; `spec` is the file's."""
     problems: list[Problem] = []
+    links = names_in_spec(spec, "link")
     for name, cfg in attachments.items():
         path = f"attachments.{name}"
         if name in links:
             problems.append(Problem(path, "the file has a link of that name already"))
-        if cfg.link not in links:
-            problems.append(no_such("link", cfg.link, links, f"{path}.link"))
+        problems += [p.below(path) for p in _check_carrier(spec, cfg)]
         if isinstance(cfg.shape, PlaneCfg):
             problems.append(Problem(f"{path}.shape", "a Plane cannot move"))
         found = [*check_shape(cfg.shape, _UNSCALED), *check_pose(cfg)]
+        if cfg.contact is not None:
+            found += [p.below("contact") for p in check_contact(cfg.contact)]
+            if cfg.contact.friction is not None and is_given(cfg.dynamic_friction):
+                message = "dynamic_friction is given as well: leave one of them out"
+                found.append(Problem("contact.friction", message))
         problems += [p.below(path) for p in found]
     return problems
+
+
+def _carrier(cfg: AttachmentCfg) -> dict[FrameKind, str]:
+    """What an attachment says it is fixed on, by kind."""
+    given: dict[FrameKind, str | None] = {"link": cfg.link, "site": cfg.site, "geom": cfg.geom}
+    return {kind: name for kind, name in given.items() if name}
+
+
+def _check_carrier(spec: mujoco.MjSpec, cfg: AttachmentCfg) -> list[Problem]:
+    given = _carrier(cfg)
+    if len(given) > 1:
+        first, second = list(given)[:2]
+        return [Problem(second, f"{first} is given as well: leave one of them out")]
+    kind: FrameKind = next(iter(given), "link")
+    names, name = names_in_spec(spec, kind), given.get(kind, "")
+    return [] if name in names else [no_such(kind, name, names or ("none",), kind)]
 
 
 def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg]) -> None:
     """Add a body with one geom per checked attachment, as a child of its link."""
     for number, (name, cfg) in enumerate(attachments.items()):
-        pos, quat = initial_pose(cfg)
-        body = spec.body(cfg.link).add_body(name=name, pos=pos, quat=quat)
+        kind, carrier = next(iter(_carrier(cfg).items()))
+        link, pos, quat = on_frame(spec, kind, carrier, *initial_pose(cfg))
+        body = spec.body(link).add_body(name=name, pos=pos, quat=quat)
         geom = add_shape(spec, body, name, cfg.shape, _UNSCALED, number)
         geom.mass = float(cfg.mass)
-        set_contact(body.geoms, float(cfg.dynamic_friction), cfg.enable_collision)
+        usual = ContactParameters(friction=(float(cfg.dynamic_friction),))
+        given = ContactParameters.of_config(cfg.contact)
+        set_contact_parameters(body.geoms, given.over(usual))
+        set_collision(body.geoms, cfg.enable_collision)
+        keep_hull_inertia(spec, body)
 
 
 @dataclass(frozen=True)
@@ -318,19 +339,21 @@ class Tool:
     """The tool point of a part.
 
     Attributes:
-        end_link: Its parent link.
+        kind: Whether it is fixed on a link or on a site.
+        end: That link or site.
         link: The link that is the tool point.
-        pose: Its position (3,) in metres and wxyz orientation in the frame of `end_link`; None is
-            that link's own frame.
+        pose: Its position (3,) in metres and wxyz orientation in the frame of `end`; None is that
+            link's own frame.
     """
 
-    end_link: str
+    kind: FrameKind
+    end: str
     link: str
     pose: tuple[F64, F64] | None
 
 
 def resolve_tools(
-    cfg: ArticulationCfg, parts: Collection[str], links: Sequence[str]
+    cfg: ArticulationCfg, parts: Collection[str], links: Sequence[str], sites: Sequence[str]
 ) -> tuple[dict[str, Tool], list[Problem]]:
     """Return the tool point of each part that `solver_cfg` gives one, and every mistake.
 
@@ -338,6 +361,7 @@ def resolve_tools(
         cfg: The articulation's config.
         parts: Its control parts.
         links: The links of its file.
+        sites: The sites of its file.
     """
     tools: dict[str, Tool] = {}
     problems: list[Problem] = []
@@ -347,32 +371,52 @@ def resolve_tools(
         path = f"solver_cfg.{part}"
         if part not in parts and part != WHOLE:
             problems.append(no_such("control part", part, [*parts, WHOLE], path))
-        for key in ("root_link_name", "end_link_name"):
-            name = getattr(solver, key)
-            if name is not None and name not in links:
-                problems.append(no_such("link", name, links, f"{path}.{key}"))
+        problems += [p.below(path) for p in _check_ends(solver, links, sites)]
         pose = None
         if solver.tcp is not None and not np.array_equal(np.asarray(solver.tcp), np.eye(4)):
             at = ObjectBaseCfg(init_local_pose=solver.tcp)
             wrong = check_pose(at)
             problems += [Problem(f"{path}.tcp", p.message) for p in wrong]
             pose = None if wrong else initial_pose(at)
-        if solver.end_link_name is None:
+        kind: FrameKind = "link" if solver.end_site_name is None else "site"
+        end = solver.end_link_name if solver.end_site_name is None else solver.end_site_name
+        if end is None:
             if pose is not None:
                 message = "missing value: tcp is a pose in the frame of this link"
                 problems.append(Problem(f"{path}.end_link_name", message))
             continue
-        name = "tcp" if part == WHOLE else f"{part}_tcp"
+        name, key = "tcp" if part == WHOLE else f"{part}_tcp", "tcp"
+        if kind == "site":
+            pose, key = pose or (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])), "end_site_name"
         if pose is not None and name in links:
-            problems.append(Problem(f"{path}.tcp", f"the file has a link called {name!r} already"))
-        link = solver.end_link_name if pose is None else name
-        tools[part] = Tool(solver.end_link_name, link, pose)
+            message = f"the file has a link called {name!r} already"
+            problems.append(Problem(f"{path}.{key}", message))
+        tools[part] = Tool(kind, end, end if pose is None else name, pose)
     return tools, problems
+
+
+def _check_ends(solver: SolverCfg, links: Sequence[str], sites: Sequence[str]) -> Iterator[Problem]:
+    """What is wrong with the links and the site that a solver names."""
+    for key in ("root_link_name", "end_link_name"):
+        name = getattr(solver, key)
+        if name is None or name in links:
+            continue
+        problem = no_such("link", name, links, key)
+        if key == "end_link_name" and name in sites:
+            hint = f"A site is called so: write end_site_name: {name}."
+            problem = dataclasses.replace(problem, hint=hint)
+        yield problem
+    if solver.end_site_name is None:
+        return
+    if solver.end_link_name is not None:
+        yield Problem("end_site_name", "end_link_name is given as well: leave one of them out")
+    if solver.end_site_name not in sites:
+        yield no_such("site", solver.end_site_name, sites or ("none",), "end_site_name")
 
 
 def add_tools(spec: mujoco.MjSpec, tools: Mapping[str, Tool]) -> None:
     """Add a massless body for each tool point that differs from a link's frame."""
     for tool in tools.values():
         if tool.pose is not None:
-            pos, quat = tool.pose
-            spec.body(tool.end_link).add_body(name=tool.link, pos=pos, quat=quat)
+            link, pos, quat = on_frame(spec, tool.kind, tool.end, *tool.pose)
+            spec.body(link).add_body(name=tool.link, pos=pos, quat=quat)

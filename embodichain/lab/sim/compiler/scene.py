@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -18,8 +18,13 @@ from embodichain.lab.sim.compiler.appearance import (
     set_look,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
+from embodichain.lab.sim.compiler.contact_parameters import given_parameters
+from embodichain.lab.sim.compiler.floors import bind_floors, strangers_to
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
+from embodichain.lab.sim.compiler.known import known_entities
+from embodichain.lab.sim.compiler.model_size import reported
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
+from embodichain.lab.sim.compiler.physics_options import apply_options, replace_options
 from embodichain.lab.sim.compiler.rigid_objects import (
     add_object,
     check_object,
@@ -28,6 +33,7 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     shapes_of,
 )
 from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, compile_quietly
+from embodichain.lab.sim.compiler.robot_root import take_sizes
 from embodichain.lab.sim.compiler.scene_sensors import (
     CameraIndex,
     SensorIndex,
@@ -41,94 +47,12 @@ from embodichain.lab.sim.compiler.world import PREFIX, World, add_world, start_w
 from embodichain.lab.sim.scene_cfg import GroundCfg
 from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.math import quat_multiply, quat_rotate
+from embodichain.utils.math import quat_rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.terrain import Terrain
 
 __all__ = ["CompiledScene", "SceneParts", "compile_scene"]
-
-_INTEGRATORS = {
-    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
-    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
-    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
-}
-_SOLVERS = {
-    "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
-    "CG": mujoco.mjtSolver.mjSOL_CG,
-    "PGS": mujoco.mjtSolver.mjSOL_PGS,
-}
-_CONES = {
-    "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
-    "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
-}
-_ENUMS: dict[str, type[Any]] = {
-    "integrator": mujoco.mjtIntegrator,
-    "solver": mujoco.mjtSolver,
-    "cone": mujoco.mjtCone,
-    "jacobian": mujoco.mjtJacobian,
-}
-_FLAGS: dict[str, type[Any]] = {
-    "disableflags": mujoco.mjtDisableBit,
-    "enableflags": mujoco.mjtEnableBit,
-}
-
-
-def _apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
-    """Set a scene's physics options.
-
-    Auto-reset is off: it would reset a diverged simulation to qpos0 within a step.
-
-    Raises:
-        ConfigError: If the timestep is not positive.
-    """
-    if not cfg.physics_dt > 0:
-        raise ConfigError([Problem("physics_dt", f"must be positive, got {cfg.physics_dt}")])
-    physics, option = cfg.physics_config, spec.option
-    option.timestep = float(cfg.physics_dt)
-    option.gravity = [float(g) for g in physics.gravity]
-    option.integrator = int(_INTEGRATORS[physics.integrator])
-    option.solver = int(_SOLVERS[physics.solver])
-    option.iterations = int(physics.iterations)
-    option.cone = int(_CONES[physics.cone])
-    option.impratio = float(physics.impratio)
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-
-
-def _replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
-    """Replace a child's options by the scene's.
-
-    Returns:
-        ``name: value in the file -> value of the scene`` for each option of the file that differs
-        from MuJoCo's default and from the scene.
-    """
-    default = mujoco.MjSpec().option
-    replaced: list[str] = []
-    for name in (name for name in dir(default) if not name.startswith("_")):
-        old, new = getattr(child.option, name), getattr(scene.option, name)
-        if name in _FLAGS:
-            theirs = int(old) & ~int(new)
-            if theirs:
-                replaced.append(f"{name} {_flags(name, theirs)} -> off")
-        elif not np.array_equal(old, new) and not np.array_equal(old, getattr(default, name)):
-            replaced.append(f"{name} {_show(name, old)} -> {_show(name, new)}")
-        setattr(child.option, name, new)
-    return replaced
-
-
-def _show(name: str, value: Any) -> str:
-    if name in _ENUMS:
-        return str(_ENUMS[name](int(value)).name.split("_")[-1].lower())
-    array = np.asarray(value, np.float64).reshape(-1)
-    return " ".join(f"{x:g}" for x in array)
-
-
-def _flags(name: str, bits: int) -> str:
-    known = [flag for flag in _FLAGS[name].__members__.values() if int(flag) & bits]
-    names = [flag.name.split("_")[-1].lower() for flag in known if int(flag).bit_count() == 1]
-    return ", ".join(names) or hex(bits)
-
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
@@ -204,11 +128,14 @@ def compile_scene(
     spec = mujoco.MjSpec()
     spec.modelname = "embodichain"
     spec.compiler.degree = False
-    _apply_options(spec, sim_cfg)
+    apply_options(spec, sim_cfg)
     notes: list[str] = []
     if world is not None:
         child = world.spec.copy()
-        notes += [*world.notes, *_options(child, spec, f"scene.fpath: {world.path}")]
+        notes += [
+            *world.notes,
+            *replace_options(child, spec, f"scene.fpath: {world.path}", world.options),
+        ]
         add_world(spec, child)
     set_look(spec, sim_cfg.scene)
     add_lights(spec, lights)
@@ -221,6 +148,7 @@ def compile_scene(
         terrain = add_terrain(spec, sim_cfg.scene.terrain, sim_cfg.scene.ground or GroundCfg())
     elif sim_cfg.has_ground:
         add_ground(spec, sim_cfg.scene.ground or GroundCfg())
+    notes += _bind_floors(spec, sim_cfg, articulations, world)
     for number, (uid, cfg) in enumerate(objects.items()):
         add_object(spec, uid, cfg, number)
     table = sim_cfg.scene.table
@@ -230,17 +158,20 @@ def compile_scene(
         finish_table(spec, table)
     roots = {p.uid: f"{p.uid}/{p.root_link_name}" for p in articulations}
     roots |= {uid: f"{PREFIX}{uid}" for uid in inside}
-    add_views(spec, sim_cfg.views, roots)
+    jointed = {parsed.uid: parsed for parsed in articulations}
+    known = known_entities(jointed, objects, lights, world, table)
+    add_views(spec, sim_cfg.views, roots, known)
     for plan in sensors.values():
         add_sensor(spec, plan)
     try:
-        model = compile_quietly(spec)
+        with reported(f"compiling the scene of {len(spec.bodies):,} bodies"):
+            model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         message = f"MuJoCo cannot compile the scene: {as_line(error)[0]}"
         raise ConfigError(_broken_meshes(objects) or message) from error
     for uid, plan in sensors.items():
         if is_silent(model, plan):
-            links = ", ".join(plan.bodies)
+            links = ", ".join(plan.frames)
             notes.append(f"{uid}: no shape of {links} collides, so it reports no contact")
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
@@ -250,6 +181,8 @@ def compile_scene(
             model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
     if world is not None:
         entities |= _index_world(model, world)
+    if sim_cfg.has_ground:
+        notes += _strangers_to_ground(model, entities)
     data = _start(model, articulations, entities, world)
     row = np.zeros(mujoco.mj_stateSize(model, _STATE))
     mujoco.mj_getState(model, data, row, _STATE)
@@ -300,19 +233,53 @@ def _broken_meshes(objects: Mapping[str, RigidObjectCfg]) -> list[Problem]:
 
 def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:
     """Attach an articulation at its pose; return messages for the user."""
-    notes = _options(child, spec, f"{parsed.uid}: {parsed.path}")
-    for path, options in parsed.attached_options:
-        notes += _options(options.copy(), spec, f"{parsed.uid}: {path}")
-    pos, quat = initial_pose(parsed.cfg)
-    frame = spec.worldbody.add_frame(pos=pos, quat=quat)
+    notes = replace_options(child, spec, f"{parsed.uid}: {parsed.path}", parsed.options)
+    for path, options, given in parsed.attached_options:
+        notes += replace_options(options.copy(), spec, f"{parsed.uid}: {path}", given)
+    place = parsed.placement
+    frame = spec.worldbody.add_frame(pos=place.world_pos, quat=place.world_quat)
+    take_sizes(spec, child)
     spec.attach(child, frame=frame, prefix=f"{parsed.uid}/")
     return notes
 
 
-def _options(child: mujoco.MjSpec, spec: mujoco.MjSpec, file: str) -> list[str]:
-    """Replace a file's options by the scene's; return a message about those that differ."""
-    what = "; ".join(_replace_options(child, spec))
-    return [f"{file}: the scene's physics replaces its options: {what}"] if what else []
+def _bind_floors(
+    spec: mujoco.MjSpec,
+    sim_cfg: SimulationManagerCfg,
+    articulations: Sequence[ParsedArticulation],
+    world: World | None,
+) -> list[str]:
+    """Put the scene's ground in the place of the floors of robots' files; return messages."""
+    ground = GROUND if sim_cfg.has_ground else None
+    if ground is None and world is not None and world.floors:
+        ground = f"{PREFIX}{world.floors[0]}"
+    notes: list[str] = []
+    declared = sim_cfg.scene.terrain or sim_cfg.scene.ground
+    chosen = declared is not None
+    given: Collection[str] | None = given_parameters(declared or GroundCfg())
+    given = given if sim_cfg.has_ground else None
+    for parsed in articulations:
+        at_height = not chosen and given is not None and parsed.placement.is_unmoved
+        floors, attached = (
+            [f"{parsed.uid}/{name}" for name in names]
+            for names in (parsed.floors, parsed.attached_floors)
+        )
+        said = bind_floors(spec, ground, floors, attached, given, at_height=at_height)
+        notes += [f"{parsed.uid}: {message}" for message in said]
+        if floors:
+            given = None  # the ground has the parameters of the first file's floor
+    return notes
+
+
+def _strangers_to_ground(
+    model: mujoco.MjModel, entities: Mapping[str, EntityIndex]
+) -> Iterator[str]:
+    """Yield a message about each robot and object that falls through the ground."""
+    geoms = {uid: index.geom_ids.tolist() for uid, index in entities.items()}
+    ground = model.geom(GROUND)
+    for uid in strangers_to(model, ground.id, geoms):
+        bits = f"contype {ground.contype[0]}, conaffinity {ground.conaffinity[0]}"
+        yield f"{uid}: no shape of it can touch the ground, whose bits are {bits}"
 
 
 def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> EntityIndex:
@@ -328,15 +295,14 @@ def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> En
         np.int64,
     )
     root = int(model.body(prefix + parsed.root_link_name).id)
-    pos, quat = initial_pose(parsed.cfg)
     free = -1 if parsed.fixed_base else int(model.body_jntadr[root])
     return EntityIndex(
         uid=parsed.uid,
         kind="articulation",
         body_ids=bodies,
         root_body_id=root,
-        pos0=pos + quat_rotate(quat, parsed.root_pose[:3]),
-        quat0=quat_multiply(quat, parsed.root_pose[3:]),
+        pos0=parsed.placement.root_pos,
+        quat0=parsed.placement.root_quat,
         geom_ids=np.flatnonzero(np.isin(model.geom_bodyid, bodies)).astype(np.int64),
         mocap_id=int(model.body_mocapid[root]),
         free_qpos_adr=int(model.jnt_qposadr[free]) if free >= 0 else -1,
@@ -460,7 +426,7 @@ def _start(
         start = index.free_qvel_adr
         if start >= 0:
             velocity = parsed.keyframe.root_qvel
-            data.qvel[start : start + 3] = quat_rotate(initial_pose(parsed.cfg)[1], velocity[:3])
+            data.qvel[start : start + 3] = quat_rotate(parsed.placement.turn, velocity[:3])
             data.qvel[start + 3 : start + 6] = velocity[3:]
         for name, (quat, speed) in parsed.keyframe.balls.items():
             joint = model.joint(f"{parsed.uid}/{name}")

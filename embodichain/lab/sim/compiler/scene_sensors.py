@@ -17,7 +17,7 @@ from embodichain.lab.sim.compiler.cameras import (
 )
 from embodichain.lab.sim.compiler.index import EntityIndex, Ids, Mask
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid
-from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
+from embodichain.lab.sim.compiler.sensor_plans import OBJECTS, SensorPlan, plan_sensor
 from embodichain.lab.sim.sensors.cfg import (
     CameraCfg,
     ContactSensorCfg,
@@ -28,6 +28,7 @@ from embodichain.lab.sim.sensors.cfg import (
     SensorCfg,
 )
 from embodichain.utils.errors import Problem
+from embodichain.utils.math import normalize_quat, quat_multiply, quat_rotate
 
 __all__ = [
     "CameraIndex",
@@ -126,7 +127,7 @@ class CameraIndex(SensorIndex):
 def add_sensor(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
     """Add the cameras of a sensor, or MuJoCo's sensors for it, ``UID/...``, contiguous."""
     if isinstance(plan.cfg, CameraCfg):
-        add_camera(spec, plan.uid, plan.cfg, next(iter(plan.bodies), None))
+        add_camera(spec, plan.uid, plan.cfg, next(iter(plan.places), None))
     elif isinstance(plan.cfg, ContactSensorCfg):
         _add_contacts(spec, plan)
     elif plan.cfg.sensor_type in _KINDS:
@@ -134,29 +135,43 @@ def add_sensor(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
 
 
 def _add_contacts(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
-    """Add a MuJoCo sensor for every pair of a link and an object of `others`."""
-    for i, body in enumerate(plan.bodies):
+    """Add a MuJoCo sensor for every pair of a link or geom and an object of `others`."""
+    own = _OBJECT.mjOBJ_BODY if plan.kind == "link" else _OBJECT.mjOBJ_GEOM
+    for i, frame in enumerate(plan.frames):
         for j, (kind, name) in enumerate(plan.others or ((_OBJECT.mjOBJ_UNKNOWN, ""),)):
             sensor = spec.add_sensor(name=f"{plan.uid}/{i}/{j}", type=_SENSOR.mjSENS_CONTACT)
-            sensor.objtype, sensor.objname = _OBJECT.mjOBJ_BODY, body
+            sensor.objtype, sensor.objname = own, frame
             sensor.reftype, sensor.refname = kind, name
             sensor.intprm[:3] = [_CONTACT_DATA, _NET_FORCE, 1]
 
 
 def _add_sites(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
-    """Add a site on every link, unless the sensor has one, and the sensors at it."""
+    """Add the sensors at every link, site or geom, with a site there unless MuJoCo needs none."""
     cfg = plan.cfg
-    for i, name in enumerate(plan.bodies):
-        site = plan.site or f"{plan.uid}/{i}"
-        if not plan.site:
-            added = spec.body(name).add_site(name=site, size=[1e-3] * 3, group=5)
-            if isinstance(cfg, (ImuSensorCfg, FramePoseSensorCfg)):
-                added.pos = np.asarray(cfg.pos, np.float64)
-                quat = np.asarray(cfg.quat, np.float64)
-                added.quat = quat / np.sqrt((quat * quat).sum())
-        for j, kind in enumerate(_KINDS[cfg.sensor_type]):
-            sensor = spec.add_sensor(name=f"{plan.uid}/{i}/{j}", type=kind)
-            sensor.objtype, sensor.objname = _OBJECT.mjOBJ_SITE, site
+    pos, quat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    if isinstance(cfg, (ImuSensorCfg, FramePoseSensorCfg)):
+        pos, quat = (
+            np.asarray(cfg.pos, np.float64),
+            normalize_quat(np.asarray(cfg.quat, np.float64)),
+        )
+    moved = bool(pos.any()) or quat[0] != 1.0
+    for i, (name, place) in enumerate(zip(plan.frames, plan.places, strict=True)):
+        # Its own object, so that it follows the fields of an environment's model.
+        own = plan.kind == "site" or (plan.kind == "geom" and isinstance(cfg, FramePoseSensorCfg))
+        kind = OBJECTS[plan.kind]
+        if moved or not own:
+            kind, name = _OBJECT.mjOBJ_SITE, f"{plan.uid}/{i}"
+            body, at, turned = place
+            spec.body(body).add_site(
+                name=name,
+                size=[1e-3] * 3,
+                group=5,
+                pos=at + quat_rotate(turned, pos),
+                quat=quat_multiply(turned, quat),
+            )
+        for j, measured in enumerate(_KINDS[cfg.sensor_type]):
+            sensor = spec.add_sensor(name=f"{plan.uid}/{i}/{j}", type=measured)
+            sensor.objtype, sensor.objname = kind, name
             for reference, other in plan.others:
                 sensor.reftype, sensor.refname = reference, other
 
@@ -167,6 +182,8 @@ def is_silent(model: mujoco.MjModel, plan: SensorPlan) -> bool:
         return False
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     collides[np.concatenate([model.pair_geom1, model.pair_geom2])] = True  # a file's own pairs
+    if plan.kind == "geom":
+        return not collides[[model.geom(name).id for name in plan.frames]].any()
     links = [model.body(name).id for name in plan.bodies]
     return not np.isin(links, model.geom_bodyid[collides]).any()
 

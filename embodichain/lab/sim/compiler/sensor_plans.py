@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,17 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.compiler.cameras import check_camera, mount
-from embodichain.lab.sim.compiler.names import GROUND, Known, no_such, pick
+from embodichain.lab.sim.compiler.known import Place, place_of
+from embodichain.lab.sim.compiler.names import (
+    GROUND,
+    FrameKind,
+    Known,
+    KnownObject,
+    frame_in_model,
+    frame_names,
+    no_such,
+    pick,
+)
 from embodichain.lab.sim.sensors.cfg import (
     CameraCfg,
     ContactSensorCfg,
@@ -30,9 +41,16 @@ from embodichain.lab.sim.sensors.cfg import (
 )
 from embodichain.utils.errors import Problem
 
-__all__ = ["SensorPlan", "plan_sensor"]
+__all__ = ["OBJECTS", "SensorPlan", "plan_sensor"]
 
 _OBJECT = mujoco.mjtObj
+OBJECTS: dict[FrameKind, mujoco.mjtObj] = {
+    "link": _OBJECT.mjOBJ_XBODY,
+    "site": _OBJECT.mjOBJ_SITE,
+    "geom": _OBJECT.mjOBJ_GEOM,
+}
+"""MuJoCo's object types whose frames these are."""
+_FRAME_KEYS = ("link_names", "site_names", "geom_names", "link", "site", "geom")
 _TYPES = (
     ContactSensorCfg,
     ImuSensorCfg,
@@ -55,22 +73,29 @@ class SensorPlan:
     Attributes:
         uid: Its name.
         cfg: Its config.
-        names: (n,) names of the links it is fixed on, or of its joints; none for a camera or rays
-            fixed in the environment.
-        bodies: (n,) names of the links' bodies in the model; empty for a sensor of joints.
+        names: (n,) names of the links, sites or geoms it is fixed on, or of its joints; none for a
+            camera or rays fixed in the environment.
+        kind: Whether `frames` are links, sites or geoms.
+        frames: (n,) their names in the model; empty for a sensor of joints.
+        places: (n,) where the file has them: the body and the pose in its frame.
         joints: (n,) names of its joints in the model.
         others: Objects with which contacts count, or in whose frame a pose is measured: MuJoCo's
             object type and name of each; empty is any object, or the world.
-        site: Name in the model of the site whose frame is measured; empty is a link's frame.
     """
 
     uid: str
     cfg: SensorCfg
     names: tuple[str, ...]
-    bodies: tuple[str, ...] = ()
+    kind: FrameKind = "link"
+    frames: tuple[str, ...] = ()
+    places: tuple[Place, ...] = ()
     joints: tuple[str, ...] = ()
     others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
-    site: str = ""
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """(n,) names in the model of the bodies that carry the frames."""
+        return tuple(body for body, _, _ in self.places)
 
 
 def plan_sensor(
@@ -116,21 +141,29 @@ _Plan = tuple[SensorPlan | None, list[Problem]]
 
 def _plan_links(uid: str, cfg: SensorCfg, scene: _Names) -> _Plan:
     """Plan contacts, forces and torques on links, or an IMU on one link."""
-    entity = cfg.entity_cfg
     if isinstance(cfg, ImuSensorCfg):
-        links, problems = scene.link("entity_cfg", entity)
+        frames, problems = scene.one("entity_cfg", cfg.entity_cfg)
         problems += _check_mount(cfg.pos, cfg.quat)
     else:
-        links, problems = scene.links("entity_cfg", entity)
+        frames, problems = scene.frames("entity_cfg", cfg.entity_cfg)
     others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
-    if isinstance(cfg, ContactSensorCfg) and cfg.against is not None:
-        others, found = scene.others(cfg.against)
-        problems += found
-        if not others:
-            links = ()
-    if problems or not links:
+    if isinstance(cfg, ContactSensorCfg):
+        problems += _refuse_sites("entity_cfg", frames)
+        if cfg.against is not None:
+            others, found = scene.others(cfg.against)
+            problems += found
+            if not others:
+                frames = None
+    if problems or frames is None:
         return None, problems
-    return SensorPlan(uid, cfg, links, scene.bodies(entity.uid, links), others=others), []
+    return frames.plan(uid, cfg, others), []
+
+
+def _refuse_sites(path: str, frames: _Frames | None) -> list[Problem]:
+    if frames is None or frames.kind != "site":
+        return []
+    message = "a site touches nothing: name the geom or the link that carries it"
+    return [Problem(f"{path}.site_names", message)]
 
 
 def _plan_camera(uid: str, cfg: CameraCfg, scene: _Names) -> _Plan:
@@ -139,36 +172,40 @@ def _plan_camera(uid: str, cfg: CameraCfg, scene: _Names) -> _Plan:
     problems += found
     if where is None:
         return SensorPlan(uid, cfg, ()), problems
-    links, found = scene.link("entity_cfg", where)
+    frames, found = scene.one("entity_cfg", where)
     problems += found
-    if problems or not links:
+    if problems or frames is None:
         return None, problems
-    return SensorPlan(uid, cfg, links, scene.bodies(where.uid, links)), []
+    return frames.plan(uid, cfg), []
 
 
 def _plan_frame(uid: str, cfg: FramePoseSensorCfg, scene: _Names) -> _Plan:
-    entity, site = cfg.entity_cfg, ""
-    links, problems = scene.link("entity_cfg", entity)
-    problems += _check_mount(cfg.pos, cfg.quat)
+    entity, problems = cfg.entity_cfg, list[Problem]()
     if cfg.site is not None:
-        site, found = scene.site(entity.uid, cfg.site)
-        problems += found
-        if entity.link_names is not None:
-            problems.append(Problem("site", "give a site or link_names, not both"))
+        given = [key for key in _FRAME_KEYS if getattr(entity, key) is not None]
+        if given:
+            message = f"give a site or {given[0]}, not both"
+            problems.append(Problem("site", message))
+        else:
+            entity = dataclasses.replace(entity, site=cfg.site)
+            problems += scene.site(cfg)
         if any(cfg.pos) or tuple(cfg.quat) != (1, 0, 0, 0):
-            problems.append(Problem("site", "has its own pose: leave pos and quat out"))
+            message = "has its own pose: leave pos and quat out, or name it in entity_cfg"
+            problems.append(Problem("site", message))
+    frames, found = (None, []) if problems else scene.one("entity_cfg", entity)
+    problems += found
+    problems += _check_mount(cfg.pos, cfg.quat)
     others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
     if cfg.relative_to is not None:
-        reference, found = scene.link("relative_to", cfg.relative_to)
+        reference, found = scene.one("relative_to", cfg.relative_to)
         problems += found
-        names = scene.bodies(cfg.relative_to.uid, reference)
-        others = tuple((_OBJECT.mjOBJ_XBODY, name) for name in names)
-        if not others:
-            links = ()
-    if problems or not links:
+        if reference is None:
+            frames = None
+        else:
+            others = tuple((OBJECTS[reference.kind], name) for name in reference.in_model)
+    if problems or frames is None:
         return None, problems
-    bodies = scene.bodies(entity.uid, links)
-    return SensorPlan(uid, cfg, links, bodies, others=others, site=site), []
+    return frames.plan(uid, cfg, others), []
 
 
 def _plan_joints(uid: str, cfg: JointTorqueSensorCfg, scene: _Names) -> _Plan:
@@ -183,15 +220,38 @@ def _plan_joints(uid: str, cfg: JointTorqueSensorCfg, scene: _Names) -> _Plan:
 def _plan_rays(uid: str, cfg: RayCastCfg, scene: _Names) -> _Plan:
     entity = cfg.entity_cfg
     fixed = entity == LinksCfg()
-    links, problems = ((), []) if fixed else scene.link("entity_cfg", entity)
+    frames, problems = (None, []) if fixed else scene.one("entity_cfg", entity)
     problems += _check_mount(cfg.pos, cfg.quat)
     problems += _check_pattern(cfg.pattern)
     problems += _check_rays(cfg)
     for key in ("hit", "exclude"):
         problems += scene.entities(key, getattr(cfg, key))
-    if problems or not (links or fixed):
+    if problems or not (frames or fixed):
         return None, problems
-    return SensorPlan(uid, cfg, links, scene.bodies(entity.uid, links)), []
+    return (SensorPlan(uid, cfg, ()) if frames is None else frames.plan(uid, cfg)), []
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """Frames of an entity that a sensor is fixed on, or with which it has to do.
+
+    Attributes:
+        kind: Whether they are links, sites or geoms.
+        names: Their names.
+        in_model: Their names in the model.
+        places: Where the file has them.
+    """
+
+    kind: FrameKind
+    names: tuple[str, ...]
+    in_model: tuple[str, ...]
+    places: tuple[Place, ...]
+
+    def plan(
+        self, uid: str, cfg: SensorCfg, others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
+    ) -> SensorPlan:
+        """The plan of a sensor that is fixed on them."""
+        return SensorPlan(uid, cfg, self.names, self.kind, self.in_model, self.places, (), others)
 
 
 @dataclass(frozen=True)
@@ -208,53 +268,61 @@ class _Names:
     ground: bool
     open_scene: bool
 
-    def links(self, path: str, cfg: LinksCfg) -> tuple[tuple[str, ...], list[Problem]]:
-        """The links that a config picks; by default all."""
+    def frames(self, path: str, cfg: LinksCfg) -> tuple[_Frames | None, list[Problem]]:
+        """The links, sites or geoms that a config picks; by default all links."""
         picked, problems = pick(path, vars(cfg), self.known, self.open_scene)
         entity = self.known.get(cfg.uid)
         if problems or entity is None:
-            return (), problems
-        names = (cfg.uid,) if isinstance(entity, str) else entity.link_names
-        if cfg.link_names is None:
-            return names, []
-        if not picked.links:
-            return (), [Problem(f"{path}.link_names", "names no link; leave it out for all")]
-        return tuple(names[i] for i in picked.links), []
+            return None, problems
+        names = frame_names(entity, cfg.uid, picked.kind)
+        if names is None:
+            return None, []
+        if not _picks(cfg):
+            chosen = names
+        elif picked.frames:
+            chosen = tuple(names[i] for i in picked.frames)
+        else:
+            return None, [Problem(f"{path}.link_names", "names no link; leave it out for all")]
+        return _Frames(
+            picked.kind,
+            chosen,
+            tuple(frame_in_model(entity, cfg.uid, picked.kind, name) for name in chosen),
+            tuple(place_of(entity, cfg.uid, picked.kind, name) for name in chosen),
+        ), []
 
-    def link(self, path: str, cfg: LinksCfg) -> tuple[tuple[str, ...], list[Problem]]:
-        """The one link that a config picks; by default the root."""
-        links, problems = self.links(path, cfg)
+    def one(self, path: str, cfg: LinksCfg) -> tuple[_Frames | None, list[Problem]]:
+        """The one link, site or geom that a config picks; by default the root."""
         entity = self.known.get(cfg.uid)
-        if cfg.link_names is None and links and not isinstance(entity, str) and entity is not None:
-            return (entity.root_link_name,), []
-        if len(links) > 1:
-            message = f"one link is wanted, these match: {', '.join(links)}"
-            return (), [Problem(f"{path}.link_names", message)]
-        return links, problems
+        if not _picks(cfg) and entity is not None and not isinstance(entity, (str, KnownObject)):
+            cfg = dataclasses.replace(cfg, link=entity.root_link_name)
+        frames, problems = self.frames(path, cfg)
+        if frames is not None and len(frames.names) > 1:
+            message = f"one {frames.kind} is wanted, these match: {', '.join(frames.names)}"
+            return None, [Problem(f"{path}.{frames.kind}_names", message)]
+        return frames, problems
 
     def joints(self, cfg: JointsCfg) -> tuple[tuple[str, ...], list[Problem]]:
         """The joints that a config picks; by default all active ones."""
-        if cfg.link_names is not None:
-            return (), [Problem("entity_cfg.link_names", "this sensor takes joint_names")]
+        for key in (key for key in _FRAME_KEYS if getattr(cfg, key) is not None):
+            return (), [Problem(f"entity_cfg.{key}", "this sensor takes joint_names")]
         picked, problems = pick("entity_cfg", vars(cfg), self.known, self.open_scene)
         entity = self.known.get(cfg.uid)
         if problems or entity is None:
             return (), problems
-        if isinstance(entity, str):
-            return (), [Problem("entity_cfg.uid", f"{cfg.uid!r} is a {entity} without joints")]
+        if isinstance(entity, (str, KnownObject)):
+            what = entity if isinstance(entity, str) else "rigid object"
+            return (), [Problem("entity_cfg.uid", f"{cfg.uid!r} is a {what} without joints")]
         if not picked.joints:
             return (), [Problem("entity_cfg", f"picks no joint of {cfg.uid!r}")]
         return tuple(entity.joint_names[i] for i in picked.joints), []
 
-    def site(self, uid: str, name: str) -> tuple[str, list[Problem]]:
-        """The name of an entity's site in the model."""
-        entity = self.known.get(uid)
-        if entity is None:
-            return "", []
-        names = () if isinstance(entity, str) else entity.site_names
-        if name not in names:
-            return "", [no_such("site", name, names or ("none",), "site")]
-        return f"{uid}/{name}", []
+    def site(self, cfg: FramePoseSensorCfg) -> list[Problem]:
+        """Check the site that is named beside the entity."""
+        entity = self.known.get(cfg.entity_cfg.uid)
+        names = None if entity is None else frame_names(entity, cfg.entity_cfg.uid, "site")
+        if names is None or cfg.site is None or cfg.site in names:
+            return []
+        return [no_such("site", cfg.site, names or ("none",), "site")]
 
     def entities(self, key: str, uids: Sequence[str] | None) -> list[Problem]:
         """Check uids of entities, or of the ground plane."""
@@ -272,25 +340,26 @@ class _Names:
         return problems
 
     def others(self, cfg: LinksCfg) -> tuple[tuple[tuple[mujoco.mjtObj, str], ...], list[Problem]]:
-        """Objects with which contacts count: the ground's geom, an entity's tree, or links."""
+        """Objects with which contacts count: the ground's geom, an entity's tree, links, geoms."""
         if cfg.uid == GROUND and self.ground:
-            if cfg.link_names is not None:
-                return (), [Problem("against.link_names", f"{GROUND!r} has no links")]
+            for key in (key for key in _FRAME_KEYS if getattr(cfg, key) is not None):
+                return (), [Problem(f"against.{key}", f"{GROUND!r} has no links, sites or geoms")]
             return ((_OBJECT.mjOBJ_GEOM, GROUND),), []
         known = {GROUND: "ground plane", **self.known} if self.ground else self.known
-        links, problems = _Names(known, self.ground, self.open_scene).links("against", cfg)
+        frames, problems = _Names(known, self.ground, self.open_scene).frames("against", cfg)
+        problems += _refuse_sites("against", frames)
         entity = known.get(cfg.uid)
-        if not links or entity is None:
+        if problems or frames is None or entity is None:
             return (), problems
-        if cfg.link_names is None and not isinstance(entity, str):
+        if not _picks(cfg) and not isinstance(entity, (str, KnownObject)):
             return ((_OBJECT.mjOBJ_XBODY, f"{cfg.uid}/{entity.root_link_name}"),), []
-        return tuple((_OBJECT.mjOBJ_BODY, name) for name in self.bodies(cfg.uid, links)), []
+        kind = _OBJECT.mjOBJ_BODY if frames.kind == "link" else _OBJECT.mjOBJ_GEOM
+        return tuple((kind, name) for name in frames.in_model), []
 
-    def bodies(self, uid: str, links: Sequence[str]) -> tuple[str, ...]:
-        """The names of links' bodies in the model."""
-        if isinstance(self.known.get(uid), str):
-            return (uid,) * len(links)
-        return tuple(f"{uid}/{link}" for link in links)
+
+def _picks(cfg: LinksCfg) -> bool:
+    """Whether a config names links, sites or geoms."""
+    return any(getattr(cfg, key) is not None for key in _FRAME_KEYS)
 
 
 # -- values ----------------------------------------------------------------------------------------

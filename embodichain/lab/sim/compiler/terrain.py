@@ -15,9 +15,13 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.compiler.appearance import add_ground
+from embodichain.lab.sim.compiler.contact_parameters import (
+    check_fixed_contact,
+    fixed_contact,
+    set_contact_parameters,
+)
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND
-from embodichain.lab.sim.compiler.rigid_objects import set_contact
 from embodichain.lab.sim.compiler.terrain_patches import PatchGrid, patch_heights
 from embodichain.lab.sim.scene_cfg import GroundCfg, TerrainCfg
 from embodichain.utils.errors import ConfigError, Problem
@@ -83,7 +87,7 @@ def terrain_heights(cfg: TerrainCfg) -> tuple[F64, Terrain]:
 
 
 def _check(cfg: TerrainCfg) -> None:
-    problems = []
+    problems = check_fixed_contact(cfg)
     if not cfg.patches:
         problems.append(Problem("patches", "names no patch"))
     if not cfg.size / cfg.resolution >= _FEWEST_NODES:
@@ -137,5 +141,5 @@ def add_terrain(spec: mujoco.MjSpec, cfg: TerrainCfg, ground: GroundCfg) -> Terr
         pos=[0.0, 0.0, lowest],
         material=GROUND,
     )
-    set_contact([geom], cfg.friction, True)
+    set_contact_parameters([geom], fixed_contact(cfg))
     return terrain

@@ -11,6 +11,7 @@ import numpy as np
 from embodichain.lab.sim.compiler.appearance import FOVY
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.known import find_place
 from embodichain.lab.sim.compiler.names import Known
 from embodichain.lab.sim.compiler.world import WORLD, World
 from embodichain.lab.sim.scene_cfg import ViewCfg
@@ -44,7 +45,10 @@ _OPTICS = (
 
 
 def check_views(
-    views: Mapping[str, ViewCfg], cameras: Collection[str], bodies: Collection[str] | None
+    views: Mapping[str, ViewCfg],
+    cameras: Collection[str],
+    bodies: Collection[str] | None,
+    known: Known | None = None,
 ) -> list[Problem]:
     """Return every mistake in views, with paths relative to them.
 
@@ -53,6 +57,7 @@ def check_views(
         cameras: The cameras of files and sensors.
         bodies: Entities and links that a view may follow; None if not all are known: then unknown
             ones, and unknown cameras, are no mistakes.
+        known: The declared entities, for sites and geoms that a view may follow.
     """
     problems: list[Problem] = []
     for name, cfg in views.items():
@@ -65,7 +70,12 @@ def check_views(
             kinds = ("camera", "camera", cameras), ("body", "entity or link", bodies)
             for key, what, there in kinds:
                 given = getattr(cfg, key)
-                if given is not None and given not in there:
+                place, wrong = None, list[Problem]()
+                if key == "body" and given is not None and given not in there:
+                    place, wrong = find_place(given, known or {})
+                if wrong:
+                    found += [p.below(f"{name}.{key}") for p in wrong]
+                elif given is not None and given not in there and place is None:
                     message = f"no {what} is called {given!r}; there are: "
                     message += listing([*there], given) or "none"
                     hint = did_you_mean(given, there).strip()
@@ -122,13 +132,18 @@ def _check_view(cfg: ViewCfg) -> list[Problem]:
     return problems
 
 
-def add_views(spec: mujoco.MjSpec, views: Mapping[str, ViewCfg], roots: Mapping[str, str]) -> None:
+def add_views(
+    spec: mujoco.MjSpec, views: Mapping[str, ViewCfg], roots: Mapping[str, str], known: Known
+) -> None:
     """Add a camera for each view, and the default one.
+
+    A view that follows a site or a geom is on a body without mass, ``views/NAME``, at its pose.
 
     Args:
         spec: The scene with all its bodies.
         views: The declared views.
         roots: Uid -> the name of its root body.
+        known: The entities.
 
     Raises:
         ConfigError: If a view is wrong; lists every mistake.
@@ -136,14 +151,19 @@ def add_views(spec: mujoco.MjSpec, views: Mapping[str, ViewCfg], roots: Mapping[
     own = {camera.name: camera for camera in spec.cameras}
     bodies = {body.name: body for body in spec.bodies if body.name != "world"}
     bodies |= {uid: bodies[root] for uid, root in roots.items()}
-    problems = check_views(views, own, bodies)
+    problems = check_views(views, own, bodies, known)
     if problems:
         raise ConfigError(p.below("views") for p in problems)
     for name, cfg in _with_default(views).items():
         if cfg.camera is not None:
             _copy_camera(own[cfg.camera], name, cfg.fovy)
             continue
-        body = spec.worldbody if cfg.body is None else bodies[cfg.body]
+        body = spec.worldbody if cfg.body is None else bodies.get(cfg.body)
+        if body is None:
+            place, _ = find_place(cfg.body or "", known)
+            if place is None:
+                raise RuntimeError(f"{cfg.body!r} was found before")
+            body = spec.body(place[0]).add_body(name=f"views/{name}", pos=place[1], quat=place[2])
         camera = body.add_camera(name=name, fovy=FOVY if cfg.fovy is None else float(cfg.fovy))
         camera.mode = _TRACK if cfg.body is not None and cfg.follow == "position" else _FIXED
 

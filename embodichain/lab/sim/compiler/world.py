@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 
 from embodichain.lab.sim.cfg import RigidBodyAttributesCfg, RigidObjectCfg
+from embodichain.lab.sim.compiler.floors import floors_of, planes_of
 from embodichain.lab.sim.compiler.names import no_such
 from embodichain.lab.sim.compiler.rigid_objects import inertia_about_axes
 from embodichain.lab.sim.compiler.robot_files import locate, read_model
@@ -35,7 +36,9 @@ class World:
         start: Its initial state: that of the keyframe, else MuJoCo's reset state.
         objects: The bodies of its world as rigid objects, by name; their poses are those of
             `start`. Joints below them are simulated, but no handle reads them.
+        options: The physics options that it gives, see `given_options`.
         notes: Messages for the user, one line each: what of the file is not used.
+        floors: Its horizontal planes.
     """
 
     path: Path
@@ -43,7 +46,9 @@ class World:
     model: mujoco.MjModel
     start: mujoco.MjData
     objects: Mapping[str, RigidObjectCfg]
+    options: frozenset[str]
     notes: tuple[str, ...]
+    floors: tuple[str, ...] = ()
 
 
 def read_world(cfg: SceneCfg) -> World:
@@ -88,7 +93,10 @@ def read_world(cfg: SceneCfg) -> World:
     notes = [f"{file.path}: {what} {', '.join(map(repr, names))}" for names, what in said if names]
     bodies = [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
     objects = {model.body(i).name: _object(model, start, i) for i in bodies}
-    return World(file.path, spec, model, start, objects, (*file.notes, *notes))
+    floors = floors_of(planes_of(spec, model))
+    return World(
+        file.path, spec, model, start, objects, file.options, (*file.notes, *notes), floors
+    )
 
 
 def _object(model: mujoco.MjModel, start: mujoco.MjData, body: int) -> RigidObjectCfg:

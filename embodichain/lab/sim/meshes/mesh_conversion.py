@@ -229,7 +229,9 @@ def decompose(path: Path, max_parts: int | None = None) -> tuple[Path, ...]:
 
 
 def _split(path: Path, most: int) -> list[MeshPart]:
-    import coacd
+    import ruckig  # noqa: F401  (experts use it; loaded after coacd, it crashes the process)
+
+    import coacd  # isort: skip
 
     coacd.set_log_level("error")
     whole = joined(read_mesh(path).parts)

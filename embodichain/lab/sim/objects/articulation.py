@@ -9,14 +9,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.body_motion import origin_velocities
 from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import GAINS, Drives
-from embodichain.lab.sim.objects.entity import BatchEntity
+from embodichain.lab.sim.objects.frame_reads import FrameReads
 from embodichain.lab.sim.unavailable import not_available
 from embodichain.utils.arrays import as_env_ids, columns_of, to_tensor
-from embodichain.utils.math import pose_to_matrix
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -31,7 +29,7 @@ __all__ = ["Articulation"]
 Ids = NDArray[np.int64]
 
 
-class Articulation(BatchEntity):
+class Articulation(FrameReads):
     """One jointed mechanism in N environments: D one-degree joints in qpos order, L links.
 
     Ball joints are simulated, but have no columns in joint arrays.
@@ -403,29 +401,6 @@ class Articulation(BatchEntity):
             there = f"{', '.join(names)}.{did_you_mean(link, names)}"
             raise ValueError(f"{self.uid} has no link {link!r}; there are: {there}")
         return int(self.index.body_ids[names.index(link)])
-
-    def _bodies_of(self, links: Sequence[str] | None) -> Ids:
-        return np.asarray([self.body_of(link) for link in links or self.link_names], np.int64)
-
-    def pose_of(self, bodies: int | Ids) -> F64:
-        """(N, 7) x, y, z, qw, qx, qy, qz of a body (MuJoCo's id), or (N, k, 7) of k bodies."""
-        pos = self.engine.derived("xpos")[:, bodies]
-        return np.concatenate([pos, self.engine.derived("xquat")[:, bodies]], axis=-1)
-
-    def velocity_of(self, bodies: int | Ids) -> F64:
-        """(N, 6) linear velocity of a body's origin, then angular, world axes; or (N, k, 6)."""
-        return np.concatenate(origin_velocities(self.engine, bodies), axis=-1)
-
-    def get_link_pose(
-        self, link_name: str, env_ids: Any = None, to_matrix: bool = False
-    ) -> torch.Tensor:
-        """Pose of a link in the environment's frame, (n, 7) or (n, 4, 4)."""
-        pose = self.pose_of(self.body_of(link_name))[self._rows(env_ids)]
-        return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
-
-    def get_link_vel(self, link_name: str, env_ids: Any = None) -> torch.Tensor:
-        """(n, 6) linear velocity of the link's origin, then angular velocity, world axes."""
-        return to_tensor(self.velocity_of(self.body_of(link_name))[self._rows(env_ids)])
 
     def get_mass(self, link_names: Sequence[str] | None = None) -> torch.Tensor:
         """(N, k) link masses in kg."""

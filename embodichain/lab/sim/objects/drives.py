@@ -349,6 +349,8 @@ class Drives:
         columns = actuators * model.actuator_gainprm.shape[1]
         engine.write_model("actuator_gainprm", gain, ids, columns_of(columns))
         columns = actuators * model.actuator_biasprm.shape[1]
+        # Joints that mimic this one carry part of its damping.
+        damper = np.maximum(damper - self.parsed.carried_damping[joints], 0.0)
         for offset, value in ((1, spring), (2, damper)):
             columns_now = columns_of(columns + offset)
             engine.write_model("actuator_biasprm", -(value / gear**2), ids, columns_now)
@@ -419,7 +421,10 @@ class Drives:
         springs, dampers = parsed.stiffness[driven], parsed.damping[driven]
         most = parsed.max_effort[driven]
         stiffness = read("actuator_biasprm", bias + 1, springs, -(gear**2))
-        damping = read("actuator_biasprm", bias + 2, dampers, -(gear**2))
+        carried = parsed.carried_damping[driven]
+        compiled = (dampers - carried).clip(min=0.0)
+        damping = read("actuator_biasprm", bias + 2, compiled, -(gear**2)) + carried
+        damping = np.where(damping == compiled + carried, dampers, damping)
         low, high = self._shares[driven].T
         larger = 2 * actuators + np.where(high >= low, 1, 0)  # the side with the larger limit
         effort = np.abs(read("actuator_forcerange", larger, most, gear))

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from embodichain.lab.sim.body_motion import BodyMotion
+from embodichain.lab.sim.frames import BodyFrames, link_frame
 from embodichain.utils.arrays import as_env_ids, as_rows, is_host, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 
@@ -133,7 +134,7 @@ class BatchEntity(Handle["EntityIndex"]):
     def __init__(self, cfg: ObjectBaseCfg, uid: str, host: Host) -> None:
         super().__init__(uid, host)
         self.cfg = cfg
-        self._motions: dict[int, BodyMotion] = {}
+        self._motions: dict[BodyFrames, BodyMotion] = {}
 
     def destroy(self) -> None:
         """Drop the references to the engine."""
@@ -214,9 +215,13 @@ class BatchEntity(Handle["EntityIndex"]):
 
     def motion(self, body: int) -> BodyMotion:
         """Motion of a body of the entity, by MuJoCo's id; one shared object per body."""
-        found = self._motions.get(body)
+        return self.motion_of(link_frame(body))
+
+    def motion_of(self, frame: BodyFrames) -> BodyMotion:
+        """Motion of one frame of the entity; one shared object per frame."""
+        found = self._motions.get(frame)
         if found is None:
-            found = self._motions[body] = BodyMotion(self.engine, self.index, body)
+            found = self._motions[frame] = BodyMotion(self.engine, self.index, frame)
         return found
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:

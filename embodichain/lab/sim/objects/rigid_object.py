@@ -402,7 +402,10 @@ class RigidObject(BatchEntity):
         return to_tensor(self.engine.model_field("geom_friction")[self._rows(env_ids), column])
 
     def set_friction(self, friction: Any, env_ids: Any = None) -> None:
-        """Set the sliding friction (n,); a contact takes the larger value of its two bodies."""
+        """Set the sliding friction (n,); a contact takes the larger value of its two bodies.
+
+        A static object that was given no friction lets others decide: this has no effect on it.
+        """
         new, ids = self._checked(np.reshape(friction, (-1, 1)), 1, env_ids, "friction")
         if (new < 0).any():
             raise ValueError(f"{self.uid}: friction must not be negative, got {new.min()}")

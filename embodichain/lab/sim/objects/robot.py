@@ -129,8 +129,9 @@ class Robot(Articulation):
             joint_seed: (n, k) or (k,) initial positions; None is the present ones.
             name: The control part.
             env_ids: The n environments; None is all N.
-            return_all_solutions: Return all of them (S = 8; 1 without a closed form), the nearest
-                first.
+            return_all_solutions: Return all of them, those nearest to the seed first: the S = 8 of
+                the closed form, else the distinct ones among the results of S = 1 + `num_samples`
+                searches. S is fixed; where there are fewer, the rest has no success.
 
         Returns:
             (n,) bool success, and (n, k) joint positions within the limits; those of a pose that is
@@ -178,7 +179,9 @@ class Robot(Articulation):
         found, reached = solver.inverse(whole, target[:, :3], quat, ids)
         shape = np.shape(pose)[:2]
         chosen = found[:, self._joints(None, name)]
-        return torch.from_numpy(reached.reshape(shape)), to_tensor(chosen.reshape(*shape, -1))
+        return torch.from_numpy(reached.reshape(shape)), to_tensor(
+            chosen.reshape(*shape, chosen.shape[1])
+        )
 
     def compute_jacobian(
         self, qpos: Any = None, name: str | None = None, env_ids: Any = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal, get_args
@@ -41,20 +42,30 @@ _Pair = Annotated[Sequence[float], Field(min_length=2, max_length=2)]
 
 @configclass
 class LinksCfg:
-    """An entity and, optionally, some of its links.
+    """An entity and, optionally, some of its links, or of its sites, or of its geoms.
 
-    Links are in the entity's order, or with `preserve_order` in the order of the patterns.
+    They are in the entity's order, or with `preserve_order` in the order of the patterns.
     """
 
     uid: str = ""
     link_names: str | list[str] | None = None
     """Names or regexes, matched in full."""
     preserve_order: bool = False
+    site_names: str | list[str] | None = dataclasses.field(default=None, kw_only=True)
+    """Sites of the file instead."""
+    geom_names: str | list[str] | None = dataclasses.field(default=None, kw_only=True)
+    """Geoms of the file that have a name instead."""
+    link: str | None = dataclasses.field(default=None, kw_only=True)
+    """One link: its name, or a regex that only it matches."""
+    site: str | None = dataclasses.field(default=None, kw_only=True)
+    """One site, likewise."""
+    geom: str | None = dataclasses.field(default=None, kw_only=True)
+    """One geom, likewise."""
 
 
 @configclass
 class JointsCfg(LinksCfg):
-    """An entity and, optionally, some of its joints (`link_names` is refused)."""
+    """An entity and, optionally, some of its joints (links, sites and geoms are refused)."""
 
     joint_names: str | list[str] | None = None
     """Names or regexes, matched in full; without it, all joints that follow no other joint."""
@@ -68,7 +79,7 @@ class SensorCfg:
     uid: str | None = None
     """Its key in a task."""
     entity_cfg: LinksCfg = LinksCfg()
-    """The links it is fixed on."""
+    """The links, sites or geoms it is fixed on."""
     observe: bool = False
     """Whether ``obs["sensor"][uid]`` contains its data; terms can read it in either case."""
     rate: float | None = None
@@ -92,44 +103,44 @@ class SensorCfg:
 
 @configclass
 class ContactSensorCfg(SensorCfg):
-    """Contact of links: whether each is touched, and the net contact force on it."""
+    """Contact of links or geoms: whether each is touched, and the net contact force on it."""
 
     sensor_type: Literal["contact"] = "contact"
     against: LinksCfg | None = None
-    """Count contacts with this entity (or links of it, or ``default_plane``) only."""
+    """Count contacts with this entity (or links or geoms of it, or ``default_plane``) only."""
 
 
 @configclass
 class ImuSensorCfg(SensorCfg):
-    """An inertial measurement unit on one link (without `link_names`, on the root)."""
+    """An inertial measurement unit on one link, site or geom; by default on the root."""
 
     sensor_type: Literal["imu"] = "imu"
     pos: Vec3 = (0.0, 0.0, 0.0)
-    """Its position, metres in the link's frame."""
+    """Its position, metres in the frame of that link, site or geom."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
-    """Its orientation, wxyz in the link's frame."""
+    """Its orientation, wxyz in that frame."""
 
 
 @configclass
 class ForceTorqueSensorCfg(SensorCfg):
-    """Force and torque that parents exert on links."""
+    """Force and torque that parents exert on links: at their origins, or at sites or geoms."""
 
     sensor_type: Literal["force_torque"] = "force_torque"
 
 
 @configclass
 class FramePoseSensorCfg(SensorCfg):
-    """Pose and velocity of a frame: of one link (without `link_names`, the root), or of a site."""
+    """Pose and velocity of a frame: of one link (by default the root), site or geom."""
 
     sensor_type: Literal["frame_pose"] = "frame_pose"
     site: str | None = None
-    """A site of the entity's file, in place of a link."""
+    """A site: the same as ``entity_cfg.site``."""
     pos: Vec3 = (0.0, 0.0, 0.0)
-    """The frame's origin, metres in the link's frame."""
+    """The frame's origin, metres in the frame of that link, site or geom."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
-    """The frame's orientation, wxyz in the link's frame."""
+    """The frame's orientation, wxyz in that frame."""
     relative_to: LinksCfg | None = None
-    """A link (without `link_names`, the root) in whose frame to measure; None is the world."""
+    """A link (by default the root), site or geom in whose frame to measure; None is the world."""
 
 
 @configclass
@@ -176,7 +187,7 @@ class RayPatternCfg:
 
 @configclass
 class RayCastCfg(SensorCfg):
-    """Rays from one link (without `link_names`, the root), or from a fixed place without `uid`."""
+    """Rays from one link (by default the root), site or geom; without `uid` from a fixed place."""
 
     pattern: RayPatternCfg = RayPatternCfg()
     pos: Vec3 = (0.0, 0.0, 0.0)
@@ -184,7 +195,7 @@ class RayCastCfg(SensorCfg):
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
     """The sensor's orientation in that frame, wxyz."""
     alignment: Literal["base", "yaw", "world"] = "base"
-    """Axes at the link's origin: of the link, of its heading (z up), or of the world."""
+    """Axes at that origin: of the link, site or geom, of its heading (z up), or of the world."""
     max_range: float = 10.0
     """Metres; surfaces further away count as not hit."""
     no_hit: Literal["max", "inf", "zero"] = "max"
@@ -228,14 +239,15 @@ _IMAGES: tuple[CameraData, ...] = ("color", "depth", "distance", "mask", "normal
 
 @configclass
 class OffsetCfg:
-    """A pose in the frame of a link, or without one in the environment's frame."""
+    """A pose in the frame of a link, site or geom, or without one in the environment's frame."""
 
     pos: Vec3 = (0.0, 0.0, 0.0)
     """Metres."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
     """wxyz; see `CameraCfg.convention`."""
     parent: str | None = None
-    """A link: of the only robot, or ``UID/LINK``. `CameraCfg.entity_cfg` names one as well."""
+    """A link, site or geom: of the only robot, or ``UID/NAME``. `CameraCfg.entity_cfg` names one as
+    well."""
 
 
 @configclass
@@ -255,7 +267,7 @@ _Extrinsics = ExtrinsicsCfg  # the name is also that of an attribute below
 
 @configclass
 class CameraCfg(SensorCfg):
-    """A pinhole camera. Its pose is in the frame of the link that it is fixed on, if any.
+    """A pinhole camera. Its pose is in the frame of the link, site or geom that it is fixed on.
 
     It is compiled into the model as a camera of its name.
     """

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.frames import BodyFrames, frame_named, link_frame
 from embodichain.lab.sim.sensors.cfg import HeightScanSensorCfg, RayCastCfg, RaySensorCfg
 from embodichain.lab.sim.sensors.ray_patterns import pattern_rays
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
@@ -44,7 +45,7 @@ class _Cast(NamedTuple):
 
 
 class RayCaster(BaseSensor):
-    """R rays from a link or a fixed place, against the geoms that its config chooses.
+    """R rays from a link, site, geom or fixed place, against the geoms that its config chooses.
 
     Rays are cast when they are read, at the current positions. Geoms with alpha 0 are not hit.
     """
@@ -66,15 +67,17 @@ class RayCaster(BaseSensor):
         return len(self._rays[0])
 
     @cached_property
-    def _body(self) -> int:
-        """Id of the body that it is fixed on; body 0 is the world."""
-        return int(self.body_ids[0]) if len(self.names) else 0
+    def _frame(self) -> BodyFrames:
+        """What it is fixed on: a link, site or geom, or the world, which is body 0."""
+        if not self.names:
+            return link_frame(0)
+        return frame_named(self.engine.model, self.plan.kind, self.plan.frames[0])
 
     def _mount(self, env_ids: EnvIndex | None) -> tuple[F64, F64]:
         """(n, 3) origin and (n, 3, 3) axes of the frame that `alignment` chooses."""
         rows = slice(None) if env_ids is None else env_ids
-        position = self.engine.derived("xpos")[rows, self._body]
-        axes = self.engine.derived("xmat").reshape(self.num_instances, -1, 3, 3)[rows, self._body]
+        position = self._frame.positions(self.engine)[rows]
+        axes = self._frame.axes(self.engine)[rows]
         if self.cfg.alignment == "yaw":
             axes = _heading(axes)
         elif self.cfg.alignment == "world":

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.frames import BodyFrames, frames_named
 from embodichain.lab.sim.objects.entity import Handle
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.lab.sim.sensors.sampling import Readings, Sampler
@@ -43,7 +44,7 @@ class BaseSensor(Handle["SensorIndex"]):
         reads: Names of its measurements; each has a method ``read_NAME``.
         cfg: Its config.
         uid: Its name.
-        names: (n,) the links it is fixed on, or the joints that it measures.
+        names: (n,) the links, sites or geoms it is fixed on, or the joints that it measures.
         reads_images: Whether its data are images, which observations contain as they are.
         of_positions: Whether its measurements follow from positions and the model alone; see
             `Sampler`.
@@ -64,11 +65,16 @@ class BaseSensor(Handle["SensorIndex"]):
         """Whether ``obs["sensor"]`` contains its data."""
         return self.cfg.observe
 
+    @cached_property
+    def frames(self) -> BodyFrames:
+        """The n links, sites or geoms it is fixed on, in the compiled scene."""
+        return frames_named(self.engine.model, self.plan.kind, self.plan.frames)
+
     @property
     def body_ids(self) -> NDArray[np.int64]:
-        """(n,) MuJoCo body ids of the links it is fixed on."""
-        model = self.engine.model
-        return np.array([model.body(name).id for name in self.plan.bodies], np.int64)
+        """(n,) MuJoCo body ids of the links it is fixed on, or that carry its sites or geoms."""
+        found: NDArray[np.int64] = self.frames.bodies
+        return found
 
     def get_data(self) -> dict[str, torch.Tensor]:
         """Return all `reads` as float32 tensors (N, ...), as in ``obs["sensor"][uid]``."""

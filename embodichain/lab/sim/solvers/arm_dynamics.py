@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from embodichain.lab.sim.frames import link_frame
 from embodichain.lab.sim.solvers.chain import matmul
 from embodichain.utils.arrays import contiguous
 from embodichain.utils.math import quat_conjugate, quat_to_matrix
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.frames import BodyFrames
     from embodichain.lab.sim.objects.articulation import Articulation
 
 __all__ = ["ArmDynamics", "in_axes", "matrix_product"]
@@ -43,12 +45,13 @@ class ArmDynamics:
     Args:
         asset: The articulation.
         joints: k of the joints between its root and the tool.
-        body: MuJoCo body id of the tool.
+        tool: The frame of the tool; a number is MuJoCo's id of a body.
     """
 
-    def __init__(self, asset: Articulation, joints: Sequence[int], body: int) -> None:
-        self._asset, self._engine, self._body = asset, asset.engine, body
-        model = asset.engine.model
+    def __init__(self, asset: Articulation, joints: Sequence[int], tool: BodyFrames | int) -> None:
+        self._asset, self._engine = asset, asset.engine
+        self._tool = link_frame(tool) if isinstance(tool, int) else tool
+        model, body = asset.engine.model, int(self._tool.bodies)
         self._joints: NDArray[np.int64] = np.asarray(list(joints), np.int64)
         self._dofs: NDArray[np.int64] = asset.index.dof_adr[self._joints].astype(np.int64)
         self._root = int(model.body_rootid[body])
@@ -76,7 +79,7 @@ class ArmDynamics:
         """
         engine = self._engine
         cdof = np.moveaxis(engine.derived("cdof")[:, self._dofs], 0, -1)  # (k, 6, n)
-        arm = engine.derived("xpos")[:, self._body] - engine.derived("subtree_com")[:, self._root]
+        arm = self._tool.positions(engine) - engine.derived("subtree_com")[:, self._root]
         turn, (x, y, z) = contiguous(np.moveaxis(cdof[:, :3], 1, 0)), arm.T
         moved = np.stack(
             [turn[1] * z - turn[2] * y, turn[2] * x - turn[0] * z, turn[0] * y - turn[1] * x]
@@ -91,11 +94,12 @@ class ArmDynamics:
 
     def pose(self) -> F64:
         """(n, 7) x, y, z, qw, qx, qy, qz of the tool."""
-        return self._asset.pose_of(self._body)
+        tool, engine = self._tool, self._engine
+        return np.concatenate([tool.positions(engine), tool.orientations(engine)], axis=1)
 
     def velocity(self) -> F64:
         """(6, n) velocity of the tool's origin, then its angular velocity, in world axes."""
-        return contiguous(self._asset.velocity_of(self._body).T)
+        return contiguous(np.concatenate(self._tool.velocities(self._engine), axis=1).T)
 
 
 def in_axes(axes: F64, twists: F64) -> F64:

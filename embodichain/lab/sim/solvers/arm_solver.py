@@ -19,6 +19,7 @@ from embodichain.lab.sim.solvers.least_squares import (
     times,
     transposed,
 )
+from embodichain.lab.sim.solvers.solution_sets import distinct, ranked
 from embodichain.lab.sim.solvers.ur_arm import UrArm
 from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.cfg import SolverCfg
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.frames import BodyFrames
     from embodichain.lab.sim.objects.articulation import Articulation
 
 __all__ = ["Approach", "ArmSolver", "tool_bodies"]
@@ -96,7 +98,7 @@ class ArmSolver:
     Args:
         asset: The articulation.
         joints: Joints that inverse kinematics may move.
-        body: MuJoCo body id of the tool.
+        tool: The frame of the tool; a number is MuJoCo's id of a body.
         cfg: Settings of the search.
         path: Key path of the robot, for messages.
 
@@ -112,18 +114,20 @@ class ArmSolver:
         self,
         asset: Articulation,
         joints: Sequence[int],
-        body: int,
+        tool: BodyFrames | int,
         cfg: SolverCfg,
         path: str = "",
     ) -> None:
         self._asset = asset
-        self.chain = Chain(asset.engine, asset.index, body)
+        self.chain = Chain(asset.engine, asset.index, tool)
         self._columns = np.flatnonzero(np.isin(self.chain.joints, list(joints)))
         self.moving = self.chain.joints[self._columns]
         if not len(self.moving):
-            name = asset.link_names[list(asset.index.body_ids).index(body)]
-            message = f"none of the picked joints moves {name!r}"
-            raise ConfigError([Problem(f"{path}.link_names".lstrip("."), message)])
+            kind, model = self.chain.tool.kind, asset.engine.model
+            number = int(self.chain.tool.ids)
+            one = {"link": model.body, "site": model.site, "geom": model.geom}[kind](number)
+            message = f"none of the picked joints moves {one.name.removeprefix(f'{asset.uid}/')!r}"
+            raise ConfigError([Problem(f"{path}.{kind}_names".lstrip("."), message)])
         self.names = tuple(asset.joint_names[joint] for joint in self.moving)
         self._samples = cfg.num_samples
         self._search = LeastSquares(
@@ -144,6 +148,12 @@ class ArmSolver:
         if cfg.closed_form and len(self.moving) == 6:
             arm = UrArm(self.chain)
             self._closed = arm if arm.fits else None
+
+    @property
+    def hinges(self) -> NDArray[np.bool_]:
+        """(k,) whether each of the joints `moving` is a hinge, not a slide."""
+        found: NDArray[np.bool_] = self.chain.hinges[self._columns]
+        return found
 
     @property
     def has_closed_form(self) -> bool:
@@ -222,16 +232,20 @@ class ArmSolver:
     def solutions(
         self, qpos: F64, pos: F64, quat: F64, env_ids: EnvIndex | None = None
     ) -> tuple[F64, NDArray[np.bool_]]:
-        """All solutions of the closed form, those nearest to ``qpos`` first.
+        """All solutions of the closed form, else all that searches find; the nearest first.
+
+        Searches begin at ``qpos`` and at `num_samples` other points between the limits, the same
+        ones as those of `inverse`. Solutions in which no joint differs by more than 0.01 rad or m
+        count once. An arm with joints to spare has infinitely many, of which this is a sample.
 
         Returns:
-            (8, n, D) joint positions, and (8, n) whether they exist; one instead of 8 without a
-            closed form.
+            (S, n, D) joint positions, and (S, n) whether they exist; S = 8, without a closed form
+            1 + `num_samples`. Those that do not exist are ``qpos``.
         """
+        target = self.to_root(pos, quat, env_ids)
         if not self.has_closed_form:
-            found, reached = self.inverse(qpos, pos, quat, env_ids)
-            return found[None], reached[None]
-        return self._all(qpos, self.to_root(pos, quat, env_ids), env_ids)
+            return self._found(qpos, target, env_ids)
+        return self._all(qpos, target, env_ids)
 
     def approach(
         self,
@@ -288,6 +302,18 @@ class ArmSolver:
         found, exist = closed.nearest(seed, target.position, rotation, *limits, self._weights)
         whole = np.tile(qpos, (len(found), 1, 1))
         whole[..., self.moving] = np.moveaxis(found, 1, -1)
+        return whole, exist
+
+    def _found(
+        self, qpos: F64, target: Target, env_ids: EnvIndex | None
+    ) -> tuple[F64, NDArray[np.bool_]]:
+        start, (low, high) = self._in_chain(qpos), self.limits(env_ids)
+        found, reached = self._search.solve_all(start, target, low, high, self._samples, env_ids)
+        seed, positions = start[self._columns], found[:, self._columns]
+        near, exist = ranked(positions, reached, seed, (low, high), self._weights, self.hinges)
+        near, exist = distinct(near, exist, seed)
+        whole = np.tile(qpos, (len(near), 1, 1))
+        whole[..., self.moving] = np.moveaxis(near, 1, -1)
         return whole, exist
 
     def _within_limits(self, qpos: F64, env_ids: EnvIndex | None) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import lazy_loader
 import numpy as np
 
+from embodichain.lab.sim.frames import link_frame
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_to_matrix
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.frames import BodyFrames
 else:
     mujoco = lazy_loader.load("mujoco")
 
@@ -56,20 +58,21 @@ def matmul(a: F64, b: F64) -> F64:
 
 
 class Chain:
-    """The hinges and slides between the root of an articulation and one of its bodies.
+    """The hinges and slides between the root of an articulation and a link, site or geom of it.
 
     The pose of the tool is F[0] Z(q[0]) F[1] Z(q[1]) ... F[K], with Z a rotation about z (hinge) or
     a translation along it (slide), and constant transforms F, which come from the model's
-    ``body_pos``, ``body_quat``, ``jnt_pos``, ``jnt_axis`` and ``qpos0``. Where these differ between
-    environments, so do the transforms.
+    ``body_pos``, ``body_quat``, ``jnt_pos``, ``jnt_axis`` and ``qpos0``, and those of the site or
+    geom. Where these differ between environments, so do the transforms.
 
     Args:
         engine: The engine.
         index: The articulation.
-        body: MuJoCo body id of the tool.
+        tool: The frame of the tool; a number is MuJoCo's id of a body.
 
     Attributes:
-        body: The tool.
+        tool: The frame of the tool.
+        body: MuJoCo's id of the body that carries it.
         joints: (K,) indices of the joints in the articulation, from the root to the tool.
         hinges: (K,) whether a joint is a hinge, not a slide.
 
@@ -77,8 +80,11 @@ class Chain:
         ConfigError: If a ball joint is between root and tool.
     """
 
-    def __init__(self, engine: Engine, index: EntityIndex, body: int) -> None:
-        self.body = body
+    def __init__(self, engine: Engine, index: EntityIndex, tool: BodyFrames | int) -> None:
+        self.tool = link_frame(tool) if isinstance(tool, int) else tool
+        self.body = body = int(self.tool.bodies)
+        kind = self.tool.kind
+        self._fields = (*_FIELDS, *((f"{kind}_pos", f"{kind}_quat") if kind != "link" else ()))
         self._engine, model = engine, engine.model
         self._bodies: list[int] = []
         while body != index.root_body_id:
@@ -102,7 +108,7 @@ class Chain:
     @property
     def is_shared(self) -> bool:
         """Whether all environments have the same transforms."""
-        return all(len(self._engine.model_values(name)) == 1 for name in _FIELDS)
+        return all(len(self._engine.model_values(name)) == 1 for name in self._fields)
 
     @property
     def reach(self) -> float:
@@ -151,7 +157,7 @@ class Chain:
 
     def _transforms(self, env_ids: EnvIndex | None) -> tuple[F64, F64]:
         """Constant transforms (K + 1, 3, 4, n or 1) and zero positions (K, n or 1)."""
-        fields = [self._engine.model_values(name) for name in _FIELDS]
+        fields = [self._engine.model_values(name) for name in self._fields]
         if all(len(values) == 1 for values in fields):
             if self._shared is None:
                 self._shared = self._compute(fields)
@@ -160,7 +166,7 @@ class Chain:
         return self._compute(chosen)
 
     def _compute(self, fields: Sequence[F64]) -> tuple[F64, F64]:
-        body_pos, body_quat, jnt_pos, jnt_axis, qpos0 = fields
+        body_pos, body_quat, jnt_pos, jnt_axis, qpos0, *own = fields
         model = self._engine.model
         rows = max(len(values) for values in fields)
         turn, shift = np.tile(np.eye(3)[..., None], rows), np.zeros((3, rows))
@@ -175,6 +181,10 @@ class Chain:
                 anchor = jnt_pos[:, joint].T if hinge else np.zeros((3, 1))
                 found.append(_pose(matmul(turn, to_axis), shift + matmul(turn, anchor), rows))
                 turn, shift = back, matmul(back, -anchor)
+        if own:
+            pos, quat = (values[:, self.tool.ids] for values in own)
+            shift = shift + matmul(turn, pos.T)
+            turn = matmul(turn, np.moveaxis(quat_to_matrix(quat), 0, -1))
         found.append(_pose(turn, shift, rows))
         return np.stack(found), qpos0[:, self._qpos_adr].T
 

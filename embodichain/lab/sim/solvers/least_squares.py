@@ -42,6 +42,8 @@ _SHORTEST_STEP = 1e-5
 """Rad or m: a search ends when no joint moves farther than this in an iteration."""
 _PATIENCE, _PROGRESS = 8, 0.9
 """A search ends when this many iterations leave more than this share of the squared error."""
+_ROWS = 8192
+"""Searches that run together at most, where there are several for each environment."""
 _ROUNDS = 3
 """Solutions of a step: after each, joints that it moves beyond a limit are fixed there."""
 
@@ -240,16 +242,10 @@ class LeastSquares:
         best, nearest = start.copy(), np.full(count, np.inf)
         reached = np.zeros(count, np.bool_)
         left = np.arange(count)
-        points = RandomStreams(0, 1).uniform("restarts", (restarts, len(self._moving)))
-        for attempt in range(1 + restarts):
+        for point in self._points(restarts):
             ids = left if env_ids is None else env_ids[left]
             least, most = low[:, left], high[:, left]
-            qpos = start[:, left]
-            if attempt:
-                first = np.where(np.isfinite(least), least, -np.pi)
-                last = np.where(np.isfinite(most), most, np.pi)
-                qpos[self._moving] = first + (last - first) * points[0, attempt - 1][:, None]
-            qpos[self._moving] = np.clip(qpos[self._moving], least, most)
+            qpos = self._initial(start[:, left], point, least, most)
             found, distance, done = self._search(qpos, target.rows(left), least, most, ids)
             better = distance < nearest[left]
             best[:, left[better]], nearest[left[better]] = found[:, better], distance[better]
@@ -258,6 +254,63 @@ class LeastSquares:
             if not len(left):
                 break
         return best, reached
+
+    def solve_all(
+        self,
+        start: F64,
+        target: Target,
+        low: F64,
+        high: F64,
+        restarts: int,
+        env_ids: EnvIndex | None,
+    ) -> tuple[F64, NDArray[np.bool_]]:
+        """The results of all searches of `solve`, S = 1 + restarts, whether or not one succeeds.
+
+        Args:
+            start: (K, n) initial positions of the chain's joints.
+            target: The poses.
+            low: (k, n) lowest positions of the moving joints; -inf is no limit.
+            high: (k, n) highest.
+            restarts: Further searches after the first.
+            env_ids: (n,) environments, or None for all.
+
+        Returns:
+            (S, K, n) joint positions, and (S, n) whether they reach the target.
+        """
+        count = start.shape[1]
+        points = self._points(restarts)
+        together = max(1, _ROWS // max(count, 1))
+        parts = [points[i : i + together] for i in range(0, len(points), together)]
+        found, reached = [], []
+        rows = np.arange(count)
+        ids = rows if env_ids is None else env_ids
+        for part in parts:
+            every = np.tile(rows, len(part))
+            starts = [self._initial(start.copy(), point, low, high) for point in part]
+            qpos, _, done = self._search(
+                np.concatenate(starts, axis=1),
+                target.rows(every),
+                low[:, every],
+                high[:, every],
+                ids[every],
+            )
+            found.append(np.moveaxis(qpos.reshape(len(qpos), len(part), count), 1, 0))
+            reached.append(done.reshape(len(part), count))
+        return np.concatenate(found), np.concatenate(reached)
+
+    def _points(self, restarts: int) -> list[F64 | None]:
+        """Where searches begin: None is the initial positions, (k,) are shares of the ranges."""
+        drawn = RandomStreams(0, 1).uniform("restarts", (restarts, len(self._moving)))
+        return [None, *drawn[0]]
+
+    def _initial(self, qpos: F64, point: F64 | None, low: F64, high: F64) -> F64:
+        """(K, n) positions with which a search begins; `qpos` is changed in place."""
+        if point is not None:
+            first = np.where(np.isfinite(low), low, -np.pi)
+            last = np.where(np.isfinite(high), high, np.pi)
+            qpos[self._moving] = first + (last - first) * point[:, None]
+        qpos[self._moving] = np.clip(qpos[self._moving], low, high)
+        return qpos
 
     def _search(
         self, qpos: F64, target: Target, low: F64, high: F64, ids: EnvIndex

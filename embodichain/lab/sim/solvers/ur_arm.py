@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.sim.solvers.chain import Chain, matmul
+from embodichain.lab.sim.solvers.solution_sets import ranked
 from embodichain.utils.math import wrapped
 
 if TYPE_CHECKING:
@@ -161,24 +162,7 @@ class UrArm:
             whether they exist.
         """
         found, exist = self.solutions(position, rotation)
-        turned = found + 2.0 * np.pi * np.round((seed - found) / (2.0 * np.pi))
-        # A whole turn back into the limits, where the nearest one is outside.
-        over, under = turned > high + _CLOSE, turned < low - _CLOSE
-        turned = turned + 2.0 * np.pi * (
-            np.where(under, np.ceil((np.where(under, low, 0.0) - turned) / (2.0 * np.pi)), 0.0)
-            - np.where(over, np.ceil((turned - np.where(over, high, 0.0)) / (2.0 * np.pi)), 0.0)
-        )
-        inside = (turned >= low - _CLOSE) & (turned <= high + _CLOSE)
-        exist = exist & inside.all(axis=1)
-        turned = np.clip(turned, low, high)
-        distance = np.zeros(exist.shape)
-        for joint in range(6):
-            gap = turned[:, joint] - seed[joint]
-            distance = distance + weights[joint] * (gap * gap)
-        order = np.argsort(np.where(exist, distance, np.inf), axis=0, kind="stable")
-        exist = np.take_along_axis(exist, order, axis=0)
-        turned = np.take_along_axis(turned, order[:, None], axis=0)
-        return np.where(exist[:, None], turned, seed), exist
+        return ranked(found, exist, seed, (low, high), weights)
 
 
 def _angle(start: F64, end: F64, axis: F64) -> float:

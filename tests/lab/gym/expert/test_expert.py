@@ -1,12 +1,21 @@
 """The policy `expert` solves tasks by the steps in their files, and says what fails."""
 
+import re
+
 import numpy as np
 import pytest
 
 import embodichain
 from embodichain.lab.gym.expert.policy import Expert
+from embodichain.lab.gym.expert.touches import is_touching, obstacles
 from embodichain.lab.gym.policies import PlannedPolicy, resolve_policy
-from embodichain.utils.math import pose_to_matrix
+from embodichain.utils.math import (
+    matrix_to_pose,
+    pose_to_matrix,
+    quat_to_matrix,
+    rotate,
+    rotvec_to_quat,
+)
 
 pytestmark = pytest.mark.unmeasured
 
@@ -160,7 +169,122 @@ def test_a_tool_that_is_stopped_does_not_arrive():
     run = Performance("pick_place", 2, steps=steps)
     for failure in run.failures:
         assert failure.startswith("step 1, move_to world: the tool has not arrived: ")
+        assert re.search(r"ur10/gripper/left_finger touches table with \d+ N, ", failure)
         assert failure.endswith(" rad are missing")
+
+
+def test_a_tool_that_meets_nothing_says_so():
+    """The drives are too weak for the way."""
+    steps = [{"move_to": {"offset": [0.0, 0.0, 0.2]}}]
+    run = Performance("pick_place", 2, ["task.robot.drive_pros.max_effort=0.3"], steps=steps)
+    for failure in run.failures:
+        assert "the tool has not arrived: nothing is touched; " in failure
+
+
+def test_two_objects_are_grasped_in_turn_and_environments_hold_different_ones():
+    """The first cube is put beside the second, which is then put on it."""
+    steps = [
+        {"grasp": "cube"},
+        {"lift": 0.1},
+        {"place": {"to": "world", "offset": [0.6, -0.1, 0.727], "align": "world"}},
+        {"grasp": "base"},
+        {"lift": 0.1},
+        {"place": {"to": "cube", "offset": [0.0, 0.0, 0.05], "align": "cube"}},
+    ]
+    held, poses = [], {}
+
+    class Watched(Expert):
+        def __call__(self, obs, env):
+            action = super().__call__(obs, env)
+            held.append(self._execution._held[:, 0].copy())
+            for uid in ("cube", "base"):
+                poses[uid] = env.sim.get_rigid_object(uid).get_local_pose().numpy()
+            return action
+
+    slow = ["task.max_episode_steps=600", "task.events.place_cube.params.position_range="
+            "[[-0.1,-0.2,0],[0.1,0.1,0]]"]  # fmt: skip
+    run = Performance("stack_cubes", 4, slow, policy=Watched(steps))
+    assert run.failures == [None] * 4
+    offset = poses["base"][:, :3] - poses["cube"][:, :3]
+    assert offset == pytest.approx(np.tile([0.0, 0.0, 0.05], (4, 1)), abs=0.006)
+    mixed = [set(row.tolist()) for row in held]
+    assert {0, 1} in mixed or {-1, 0, 1} in mixed or {-1, 1} in mixed
+    assert {0} in mixed or {-1, 0} in mixed
+
+
+def turned_about_the_fingers(env, uid, tool, angle):
+    """Turn an object about the line between the fingers of a tool."""
+    thing = env.sim.get_rigid_object(uid)
+    pose = thing.get_local_pose(to_matrix=True).numpy().astype(np.float64)
+    grip = env.sim.robots["right"].get_link_pose(tool, to_matrix=True).numpy().astype(np.float64)
+    axis = grip[:, :3, 0]
+    turn = quat_to_matrix(rotvec_to_quat(angle * axis))
+    pose[:, :3, 3] = grip[:, :3, 3] + rotate(turn, pose[:, :3, 3] - grip[:, :3, 3])
+    pose[:, :3, :3] = np.einsum("nij,njk->nik", turn, pose[:, :3, :3])
+    thing.set_local_pose(matrix_to_pose(pose))
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_what_turns_between_the_fingers_is_not_lost(gone):
+    """The bar is held 15 cm off its middle, which moves 15 cm x 0.3 = 4.5 cm when it turns."""
+
+    class Turner(Expert):
+        turned = False
+
+        def __call__(self, obs, env):
+            action = super().__call__(obs, env)
+            here = env.sim.get_rigid_object("bar").get_local_pose()[0, 2]
+            if not self.turned and here > 0.35:
+                self.turned = True
+                turned_about_the_fingers(env, "bar", "gripper/tcp", 0.3)
+                if gone:
+                    pose = env.sim.get_rigid_object("bar").get_local_pose()
+                    pose[:, 1] -= 0.3
+                    env.sim.get_rigid_object("bar").set_local_pose(pose)
+            return action
+
+    grasp = {"arm": "right", "of": "bar", "offset": [0, -0.15, 0.008], "axes": "target"}
+    steps = [{"grasp": {**grasp, "symmetry": 2}}, {"lift": {"arm": "right", "by": 0.2}}]
+    policy = Turner(steps)
+    run = Performance("hand_over", 1, policy=policy)
+    assert policy.turned
+    assert run.failures == (["step 2, lift: the gripper has lost bar"] if gone else [None])
+
+
+def test_a_contact_is_named_with_the_force_between_the_bodies():
+    """A cube of 0.1 kg at rest presses on the table with 0.981 N, one of 3 kg with 29.43 N."""
+    heavy = "task.objects.base.attrs.mass=3"
+    env = embodichain.make("stack_cubes", num_envs=2, overrides=["seed=1", heavy])
+    try:
+        env.reset()
+        policy = resolve_policy("hold")
+        for _ in range(30):
+            env.step(policy(None, env))
+        bodies = [env.sim.get_rigid_object(uid).entity.root_body_id for uid in ("cube", "base")]
+        engine = env.sim.engine
+        found = obstacles(engine, 1, bodies, ())
+        assert found == "base touches table with 29.4 N, cube touches table with 0.981 N"
+        table = {int(engine.model.body(0).id)} | {
+            i for i in range(engine.model.nbody) if engine.model.body(i).name == "table"
+        }
+        assert "table touches base with 29.4 N" in obstacles(engine, 1, table, ())
+        assert obstacles(engine, 1, table, bodies) == "nothing is touched"  # held: left out
+        assert is_touching(engine, 1, bodies, table)
+        assert not is_touching(engine, 1, bodies[:1], bodies[1:])
+    finally:
+        env.close()
+
+
+def test_a_line_that_ends_says_where_and_at_which_joint():
+    run = Performance("pick_place", 1, steps=[{"move_to": {"offset": [0.0, 0.0, 1.5]}}])
+    number = r"-?\d+\.\d+"
+    place = rf"\({number}, {number}, {number}\) m"
+    assert re.fullmatch(
+        rf"step 1, move_to: no straight line of the tool to {place}: "
+        rf"after \d+ % of it, at {place}, "
+        r".*(\d+ mm are missing at the next point|Joint\d would leap by \d\.\d\d rad)",
+        run.failures[0],
+    )
 
 
 def test_a_reset_environment_begins_anew():

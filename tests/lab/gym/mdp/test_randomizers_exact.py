@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.cfg import EventCfg
-from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg
+from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RigidBodyAttributesCfg, RobotCfg
 from tests.helpers.randomizers import ARM, CASES, CUBE, IDS, default
 from tests.helpers.ur10_task import HOME, UR10
 
@@ -14,6 +14,7 @@ LIMITED = RobotCfg(
     fpath=UR10,
     init_pos=(0.0, 0.0, 1.0),
     init_qpos=HOME,
+    attrs=RigidBodyAttributesCfg(dynamic_friction=0.1),
     drive_pros=JointDrivePropertiesCfg(
         stiffness=500.0, damping=50.0, max_effort="file", friction=1.0, armature=0.02
     ),

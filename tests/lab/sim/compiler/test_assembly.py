@@ -1,5 +1,6 @@
 """Robots of several URDF files: names, places, masses and mimics of an arm with a gripper."""
 
+import dataclasses
 import math
 
 import mujoco
@@ -191,9 +192,11 @@ def test_the_same_in_python_in_yaml_and_in_a_gym_config(gripper, tmp_path, monke
         "control_parts": {"arm": ["JOINT[1-6]"], "hand": ["FINGER[12]"]},
         "drive_pros": {"stiffness": {"arm": 1e4, "hand": 2e3}},
         "init_qpos": [*HOME, 0.02, 0.02],
+        "disable_self_collision": True,  # as a gym config has it without a word
     }
     actions = {"arm": {"func": "DeltaQposTerm", "params": {"scale": 0.1, "part_name": "hand"}}}
-    python = EmbodiedEnv(EnvCfg(robot=robot(gripper)))
+    own = dataclasses.replace(robot(gripper), disable_self_collision=True)
+    python = EmbodiedEnv(EnvCfg(robot=own))
     mapped = EmbodiedEnv(from_dict(EnvCfg, {"robot": fields}))
     gym = EmbodiedEnv(config_to_cfg({"id": "EmbodiedEnv-v1", "robot": fields, "env": {}}))
     models = [env.sim.scene.model for env in (python, mapped, gym)]

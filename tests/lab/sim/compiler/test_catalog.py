@@ -24,8 +24,9 @@ def test_a_robot_loads_and_steps(name):
     parsed = parse_articulation("robot", cfg)
     assert len(parsed.joint_names) == LOADABLE[name]
     said = REPAIRED.get(name, ())
-    assert len(parsed.notes) == len(said)
-    assert all(part in note for part, note in zip(said, parsed.notes, strict=True))
+    notes = [note for note in parsed.notes if "collide as hulls" not in note]
+    assert len(notes) == len(said)
+    assert all(part in note for part, note in zip(said, notes, strict=True))
     scene = compile_scene(SimulationManagerCfg(), [parsed], {}, {})
     data = start(scene, {"robot": parsed.init_qpos})
     if name != OUT_OF_PLACE:

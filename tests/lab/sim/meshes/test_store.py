@@ -2,6 +2,8 @@
 
 import multiprocessing
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -117,6 +119,25 @@ def test_a_concave_mesh_becomes_convex_parts_the_same_ones_each_time(tmp_path, m
     again = decompose(tmp_path / "corner.ply")
     assert [p.read_bytes() for p in again] == [p.read_bytes() for p in parts]
     assert len(decompose(tmp_path / "corner.ply", max_parts=1)) == 1
+
+
+SPLIT_AND_MOVE = """
+from pathlib import Path
+from embodichain.lab.sim.meshes.mesh_conversion import decompose
+assert decompose(Path("box.ply"))
+import ruckig
+given = ruckig.InputParameter(1)
+given.current_position, given.target_position = [0.0], [1.0]
+given.max_velocity, given.max_acceleration, given.max_jerk = [1.0], [1.0], [1.0]
+assert ruckig.Ruckig(1).calculate(given, ruckig.Trajectory(1)) == ruckig.Result.Working
+"""
+
+
+def test_a_process_that_split_a_mesh_can_plan_the_motions_of_an_expert(tmp_path):
+    """Ruckig loaded after coacd ends the process with a segmentation fault."""
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    done = subprocess.run([sys.executable, "-c", SPLIT_AND_MOVE], cwd=tmp_path, check=False)
+    assert done.returncode == 0
 
 
 def test_without_coacd_one_line_says_what_to_install(tmp_path, monkeypatch):

@@ -53,7 +53,7 @@ def test_a_frame_after_a_known_rotation(scene, arm):
     robot.set_qpos(np.full((3, 1), np.pi / 2), target=False)
     robot.set_qvel(np.full((3, 1), 3.0), target=False)
     link, offset, site, root = (sim.get_sensor(s.uid) for s in sensors)
-    assert (link.names, site.names, root.names) == (("upper",), ("base",), ("base",))
+    assert (link.names, site.names, root.names) == (("upper",), ("tip",), ("base",))
     close(link.read_position(), [0, 0, 2])
     close(link.read_orientation(), [HALF, 0, 0, HALF])
     close(link.read_angular_velocity(), [0, 0, 3])

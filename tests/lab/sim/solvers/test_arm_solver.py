@@ -17,7 +17,7 @@ FORK = """<mujoco><worldbody><body name="base">
 
 def errors(robot, qpos, pose) -> tuple[np.ndarray, np.ndarray]:
     """Distances in metres and angles in rad between the tool at positions (m, k) and poses."""
-    reached = robot.compute_batch_fk(qpos[None], "arm")[0].double().numpy()
+    reached = robot.compute_batch_fk(qpos[None], "arm", env_ids=[0])[0].double().numpy()
     pose = pose.double().numpy()
     lengths = np.linalg.norm(reached[:, :3] - pose[:, :3], axis=1)
     # The sign of a quaternion has no meaning.
@@ -121,6 +121,95 @@ def test_joints_outside_the_part_stay_where_they_are(tmp_path) -> None:
     np.testing.assert_allclose(robot.get_link_pose("ee_link")[:, :3], pose[:, :3], atol=2e-5)
     base = robot.get_control_part_base_pose("wrist")
     assert torch.equal(base, robot.get_link_pose("forearm_link"))
+    sim.destroy()
+
+
+def all_solutions(robot, qpos, seed):
+    """The distinct solutions of `compute_ik` for the poses at positions (m, k), a row each."""
+    pose = robot.compute_fk(qpos, "arm")
+    exist, every = robot.compute_ik(pose, seed, "arm", return_all_solutions=True)
+    return pose, exist.numpy(), every.numpy()
+
+
+@pytest.mark.parametrize(("name", "most"), [("ur5e", 8), ("panda", 31), ("seven", 31)])
+def test_an_iterative_arm_returns_all_solutions_that_it_finds(name, most, tmp_path) -> None:
+    count = 40
+    sim, robot = arm_in(arm_cfg(name, tmp_path, closed_form=False), num_envs=count)
+    seed = torch.tensor(random_qpos(robot, 1, 5)[0], dtype=torch.float32)
+    pose, exist, every = all_solutions(robot, random_qpos(robot, count, 1), seed)
+    width = every.shape[2]
+    assert every.shape == (count, 31, width) and exist.shape == (count, 31)
+    counts = exist.sum(axis=1)
+    assert counts.min() >= 1 and np.median(counts) >= 6
+    assert (np.diff(exist.astype(int), axis=1) <= 0).all()  # those that exist come first
+    padding = np.broadcast_to(seed.numpy(), every.shape)
+    assert np.array_equal(every[~exist], padding[~exist])
+    limits = robot.get_qpos_limits("arm")[0].numpy()
+    far = ((every - seed.numpy()) ** 2).sum(axis=2)
+    for i in range(count):
+        mine = every[i, : counts[i]]
+        assert (mine >= limits[:, 0] - 1e-6).all() and (mine <= limits[:, 1] + 1e-6).all()
+        assert (np.diff(far[i, : counts[i]]) >= -1e-5).all()
+        apart = np.abs(mine[:, None] - mine[None]).max(axis=2) + np.eye(len(mine))
+        assert apart.min() > 0.0099
+        lengths, angles = errors(robot, mine, pose[i : i + 1])
+        assert lengths.max() < 1e-4 and angles.max() < 1e-3
+    success, single = robot.compute_ik(pose, seed, "arm")
+    assert success.all()
+    turned = (single.numpy()[:, None] - every + np.pi) % (2 * np.pi) - np.pi
+    assert (np.abs(turned).max(axis=2).min(axis=1) < 0.0101).all()  # one of them
+    sim.destroy()
+    alone, own = arm_in(arm_cfg(name, tmp_path, closed_form=False))
+    again = own.compute_ik(pose[3:4], seed, "arm", return_all_solutions=True)
+    assert np.array_equal(again[0].numpy(), exist[3:4])
+    assert np.array_equal(again[1].numpy(), every[3:4])
+    alone.destroy()
+
+
+def test_searches_find_the_solutions_of_the_closed_form(tmp_path) -> None:
+    found = []
+    for closed in (True, False):
+        cfg = arm_cfg("ur5e", tmp_path, closed_form=closed, ik_nearest_weight=[9, 4, 1, 1, 1, 1])
+        sim, robot = arm_in(cfg, num_envs=50)
+        _, exist, every = all_solutions(robot, random_qpos(robot, 50, 2), torch.zeros(6))
+        found.append([mine[there] for mine, there in zip(every, exist, strict=True)])
+        sim.destroy()
+    hits = [
+        np.abs(one[:, None] - few[None]).max(axis=2) < 0.01 for one, few in zip(*found, strict=True)
+    ]
+    total = sum(len(one) for one in found[0])
+    assert sum(hit.any(axis=1).sum() for hit in hits) > 0.8 * total
+    for hit in hits:  # those that both find have the same order
+        places = [int(np.argmax(row)) for row in hit if row.any()]
+        assert places == sorted(places)
+
+
+def test_the_number_of_searches_is_a_setting(tmp_path) -> None:
+    for samples in (0, 5):
+        sim, robot = arm_in(arm_cfg("panda", tmp_path, num_samples=samples))
+        pose = robot.compute_fk(random_qpos(robot, 1)[0], "arm")
+        exist, every = robot.compute_ik(pose, name="arm", return_all_solutions=True)
+        assert exist.shape == (1, 1 + samples) and every.shape == (1, 1 + samples, 7)
+        pose[:, :3] += 9.0
+        exist, every = robot.compute_ik(pose, name="arm", return_all_solutions=True)
+        assert not exist.any()
+        assert torch.equal(every, robot.get_qpos("arm")[:, None].expand_as(every))
+        sim.destroy()
+
+
+@pytest.mark.parametrize("name", ["ur10", "panda"])
+def test_no_environments_and_no_poses_have_no_solutions(name, tmp_path) -> None:
+    sim, robot = arm_in(arm_cfg(name, tmp_path), num_envs=3)
+    width = len(robot.get_joint_ids("arm"))
+    for every in (False, True):
+        success, qpos = robot.compute_ik(
+            torch.zeros(0, 7), name="arm", env_ids=[], return_all_solutions=every
+        )
+        assert success.shape[0] == qpos.shape[0] == 0 and qpos.shape[-1] == width
+    success, qpos = robot.compute_batch_ik(torch.zeros(3, 0, 7), name="arm")
+    assert success.shape == (3, 0) and qpos.shape == (3, 0, width)
+    assert robot.compute_batch_fk(torch.zeros(3, 0, width), "arm").shape == (3, 0, 7)
+    assert robot.compute_jacobian(env_ids=[], name="arm").shape == (0, 6, width)
     sim.destroy()
 
 

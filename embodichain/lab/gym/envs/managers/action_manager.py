@@ -36,6 +36,8 @@ __all__ = [
     "action_space",
     "default_actions",
     "drive_robot",
+    "is_passive",
+    "no_action",
 ]
 
 
@@ -49,9 +51,19 @@ def action_space(
     if len(manager):
         return gym.spaces.Box(manager.low, manager.high, dtype=np.float32)
     if robot is None:
-        return gym.spaces.Box(0.0, 0.0, (0,), np.float32)
+        return no_action()
     low, high = finite_limits(robot.parsed.qpos_limits, joint_ids)
     return gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))
+
+
+def no_action() -> gym.spaces.Box:
+    """Return the action space of an environment in which nothing is driven: shape (0,)."""
+    return gym.spaces.Box(0.0, 0.0, (0,), np.float32)
+
+
+def is_passive(robot: Robot | None) -> bool:
+    """Whether a robot has neither drives nor actuators: it is moved by physics alone."""
+    return robot is not None and not robot.parsed.control_names
 
 
 def default_actions(robot: Robot | None) -> dict[str, ActionTermCfg]:

@@ -1,8 +1,9 @@
 """Types of term parameters, for annotations: numbers with their ranges, and references.
 
 ``mass: Positive`` is checked when a config is read. ``of: Joints`` is written ``{uid: ...}`` in a
-config and arrives as a `ResolvedEntity` with joints; ``sensor: ContactOf`` is written as a sensor's
-name and arrives as that sensor. Imports no torch and no MuJoCo.
+config and arrives as a `ResolvedEntity` with joints; ``of: Body`` may name a link, site or geom,
+``of: Whole`` may not. ``sensor: ContactOf`` is written as a sensor's name and arrives as that
+sensor. Imports no torch and no MuJoCo.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FORMS",
     "Angle",
+    "Arm",
     "Axes6",
     "Body",
     "Bounds",
@@ -48,10 +50,12 @@ __all__ = [
     "ContactOf",
     "ForceTorqueOf",
     "Fraction",
+    "Frames",
     "HeightScanOf",
     "ImuOf",
     "JointRange",
     "Joints",
+    "Links",
     "NamedEntity",
     "NonNegative",
     "PlanarCommand",
@@ -66,6 +70,7 @@ __all__ = [
     "UnitInterval",
     "Vec3",
     "VelocityCommand",
+    "Whole",
     "references",
 ]
 
@@ -197,31 +202,51 @@ class Reference:
 
 
 def references(hint: Any) -> Iterator[Reference]:
-    """The marks within an annotation, also of members of unions."""
+    """The marks within an annotation, also of members of unions and of lists."""
     for part in getattr(hint, "__metadata__", ()):
         if isinstance(part, Reference):
             yield part
     for part in typing.get_args(hint):
-        if hasattr(part, "__metadata__"):
-            yield from references(part)
+        yield from references(part)
 
 
 def _reference(mark: Reference, description: str) -> Any:
     """The type of a parameter; its description is that of parameters without their own."""
-    written = ResolvedEntity if isinstance(mark, (_Joints, _Body)) else str
+    written = ResolvedEntity if isinstance(mark, _Entity) else str
     return Annotated[written, mark, Field(description=description)]
 
 
-class _Joints(Reference):
+class _Entity(Reference):
+    """An entity as `resolve` checks it; subclasses say what of it a term uses."""
+
+
+class _Whole(_Entity):
+    def resolve(self, env: TermContext, value: Any) -> Any:
+        for one in value if isinstance(value, (list, tuple)) else (value,):
+            one.require_whole()
+        return value
+
+
+class _Joints(_Whole):
     def resolve(self, env: TermContext, value: Any) -> Any:
         value.require_joints()
-        return value
+        return super().resolve(env, value)
 
 
-class _Body(Reference):
+class _Links(_Entity):
     def resolve(self, env: TermContext, value: Any) -> Any:
-        _ = value.link_name  # raises where several are picked
+        value.require_links()
         return value
+
+
+class _Body(_Entity):
+    def resolve(self, env: TermContext, value: Any) -> Any:
+        _ = value.frame_name  # raises where several are picked
+        return value
+
+
+class _Frames(_Entity):
+    """Any number of links, sites or geoms."""
 
 
 @dataclass(frozen=True)
@@ -284,8 +309,12 @@ class _Command(Reference):
 
 
 if TYPE_CHECKING:
+    Whole = ResolvedEntity
     Joints = ResolvedEntity
+    Links = ResolvedEntity
     Body = ResolvedEntity
+    Frames = ResolvedEntity
+    Arm = ResolvedEntity
     CameraOf = Camera
     ContactOf = ContactSensor
     ImuOf = ImuSensor
@@ -299,7 +328,15 @@ if TYPE_CHECKING:
     PoseCommand = Command
 else:
     Joints = _reference(_Joints(), "The robot; its joint names or control parts pick joints.")
-    Body = _reference(_Body(), "The entity, or a link of one.")
+    Whole = _reference(_Whole(), "The entity.")
+    Links = _reference(_Links(), "The entity, or links of one.")
+    Body = _reference(_Body(), "The entity, or a link, site or geom of one.")
+    Frames = _reference(_Frames(), "The entity, or links, sites or geoms of one.")
+    Arm = _reference(
+        _Frames(),
+        "The robot; control parts or joint names pick the joints that move, a link or site is the "
+        "tool.",
+    )
     CameraOf = _reference(
         _Sensor("camera", "get_intrinsics", ("stereo_camera", "Camera", "StereoCamera")),
         "A camera.",

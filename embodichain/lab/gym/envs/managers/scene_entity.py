@@ -1,6 +1,7 @@
-"""`ResolvedEntity`: the entity, joints and links of a `SceneEntityCfg`, and their state.
+"""`ResolvedEntity`: the entity, joints and frames of a `SceneEntityCfg`, and their state.
 
-`compiler.names.pick` picks joints and links, here and when a config is checked. Arrays are the
+`compiler.names.pick` picks joints and frames (links, sites or geoms), here and when a config is
+checked. Arrays are the
 engine's float64 arrays. Sums run over columns in a fixed order, because the rounding of a reduction
 may depend on the number of environments.
 """
@@ -17,7 +18,8 @@ import numpy as np
 from pydantic import GetCoreSchemaHandler
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
-from embodichain.lab.sim.body_motion import BodyMotion, Frame, origin_velocities
+from embodichain.lab.sim.body_motion import BodyMotion, Frame
+from embodichain.lab.sim.frames import BodyFrames, frame_named, frames_named, link_frame
 from embodichain.utils.arrays import is_host
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
@@ -26,6 +28,7 @@ from embodichain.utils.type_errors import from_dict
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from embodichain.lab.sim.compiler.names import FrameKind
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sim_manager import SimulationManager
 
@@ -39,7 +42,7 @@ UNLIMITED = 1e9
 
 @dataclass(frozen=True, eq=False)
 class ResolvedEntity:
-    """An entity of the scene and its picked joints and links.
+    """An entity of the scene, its picked joints, and its picked links, sites or geoms.
 
     A term's parameter annotated with this class, or with `SceneEntityCfg`, receives one.
 
@@ -49,8 +52,12 @@ class ResolvedEntity:
         joint_ids: Picked joints; by default all active ones (no mimic joints). Empty for rigid
             objects.
         joint_names: Names of the picked joints.
-        link_ids: Picked links; by default none, which means the root.
-        link_names: Names of the picked links.
+        kind: Whether frames are links, sites or geoms.
+        frame_ids: Picked frames, in the entity's order of that kind; by default none, which means
+            the root.
+        frame_names: Names of the picked frames.
+        in_model: Their names in the compiled scene.
+        frame_key: The key of the reference that names them, for messages.
         control_parts: Picked control parts.
         path: Its key path, for messages; empty if Python code made it.
         all_joints: Whether `joint_ids` is every joint in the entity's order, so that no indexing
@@ -61,8 +68,11 @@ class ResolvedEntity:
     asset: Any
     joint_ids: tuple[int, ...] = ()
     joint_names: tuple[str, ...] = ()
-    link_ids: tuple[int, ...] = ()
-    link_names: tuple[str, ...] = ()
+    kind: FrameKind = "link"
+    frame_ids: tuple[int, ...] = ()
+    frame_names: tuple[str, ...] = ()
+    in_model: tuple[str, ...] = ()
+    frame_key: str = "link_names"
     all_joints: bool = False
     control_parts: tuple[str, ...] = ()
     path: str = ""
@@ -76,6 +86,24 @@ class ResolvedEntity:
     def joints(self) -> list[int] | None:
         """`joint_ids` as handles take them: None is all."""
         return None if self.all_joints else list(self.joint_ids)
+
+    # -- links, sites or geoms ------------------------------------------------------------------
+
+    @property
+    def link_ids(self) -> tuple[int, ...]:
+        """Picked links, in the entity's order; none means the root.
+
+        Raises:
+            ConfigError: If sites or geoms were picked.
+        """
+        self.require_links()
+        return self.frame_ids
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of the picked links; raises as `link_ids`."""
+        self.require_links()
+        return self.frame_names
 
     @property
     def body_ids(self) -> tuple[int, ...]:
@@ -92,24 +120,72 @@ class ResolvedEntity:
         """The one picked link, or None for the root.
 
         Raises:
+            ConfigError: If several were picked, or sites or geoms.
+        """
+        self.require_links()
+        return self.frame_name
+
+    @property
+    def frame_name(self) -> str | None:
+        """The one picked link, site or geom, or None for the root.
+
+        Raises:
             ConfigError: If several were picked.
         """
-        if len(self.link_names) > 1:
-            message = f"one link of {self.uid!r} is wanted, got {', '.join(self.link_names)}"
-            raise ConfigError([Problem(f"{self.path}.link_names".lstrip("."), message)])
-        return self.link_names[0] if self.link_names else None
+        if len(self.frame_names) > 1:
+            message = f"one {self.kind} of {self.uid!r} is wanted, got {self._listed}"
+            raise ConfigError([Problem(f"{self.path}.{self.frame_key}".lstrip("."), message)])
+        return self.frame_names[0] if self.frame_names else None
+
+    @property
+    def _listed(self) -> str:
+        return ", ".join(self.frame_names)
+
+    def require_links(self) -> None:
+        """Raise a ConfigError if sites or geoms were picked, where only links have a meaning."""
+        if self.kind != "link":
+            one = f"the {self.kind} {self._listed}"
+            said = one if len(self.frame_names) == 1 else f"{self.kind}s: {self._listed}"
+            message = f"links are wanted here, got {said}: name the link that carries it"
+            raise ConfigError([Problem(f"{self.path}.{self.frame_key}".lstrip("."), message)])
+
+    def require_whole(self) -> None:
+        """Raise a ConfigError if sites or geoms were picked, where only the entity counts."""
+        if self.kind != "link":
+            message = f"only {self.uid!r} itself counts here, no {self.kind} of it: leave this out"
+            raise ConfigError([Problem(f"{self.path}.{self.frame_key}".lstrip("."), message)])
 
     @cached_property
+    def frame(self) -> BodyFrames:
+        """The one picked link, site or geom, else the root, in the compiled scene.
+
+        Raises:
+            ConfigError: If several were picked.
+        """
+        if self.frame_name is None:
+            return link_frame(int(self.asset.entity.root_body_id))
+        return frame_named(self.asset.engine.model, self.kind, self.in_model[0])
+
+    @cached_property
+    def frames(self) -> BodyFrames:
+        """All picked links, sites or geoms, else the root, in the compiled scene."""
+        if not self.frame_names:
+            root = int(self.asset.entity.root_body_id)
+            return BodyFrames("link", slice(root, root + 1), slice(root, root + 1))
+        return frames_named(self.asset.engine.model, self.kind, self.in_model)
+
+    @property
     def link_body(self) -> int | None:
-        """MuJoCo body id of the one picked link, or None for the root."""
-        name = self.link_name
-        return None if name is None else int(self.asset.body_of(name))
+        """MuJoCo body id of the picked link, or of the one that carries the site or geom.
 
-    @cached_property
+        None for the root.
+        """
+        return None if self.frame_name is None else int(self.frame.bodies)
+
+    @property
     def body_id(self) -> int:
-        """MuJoCo body id of the one picked link, else of the root."""
-        link = self.link_body
-        return int(self.asset.entity.root_body_id) if link is None else link
+        """MuJoCo body id of the picked link, site's or geom's link, else of the root."""
+        return int(self.frame.bodies)
 
     # -- joints, in float64; K is the number of picked joints ------------------------------------
 
@@ -251,11 +327,11 @@ class ResolvedEntity:
             message = f"none of the joints picked of {self.uid!r} has limits of {what}: {names}"
             raise ConfigError([Problem(self.path, message)])
 
-    # -- the picked link, else the root: environment's frame, wxyz, float64 ----------------------
+    # -- the picked frame, else the root: environment's frame, wxyz, float64 ---------------------
 
     @cached_property
     def _motion(self) -> BodyMotion:
-        found: BodyMotion = self.asset.motion(self.body_id)
+        found: BodyMotion = self.asset.motion_of(self.frame)
         return found
 
     def position(self) -> F64:
@@ -278,7 +354,7 @@ class ResolvedEntity:
         """(N, 3) rad/s; do not write to it. See `BodyMotion.linear_velocity`."""
         return self._motion.angular_velocity(frame)
 
-    # -- all picked links; L is their number, 1 for the root -------------------------------------
+    # -- all picked frames; L is their number, 1 for the root ------------------------------------
 
     def link_poses(self, in_root_frame: bool = False) -> tuple[F64, F64]:
         """Positions (N, L, 3) in m and orientations (N, L, 4), wxyz; do not store them.
@@ -287,26 +363,25 @@ class ResolvedEntity:
             in_root_frame: Whether they are relative to the root of the entity, in its axes.
         """
         root_position, root_quat = self.asset.read_pose()
-        if not self.link_names:
+        if not self.frame_names:
             position, quat = root_position[:, None], root_quat[:, None]
         else:
-            ids = self._link_bodies
-            engine = self.asset.engine
-            position, quat = engine.derived("xpos")[:, ids], engine.derived("xquat")[:, ids]
+            engine, frames = self.asset.engine, self.frames
+            position, quat = frames.positions(engine), frames.orientations(engine)
         if not in_root_frame:
             return position, quat
         inverse = _repeated(quat_conjugate(root_quat), position.shape[1])
         return quat_rotate(inverse, position - root_position[:, None]), quat_multiply(inverse, quat)
 
     def link_velocities(self, in_root_frame: bool = False) -> tuple[F64, F64]:
-        """Linear in m/s, of the links' origins, and angular in rad/s, (N, L, 3) each.
+        """Linear in m/s, of the frames' origins, and angular in rad/s, (N, L, 3) each.
 
         Args:
             in_root_frame: Whether the root's velocity is subtracted, in the root's axes.
         """
         root = self._root
-        if self.link_names:
-            linear, angular = origin_velocities(self.asset.engine, self._link_bodies)
+        if self.frame_names:
+            linear, angular = self.frames.velocities(self.asset.engine)
         else:
             linear, angular = self.linear_velocity()[:, None], self.angular_velocity()[:, None]
         if not in_root_frame:
@@ -317,14 +392,8 @@ class ResolvedEntity:
         return quat_rotate(inverse, linear), quat_rotate(inverse, angular)
 
     @cached_property
-    def _link_bodies(self) -> Any:
-        from embodichain.utils.arrays import columns_of
-
-        return columns_of([self.asset.body_of(name) for name in self.link_names])
-
-    @cached_property
     def _root(self) -> ResolvedEntity:
-        return ResolvedEntity(self.uid, self.asset) if self.link_names else self
+        return ResolvedEntity(self.uid, self.asset) if self.frame_names else self
 
 
 def _repeated(quat: F64, count: int) -> F64:
@@ -349,33 +418,32 @@ def resolve_entity(
     """
     if isinstance(cfg, ResolvedEntity):
         return cfg
-    from embodichain.lab.sim.compiler.articulation import ParsedArticulation  # imports MuJoCo
-    from embodichain.lab.sim.compiler.names import pick
+    from embodichain.lab.sim.compiler.names import frame_in_model, frame_names, pick
 
     if not isinstance(cfg, SceneEntityCfg):
         cfg = _from_mapping(cfg)
-    assets: dict[str, Any] = {**sim.robots, **sim.articulations, **sim.rigid_objects}
-    known: dict[str, ParsedArticulation | str | None] = {
-        **{uid: getattr(asset, "parsed", "rigid object") for uid, asset in assets.items()},
-        **dict.fromkeys(sim.lights, "light"),
-    }
+    known = sim.known
     picked, problems = pick(path, vars(cfg), known)
     if problems:
         raise ConfigError(problems)
-    asset = assets[cfg.uid]
-    parsed = known[cfg.uid]
-    if not isinstance(parsed, ParsedArticulation):
-        return ResolvedEntity(cfg.uid, asset, path=path)
+    entity: Any = known[cfg.uid]
+    assets: dict[str, Any] = {**sim.robots, **sim.articulations, **sim.rigid_objects}
+    there = (frame_names(entity, cfg.uid, picked.kind) or ()) if picked.frames else ()
+    names = tuple(there[i] for i in picked.frames)
+    joints = getattr(entity, "joint_names", ())
     return ResolvedEntity(
         uid=cfg.uid,
-        asset=asset,
+        asset=assets[cfg.uid],
         joint_ids=picked.joints,
-        joint_names=tuple(parsed.joint_names[i] for i in picked.joints),
-        link_ids=picked.links,
-        link_names=tuple(parsed.link_names[i] for i in picked.links),
+        joint_names=tuple(joints[i] for i in picked.joints),
+        kind=picked.kind,
+        frame_ids=picked.frames,
+        frame_names=names,
+        in_model=tuple(frame_in_model(entity, cfg.uid, picked.kind, name) for name in names),
+        frame_key=picked.key,
         control_parts=picked.parts,
         path=path,
-        all_joints=picked.joints == tuple(range(len(parsed.joint_names))),
+        all_joints=hasattr(entity, "joint_names") and picked.joints == tuple(range(len(joints))),
     )
 
 

@@ -51,6 +51,8 @@ class Values:
         lowest: The smallest valid value; None is any.
         unlimited: Why a default may be infinite, for messages.
         needs_default: Whether an infinite default is an error for every operation.
+        geoms: (k,) geoms of which it is a friction; empty if it is none.
+        axis: 0 is sliding, 1 torsional, 2 rolling friction.
     """
 
     names: Sequence[str]
@@ -59,6 +61,8 @@ class Values:
     lowest: float | None = None
     unlimited: str = ""
     needs_default: bool = False
+    geoms: Sequence[NDArray[np.int64]] = ()
+    axis: int = 0
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,7 @@ def _bodies(
     entity: ResolvedEntity, what: str = "", moving: bool = True
 ) -> tuple[list[str], NDArray[np.int64]]:
     """Names and MuJoCo body ids of the picked links (by default all), or of an object."""
+    entity.require_links()
     asset = entity.asset
     if not hasattr(asset, "parsed"):
         if moving:
@@ -199,6 +204,7 @@ def _inertia(entity: ResolvedEntity, options: Options) -> Values:
 
 def _scale(entity: ResolvedEntity, options: Options) -> Values:
     need_object(entity)
+    entity.require_whole()
     asset, width = entity.asset, 1 if options.same_scale_all_axes else 3
     if _shapes(asset):
         message = f"{entity.uid!r} has any_of: list shapes of several sizes there"
@@ -225,7 +231,10 @@ def _scale(entity: ResolvedEntity, options: Options) -> Values:
 
 
 def _friction(entity: ResolvedEntity, options: Options, axis: int) -> Values:
-    """A coefficient of links or objects; geoms of a link with equal compiled values share it."""
+    """A coefficient of links or objects; geoms of a link with equal compiled values share it.
+
+    Geoms that are picked by name have one each.
+    """
     model = entity.asset.engine.model
     geoms = np.asarray(entity.asset.entity.geom_ids, np.int64)
     masks = (model.geom_contype[geoms] | model.geom_conaffinity[geoms])[None]
@@ -233,9 +242,17 @@ def _friction(entity: ResolvedEntity, options: Options, axis: int) -> Values:
     if variants is not None:
         masks = variants.contype | variants.conaffinity
     geoms = geoms[masks.any(axis=0)]
+    groups: list[tuple[str, NDArray[np.int64]]] = []
+    if entity.kind == "geom":
+        picked = np.arange(model.ngeom)[entity.frames.ids]
+        one = zip(entity.frame_names, picked, strict=True)
+        groups = [(name, np.array([geom], np.int64)) for name, geom in one if geom in geoms]
+        if not groups:
+            message = f"nothing of these collides: {', '.join(entity.frame_names)}"
+            raise ConfigError([Problem("entity_cfg.geom_names", message)])
+        return _coefficients(entity.asset.engine, groups, axis)
     owner = model.geom_bodyid[geoms]
     names, bodies = _bodies(entity, moving=False)
-    groups: list[tuple[str, NDArray[np.int64]]] = []
     for name, body in zip(names, bodies, strict=True):
         own = geoms[owner == body]
         _, kind = np.unique(model.geom_friction[own], axis=0, return_inverse=True)
@@ -262,7 +279,8 @@ def _coefficients(
 
     first = [int(geoms[0]) for _, geoms in groups]
     names = [name for name, _ in groups]
-    return Values(names, engine.model.geom_friction[first, axis], write, 0.0)
+    default = engine.model.geom_friction[first, axis]
+    return Values(names, default, write, 0.0, geoms=[own for _, own in groups], axis=axis)
 
 
 # -- joints ----------------------------------------------------------------------------------------
@@ -271,6 +289,7 @@ def _coefficients(
 def _joints(entity: ResolvedEntity, driven: bool) -> NDArray[np.int64]:
     """Indices of the picked joints, which must all have a drive if `driven`."""
     need_articulation(entity)
+    entity.require_whole()
     asset = entity.asset
     joints = np.asarray(entity.joint_ids, np.int64)
     wrong = joints[np.asarray(asset.entity.actuator_ids, np.int64)[joints] < 0]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.scene_entity import UNLIMITED
+from embodichain.lab.sim.frames import link_frame
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -94,12 +95,12 @@ def arm_solver(entity: ResolvedEntity, path: str = "entity_cfg") -> ArmSolver:
     """The kinematics of an entity's tool, with the settings of its control part.
 
     Args:
-        entity: The robot; its picked joints move, its picked link is the tool (by default that of
-            `tool_links`).
+        entity: The robot; its picked joints move, its picked link, site or geom is the tool (by
+            default the link of `tool_links`).
         path: The parameter, for messages.
 
     Raises:
-        ConfigError: If there is no such link or more than one, or no picked joint moves it.
+        ConfigError: If there is no tool or more than one, or no picked joint moves it.
     """
     from embodichain.lab.sim.cfg import SolverCfg
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
@@ -107,13 +108,16 @@ def arm_solver(entity: ResolvedEntity, path: str = "entity_cfg") -> ArmSolver:
     asset = entity.asset
     if not entity.joint_ids:
         raise ConfigError([Problem(f"{path}.uid", f"{entity.uid!r} has no joints")])
-    links = list(entity.link_names) or tool_links(entity)
-    if len(links) != 1:
-        message = f"name one link as the tool; the picked joints suggest {links or 'none'}"
-        raise ConfigError([Problem(f"{path}.link_names", message)])
+    frames = list(entity.frame_names) or tool_links(entity)
+    if len(frames) != 1:
+        message = (
+            f"name one {entity.kind} as the tool; the picked joints suggest {frames or 'none'}"
+        )
+        raise ConfigError([Problem(f"{path}.{entity.kind}_names", message)])
+    tool = entity.frame if entity.frame_names else link_frame(asset.body_of(frames[0]))
     part = entity.control_parts[0] if len(entity.control_parts) == 1 else None
     settings = getattr(asset, "solver_cfg", lambda part: SolverCfg())(part)
-    return ArmSolver(asset, entity.joint_ids, asset.body_of(links[0]), settings, path)
+    return ArmSolver(asset, entity.joint_ids, tool, settings, path)
 
 
 def moving_joints(entity: ResolvedEntity, solver: ArmSolver) -> ResolvedEntity:

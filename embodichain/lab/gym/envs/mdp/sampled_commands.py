@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Box3, NonNegative, Range, UnitInterval
+from embodichain.lab.gym.envs.managers.param_types import (
+    Body,
+    Box3,
+    NonNegative,
+    Range,
+    UnitInterval,
+    Whole,
+)
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm, Uniform
@@ -57,7 +64,8 @@ class UniformVelocityCommand(CommandTerm):
         ``{func: uniform_velocity, params: {of: {uid: go}, ranges: {lin_vel_x: [-1, 1]}}}``
 
     Args:
-        entity_cfg: The robot; its root, or the picked link, should follow the command.
+        entity_cfg: The robot; its root, or the picked link, site or geom, should follow the
+            command.
         ranges: [low, high] of ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s) and, if
             environments should turn to a heading, ``heading`` (rad).
         heading_control_stiffness: Turning rate per radian of heading error, 1/s: wz is this times
@@ -72,7 +80,7 @@ class UniformVelocityCommand(CommandTerm):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Body,
         ranges: VelocityRanges,
         heading_control_stiffness: NonNegative = 1.0,
         rel_standing_envs: UnitInterval = 0.0,
@@ -129,14 +137,15 @@ class UniformVelocityCommand(CommandTerm):
 class UniformPoseCommand(CommandTerm):
     """(N, 7) pose x, y, z, qw, qx, qy, qz in the frame of an entity's root, drawn uniformly.
 
-    After Isaac Lab's ``UniformPoseCommand``. If a link is picked, the metrics ``position_error``
-    (m) and ``orientation_error`` (rad) are its distances from the commanded pose.
+    After Isaac Lab's ``UniformPoseCommand``. If a link, site or geom is picked, the metrics
+    ``position_error`` (m) and ``orientation_error`` (rad) are its distances from the command.
 
     Example:
         ``{func: uniform_pose, params: {of: {uid: go}, position_range: [[0,0,0],[1,1,1]]}}``
 
     Args:
-        entity_cfg: The entity whose root is the frame, and the link that should go there.
+        entity_cfg: The entity whose root is the frame, and the link, site or geom that should go
+            there.
         position_range: [[x, y, z] low, [x, y, z] high], m.
         euler_range: The same for Euler angles in rad, intrinsic XYZ (R = Rx Ry Rz); None is the
             frame's own orientation.
@@ -148,7 +157,7 @@ class UniformPoseCommand(CommandTerm):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Body,
         position_range: Box3,
         euler_range: Box3 | None = None,
         make_quat_unique: bool = False,
@@ -184,8 +193,8 @@ class UniformPoseCommand(CommandTerm):
         return position, quat_multiply(turn, self.values[:, 3:])
 
     def metrics(self) -> Mapping[str, F64]:
-        """Distance of the picked link from the command."""
-        if not self._entity.link_names:
+        """Distance of the picked link, site or geom from the command."""
+        if not self._entity.frame_names:
             return {}
         position, quat = self.world()
         return {
@@ -213,7 +222,7 @@ class UniformJointPositionCommand(CommandTerm):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Whole,
         position_range: Range | dict[str, Range] | None = None,
         relative: bool = True,
     ) -> None:

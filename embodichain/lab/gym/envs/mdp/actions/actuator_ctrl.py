@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import Names
+from embodichain.lab.gym.envs.managers.param_types import Whole
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
 from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
@@ -55,7 +55,7 @@ class ActuatorCtrl(ActionTerm):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Whole,
         actuator_names: Names | None = None,
         scale: PerJoint = 1.0,
         offset: PerJoint = 0.0,

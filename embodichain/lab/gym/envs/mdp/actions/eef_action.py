@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Box3, UnitInterval
+from embodichain.lab.gym.envs.managers.param_types import Arm, Box3, UnitInterval
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._tools import (
@@ -158,8 +158,9 @@ class EefPose(EefTerm):
     ``TERM/unreachable``: 1 where the pose is out of reach; the tool then goes as near as it can.
 
     Args:
-        entity_cfg: The robot; control parts or joint names pick the joints that move, a link name
-            picks the tool (else the part's tool point in `solver_cfg`, else the farthest link).
+        entity_cfg: The robot; control parts or joint names pick the joints that move, a link, site
+            or geom is the tool (else the part's tool point in `solver_cfg`, else the farthest
+            link).
         frame: Of the pose: ``base``, the robot's root, or ``world``, the environment.
         rotation: ``quat`` (qw, qx, qy, qz, normalized; 0 keeps the orientation), ``rpy`` (roll,
             pitch, yaw in rad about fixed axes, R = Rz Ry Rx), ``keep`` (the initial orientation in
@@ -181,7 +182,7 @@ class EefPose(EefTerm):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Arm,
         frame: Literal["base", "world"] = "base",
         rotation: Literal["quat", "rpy", "keep", "free"] = "quat",
         position_range: Box3 | None = None,
@@ -251,7 +252,7 @@ class EefDeltaPose(EefTerm):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Arm,
         frame: Literal["base", "world", "tool"] = "base",
         rotation: Literal["command", "keep", "free"] = "command",
         reference: Literal["target", "qpos"] = "target",

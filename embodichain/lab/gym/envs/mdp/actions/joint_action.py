@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Range
+from embodichain.lab.gym.envs.managers.param_types import Arm, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
@@ -292,7 +292,8 @@ class JointAction(JointTerm):
     pure effort control.
 
     Args:
-        entity_cfg: The robot; its joint names or control parts pick joints.
+        entity_cfg: The robot; its joint names or control parts pick joints. A link, site or geom is
+            the tool that experts move (by default that of `solver_cfg`).
         control: The quantity of the value: ``position`` (rad or m), ``velocity`` (rad/s or m/s),
             or ``effort`` (N m or N), within +-``max_effort``.
         centre: Of positions: ``zero``; ``home``, the initial position; ``qpos``, the measured
@@ -317,7 +318,7 @@ class JointAction(JointTerm):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Arm,
         control: Literal["position", "velocity", "effort"] = "position",
         centre: Centre = "zero",
         scale: PerJoint = 1.0,

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Box3, NonNegative, Positive
+from embodichain.lab.gym.envs.managers.param_types import Arm, Box3, NonNegative, Positive
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._tools import (
     arm_solver,
     moving_joints,
@@ -60,8 +59,9 @@ class OperationalSpace(JointTerm):
     max_effort: file}``; `max_effort` limits the efforts.
 
     Args:
-        entity_cfg: The robot; control parts or joint names pick the joints that move, a link name
-            picks the tool (else the part's tool point in `solver_cfg`, else the farthest link).
+        entity_cfg: The robot; control parts or joint names pick the joints that move, a link, site
+            or geom is the tool (else the part's tool point in `solver_cfg`, else the farthest
+            link).
         command: ``delta``, columns as of `eef_delta_pose`, or ``pose``, as of `eef_pose`.
         frame: Of the command and of the axes of stiffness: ``base``, the robot's root, ``world``,
             the environment, or, of ``delta``, ``tool``.
@@ -99,7 +99,7 @@ class OperationalSpace(JointTerm):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Arm,
         command: Literal["delta", "pose"] = "delta",
         frame: Literal["base", "world", "tool"] = "base",
         rotation: Rotation = "command",
@@ -143,7 +143,7 @@ class OperationalSpace(JointTerm):
         gains = _gains(stiffness, axes, "stiffness"), _gains(damping_ratio, axes, "damping_ratio")
         target = self._default if posture is None else per_joint(posture, joints, "posture")
         pull = posture_stiffness if len(joints) > len(axes) else 0.0
-        self._dynamics = ArmDynamics(self._asset, self._ids.tolist(), solver.chain.body)
+        self._dynamics = ArmDynamics(self._asset, self._ids.tolist(), solver.chain.tool)
         most = max_position_error, max_rotation_error
         self._impedance = Impedance(self._dynamics, *gains, most, decoupling, target, pull)
         self._efforts = Efforts(self._asset, self._ids)

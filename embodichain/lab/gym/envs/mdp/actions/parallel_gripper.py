@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import reduce
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -9,9 +10,8 @@ import lazy_loader
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import Names
-from embodichain.lab.gym.envs.managers.param_types import Positive, Range
+from embodichain.lab.gym.envs.managers.param_types import Positive, Range, Vec3, Whole
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import finite_limits
 from embodichain.lab.gym.envs.mdp.actions._per_joint import PerJoint, per_joint
 from embodichain.lab.gym.envs.mdp.actions.actuator_ctrl import picked_controls
@@ -62,17 +62,20 @@ class ParallelGripper(JointTerm):
         force: N (N m of hinges): most that a finger presses with. At the start of a control step
             the target is never further ahead than force / stiffness of the servo.
         speed: Units of the command a second: the target moves no faster.
+        finger_axis: ``x``, ``y`` or a vector in the frame of the arm's tool: the line along which
+            the fingers move, to which steps of an expert align. None reads it from the model.
 
     Raises:
         ConfigError: If commands of the mode are missing, commands of the other mode are given, both
-            ends are the same, a regex matches no control, or `force` is given for an actuator that
-            is not a position servo of joints or of a fixed tendon.
+            ends are the same, a regex matches no control, `finger_axis` is along the tool's z axis,
+            or `force` is given for an actuator that is not a position servo of joints or of a fixed
+            tendon.
     """
 
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Whole,
         command_mode: Literal["continuous", "binary"] = "continuous",
         use_joint_limits: bool | None = None,
         lower_command: PerJoint | None = None,
@@ -83,6 +86,7 @@ class ParallelGripper(JointTerm):
         width: Range | None = None,
         force: Positive | None = None,
         speed: Positive | None = None,
+        finger_axis: Literal["x", "y"] | Vec3 | None = None,
     ) -> None:
         super().__init__(env, entity_cfg, driven=actuator_names is None)
         self._controls: _Controls | None = None
@@ -115,6 +119,7 @@ class ParallelGripper(JointTerm):
         if self._ends[0] == self._ends[1]:
             raise ConfigError([Problem("width", "both ends are the same")])
         self._force = force
+        self.finger_axis: F64 | None = _direction(finger_axis)
         self._step: float | None = None if speed is None else speed * env.step_dt
         self.low: NDArray[np.float32] = np.full(1, self._ends[0], np.float32)
         self.high: NDArray[np.float32] = np.full(1, self._ends[1], np.float32)
@@ -192,6 +197,19 @@ class ParallelGripper(JointTerm):
             return None
         return self._share(position)
 
+    def opening_force(self, data: mujoco.MjData) -> F64:
+        """(nv,) generalized forces that open the gripper, of any size.
+
+        Args:
+            data: A state with the moments of actuators.
+        """
+        model: mujoco.MjModel = self._asset.engine.model
+        if self._controls is not None:
+            return self._controls.force(self._asset, model, data, np.sign(self._span))
+        found = np.zeros(model.nv)
+        found[np.asarray(self._asset.entity.dof_adr)[self._ids]] = np.sign(self._span)
+        return found
+
     def _share(self, position: F64) -> F64:
         """Share of the way from low to high of positions (..., A): the mean of those that move."""
         moving = np.flatnonzero(self._span)
@@ -244,6 +262,25 @@ class _Controls:
         moving = np.flatnonzero(levers.any(axis=0)).tolist()
         self._levers = [(joint, levers[:, joint]) for joint in moving]
 
+    def force(self, asset: Any, model: mujoco.MjModel, data: mujoco.MjData, signs: F64) -> F64:
+        """(nv,) generalized forces of controls that are raised (1) or lowered (-1), (A,)."""
+        columns = np.asarray(asset.entity.own_ctrl_ids)[self.which]
+        found: F64 = np.zeros(model.nv)
+        for actuator in range(model.nu):
+            first = model.actuator_ctrladr[actuator]
+            mine = (columns >= first) & (columns < first + model.actuator_ctrlnum[actuator])
+            if not mine.any():
+                continue
+            fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+            pulls = fixed and model.actuator_gainprm[actuator, 0] < 0
+            sign = (-1.0 if pulls else 1.0) * signs[mine].sum()
+            out = model.actuator_outadr[actuator]
+            for row in range(out, out + model.actuator_outnum[actuator]):
+                start = data.moment_rowadr[row]
+                there = slice(start, start + data.moment_rownnz[row])
+                found[data.moment_colind[there]] += sign * data.actuator_moment[there]
+        return found
+
     def at_rest(self, asset: Any) -> F64 | None:
         """Controls (N, A) at which servos have no force; None if they are no servos."""
         return self.reach(asset.read_qpos(), 0.0)[0] if self._servos else None
@@ -255,6 +292,18 @@ class _Controls:
             length += qpos[:, joint, None] * lever
         free: F64 = -(self._bias[:, 0] + self._bias[:, 1] * length) / self._gain
         return free, force / np.abs(self._gain)
+
+
+def _direction(axis: str | Sequence[float] | None) -> F64 | None:
+    """(3,) a direction in the tool's frame."""
+    if axis is None:
+        return None
+    named = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
+    found: F64 = np.asarray(named[axis] if isinstance(axis, str) else axis, np.float64)
+    if np.hypot(found[0], found[1]) <= 0.1 * np.abs(found[2]):
+        message = "must be across the tool's z axis, which points out of a gripper"
+        raise ConfigError([Problem("finger_axis", f"{message}, got {found.tolist()}")])
+    return found
 
 
 def _servo(parsed: Any, name: str) -> tuple[float, F64, F64]:

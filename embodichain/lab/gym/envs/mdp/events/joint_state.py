@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.param_types import JointRange, Range
+from embodichain.lab.gym.envs.managers.param_types import JointRange, Range, Whole
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._model_fields import Operation
 from embodichain.utils.errors import ConfigError, Problem
@@ -43,7 +42,7 @@ class ResetJoints(Term):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Whole,
         position_range: JointRange,
         velocity_range: Range = (0.0, 0.0),
         operation: Operation = "add",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.param_types import Axes6, Box3, Range
+from embodichain.lab.gym.envs.managers.param_types import Arm, Axes6, Body, Box3, Range, Whole
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
@@ -133,7 +133,7 @@ class ResetRootStateUniform(Term):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Whole,
         pose_range: Axes6 | None = None,
         velocity_range: Axes6 | None = None,
     ) -> None:
@@ -180,7 +180,7 @@ class RandomizePose(Term):
             uses it as the position in the environment's frame.
         relative_rotation: True rotates the initial orientation by the draw, in the entity's frame;
             False uses it as the orientation.
-        relative_to: An entity, or a link of one; the draw is added to its present position instead
+        relative_to: An entity, or a link, site or geom of one; the draw is added to its present position instead
             of the initial one. Its orientation is not used.
         physics_update_step: Physics steps of these environments afterwards, so that the entity
             can settle; -1 or 0 is none.
@@ -192,12 +192,12 @@ class RandomizePose(Term):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Whole,
         position_range: Box3 | None = None,
         rotation_range: Box3 | None = None,
         relative_position: bool = True,
         relative_rotation: bool = False,
-        relative_to: ResolvedEntity | None = None,
+        relative_to: Body | None = None,
         physics_update_step: Annotated[int, Field(ge=-1)] = -1,
     ) -> None:
         self._asset = asset = entity_cfg.asset
@@ -266,7 +266,7 @@ class RandomizeObjectPositionInShell(Term):
 
     Args:
         entity_cfg: The object.
-        relative_to: The entity, or link of one, at the centre; its present position is used.
+        relative_to: The entity, or link, site or geom of one, at the centre; its present position is used.
         radius_range: [low, high] in metres.
         azimuth_range: [low, high] in rad about z, from +x towards +y.
         elevation_range: [low, high] in rad above the horizontal, within +-pi/2.
@@ -278,8 +278,8 @@ class RandomizeObjectPositionInShell(Term):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
-        relative_to: ResolvedEntity,
+        entity_cfg: Whole,
+        relative_to: Body,
         radius_range: Range,
         azimuth_range: Range = (-3.141592653589793, 3.141592653589793),
         elevation_range: Range = (-_RIGHT_ANGLE, _RIGHT_ANGLE),
@@ -332,8 +332,8 @@ class RandomizeRobotEefPose(Term):
     EmbodiChain's event of the same name.
 
     Args:
-        entity_cfg: The robot; control parts or joint names pick the joints that move, a link name
-            picks the tool (else it is the link farthest from the base that they move).
+        entity_cfg: The robot; control parts or joint names pick the joints that move, a link, site
+            or geom is the tool (else it is the link farthest from the base that they move).
         position_range: [[x, y, z] low, [x, y, z] high] in metres; None keeps the position.
         rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ; None keeps the
             orientation.
@@ -345,7 +345,7 @@ class RandomizeRobotEefPose(Term):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Arm,
         position_range: Box3 | None = None,
         rotation_range: Box3 | None = None,
     ) -> None:
@@ -360,9 +360,9 @@ class RandomizeRobotEefPose(Term):
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw, solve and write the joint positions of these environments."""
-        asset, engine, body = self._asset, self._asset.engine, self._arm.chain.body
+        asset, engine, tool = self._asset, self._asset.engine, self._arm.chain.tool
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
-        pos, quat = engine.derived("xpos")[ids, body], engine.derived("xquat")[ids, body]
+        pos, quat = tool.positions(engine)[ids], tool.orientations(engine)[ids]
         if self._position is not None:
             pos = pos + self._position(env.event_manager, env_ids)
         if self._rotation is not None:

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.drawing import Timer
-from embodichain.lab.gym.envs.managers.param_types import Axes6, Range
+from embodichain.lab.gym.envs.managers.param_types import Axes6, Frames, Range, Whole
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp.events.placing import (
     need_free_root,
@@ -19,10 +18,11 @@ from embodichain.lab.gym.envs.mdp.events.placing import (
     write_root_velocity,
 )
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import cross
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["ApplyBodyImpulse", "ApplyExternalForceTorque", "EpisodeTimer", "PushBySettingVelocity"]
 
@@ -100,7 +100,7 @@ class PushBySettingVelocity(Term):
         ``{func: push_by_setting_velocity, mode: interval, interval_range_s: [1, 3], params: {of: {uid: cube}, velocity_range: {x: [-0.5, 0.5], y: [-0.5, 0.5]}}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, velocity_range: Axes6) -> None:
+    def __init__(self, env: TermContext, entity_cfg: Whole, velocity_range: Axes6) -> None:
         need_free_root(entity_cfg)
         self._asset = entity_cfg.asset
         push = six_axes("velocity", velocity_range)
@@ -120,12 +120,13 @@ class PushBySettingVelocity(Term):
 class ApplyExternalForceTorque(Term):
     """Applies a random force and torque to bodies, until its next call or a reset.
 
-    Each component is uniform in its range, one draw per body; the force acts at the body's centre
-    of mass (MuJoCo's `xfrc_applied`), in the environment's axes. Isaac Lab's event of the same name
-    (there in the body's axes).
+    Each component is uniform in its range, one draw per body, in the environment's axes; the force
+    acts at the body's centre of mass (MuJoCo's `xfrc_applied`). Of a site or geom it acts at its
+    origin: its moment about the centre of mass is added, as it is when the force is drawn. Isaac
+    Lab's event of the same name (there in the body's axes).
 
     Args:
-        entity_cfg: A dynamic object, or a robot; link names pick links, by default the root.
+        entity_cfg: A dynamic object, or a robot; links, sites or geoms of it, by default the root.
         force_range: [low, high] in N.
         torque_range: [low, high] in N m.
 
@@ -136,20 +137,23 @@ class ApplyExternalForceTorque(Term):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Frames,
         force_range: Range = (0.0, 0.0),
         torque_range: Range = (0.0, 0.0),
     ) -> None:
         asset = entity_cfg.asset
         index = asset.entity
-        if not entity_cfg.link_ids and index.free_qvel_adr < 0:
+        if not entity_cfg.frame_ids and index.free_qvel_adr < 0:
             message = (
                 f"the root of {entity_cfg.uid!r} does not move, forces have no effect on it: "
-                "pick links by link_names, or a dynamic object"
+                "pick links by link_names, sites or geoms, or a dynamic object"
             )
             raise ConfigError([Problem("entity_cfg", message)])
-        links = list(entity_cfg.link_ids)
-        bodies = np.asarray(index.body_ids)[links] if links else [index.root_body_id]
+        frames = self._frames = entity_cfg.frames
+        bodies = np.atleast_1d(np.arange(asset.engine.model.nbody)[frames.bodies])
+        if len(np.unique(bodies)) < len(bodies):
+            message = f"several {entity_cfg.kind}s of one link: its forces would be the last one's"
+            raise ConfigError([Problem(f"entity_cfg.{entity_cfg.frame_key}", message)])
         self._columns: NDArray[np.int64] = np.concatenate(
             [6 * int(body) + np.arange(6, dtype=np.int64) for body in bodies]
         )
@@ -160,7 +164,20 @@ class ApplyExternalForceTorque(Term):
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the forces of these environments."""
         drawn = self._wrench(env.event_manager, env_ids)
+        if self._frames.kind != "link":
+            drawn = drawn + self._moments(drawn, env_ids)
         self._engine.write("xfrc_applied", drawn, env_ids, self._columns)
+
+    def _moments(self, wrenches: F64, env_ids: EnvIndex | None) -> F64:
+        """(n, 6 k) no forces, and the moments of the drawn forces about the centres of mass."""
+        engine, frames = self._engine, self._frames
+        rows: Any = slice(None) if env_ids is None else env_ids
+        arm = frames.positions(engine)[rows] - engine.derived("xipos")[rows][:, frames.bodies]
+        forces = wrenches.reshape(len(wrenches), -1, 6)[..., :3]
+        moments = cross(arm, forces)
+        both = np.concatenate([np.zeros_like(moments), moments], axis=2)
+        found: F64 = both.reshape(len(wrenches), -1)
+        return found
 
 
 @register_term("event", name="apply_body_impulse")
@@ -172,8 +189,9 @@ class ApplyBodyImpulse(ApplyExternalForceTorque):
     name. Of two terms that push the same body only one has effect.
 
     Args:
-        entity_cfg: A dynamic object, or a robot; link names pick links, by default the root.
-        force_range: [low, high] in N for each component, environment's axes, at the centre of mass.
+        entity_cfg: A dynamic object, or a robot; links, sites or geoms of it, by default the root.
+        force_range: [low, high] in N for each component, environment's axes, at the centre of mass,
+            or at the site or geom, as of `apply_external_force_torque`.
         torque_range: [low, high] in N m, likewise.
         duration_s: [low, high] seconds of a push.
         cooldown_s: [low, high] seconds without a force.
@@ -185,7 +203,7 @@ class ApplyBodyImpulse(ApplyExternalForceTorque):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Frames,
         force_range: Range,
         torque_range: Range,
         duration_s: Range,

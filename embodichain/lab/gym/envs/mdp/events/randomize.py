@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.managers.param_types import Box3, Positive, Ranges, ScaleRange
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp._friction_effect import check_friction_acts
 from embodichain.lab.gym.envs.mdp._model_fields import (
     FIELDS,
     SCENE_FIELDS,
@@ -50,7 +51,7 @@ class Randomize:
     Args:
         entity_cfg: The robot, articulation or rigid object; joint names or control parts pick
             joints, link names pick links, else all. Without it the scene: gravity, and the
-            friction of the ground plane.
+            friction of the ground, which needs ``scene: {ground: {friction: ...}}``.
         entity_cfgs: Several entities instead, each with its own draws.
         scale: Factors of the size of a box, sphere, ellipsoid, cylinder or capsule: [low, high],
             or [[x, y, z] low, [x, y, z] high]. Mass and inertia follow; `get_body_scale` returns
@@ -61,10 +62,12 @@ class Randomize:
             centre of mass. Inertias about the centre of mass do not change.
         inertia: Factors, positive, of the three principal moments together, for the mass at that
             time.
-        friction: Sliding coefficient of each object or link that collides. A contact takes the
-            larger coefficient of its two geoms.
-        torsional_friction: Torsional coefficient, m; acts where a geom's ``condim`` is 4 or 6.
-        rolling_friction: Rolling coefficient, m; acts where a geom's ``condim`` is 6.
+        friction: Sliding coefficient of each object or link that collides. A contact takes that of
+            the geom with the higher priority, or the larger one. Ground, table, terrain and static
+            objects that were given no friction have the lower priority. A friction that cannot
+            act is refused.
+        torsional_friction: Torsional coefficient, m; acts where a contact's ``condim`` is 4 or 6.
+        rolling_friction: Rolling coefficient, m; acts where a contact's ``condim`` is 6.
         stiffness: Gains of drives, N m/rad or N/m.
         damping: Gains of drives, N m s/rad or N s/m.
         effort_limit: Of drives, N m or N; bounds spring and damper together. ``scale`` and
@@ -105,8 +108,9 @@ class Randomize:
         "armature": "armature",
         "strength": "strength",
         "mass": "mass",
+        "com": "com",
     }
-    """Parameters that may make drives chatter; see `drive_changes`."""
+    """Parameters that may make drives chatter, or move a centre of mass; see `drive_changes`."""
 
     def __init__(
         self,
@@ -155,7 +159,8 @@ class Randomize:
         if not entities:
             self._add_scene(env)
         for group in [entities] if shared_sample and entities else [[e] for e in entities]:
-            self._add_entities(group, f"{group[0].uid}." if len(entities) > len(group) else "")
+            prefix = f"{group[0].uid}." if len(entities) > len(group) else ""
+            self._add_entities(env, group, prefix)
         self._draw = Draw(self._quantities, distribution)
 
     def _add_scene(self, env: TermContext) -> None:
@@ -164,9 +169,11 @@ class Randomize:
                 message = f"missing: of which entity is {name!r} randomized?"
                 raise ConfigError([Problem("entity_cfg", message)])
             find, usual = SCENE_FIELDS[name]
-            self._add(name, name, [find(env.sim.engine)], self._operation or usual)
+            self._add(env, name, name, [find(env.sim.engine)], self._operation or usual)
 
-    def _add_entities(self, entities: Sequence[ResolvedEntity], prefix: str) -> None:
+    def _add_entities(
+        self, env: TermContext, entities: Sequence[ResolvedEntity], prefix: str
+    ) -> None:
         """Add the fields of entities that share each draw."""
         for name in self._ranges:
             field = FIELDS.get(name)
@@ -177,14 +184,30 @@ class Randomize:
                 message = f"{name} is always of operation {field.operation!r}"
                 raise ConfigError([Problem("operation", message)])
             values = [field.values(entity, self._options) for entity in entities]
-            self._add(prefix + name, name, values, self._operation or field.operation)
+            self._add(env, prefix + name, name, values, self._operation or field.operation)
         sides = [self._quantities.get(f"{prefix}{side}_limit") for side in ("lower", "upper")]
         _check_limits(entities[0], sides)
 
-    def _add(self, label: str, param: str, values: Sequence[Values], operation: Operation) -> None:
+    def _add(
+        self,
+        env: TermContext,
+        label: str,
+        param: str,
+        values: Sequence[Values],
+        operation: Operation,
+    ) -> None:
         """Add a quantity that is written to each of the entities with these values."""
         first, given = values[0], self._ranges[param]
         quantity = DrawnField(param, given, operation, first)
+        for one in values:
+            if len(one.geoms):
+                names, geoms = (
+                    [one.names[i] for i in quantity.ids],
+                    [one.geoms[i] for i in quantity.ids],
+                )
+                highest = np.maximum(quantity.low, quantity.high)
+                each = isinstance(given, Mapping)
+                check_friction_acts(env, param, names, geoms, one.axis, highest, each)
         self._quantities[label] = quantity
         self._writes.append([one.write(quantity.ids) for one in values])
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.param_types import Positive
+from embodichain.lab.gym.envs.managers.param_types import Positive, Whole
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
@@ -77,7 +77,7 @@ class WaitForDynamicObjectsToSettle(Term):
     def __init__(
         self,
         env: TermContext,
-        entity_cfgs: list[ResolvedEntity] | None = None,
+        entity_cfgs: list[Whole] | None = None,
         linear_velocity_threshold: Positive = 0.03,
         angular_velocity_threshold: Positive = 0.2,
         min_steps: Annotated[int, Field(ge=0)] = 10,

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import NonNegative
+from embodichain.lab.gym.envs.managers.param_types import NonNegative, Whole
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.sim.compiler.names import no_such
 from embodichain.utils.errors import ConfigError, Problem
@@ -43,7 +42,7 @@ class RandomizeShape(Term):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Whole,
         weights: Mapping[str, NonNegative] | None = None,
     ) -> None:
         self._object = entity_cfg.asset

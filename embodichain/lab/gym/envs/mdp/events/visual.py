@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.param_types import Box3, NamedEntity, Range
+from embodichain.lab.gym.envs.managers.param_types import Box3, Frames, NamedEntity, Range, Whole
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
@@ -35,23 +35,21 @@ _HIDDEN_GROUP = 3
 class _Surface:
     """The colours of an entity's visible shapes, and the materials of an object.
 
-    An object has its own materials. Links may share materials, so for a robot the colours of shapes
-    are written, which override a material's in MuJoCo.
+    An object has its own materials. Links and geoms may share materials, so for a robot, or for
+    picked geoms, the colours of shapes are written, which override a material's in MuJoCo.
     """
 
     def __init__(self, entity: ResolvedEntity) -> None:
         asset = entity.asset
         self._engine = engine = asset.engine
         model = engine.model
-        bodies = np.asarray(asset.entity.body_ids)
-        if entity.link_ids:
-            bodies = bodies[list(entity.link_ids)]
-        geoms = [
-            int(g)
-            for g in asset.entity.geom_ids
-            if model.geom_group[g] < _HIDDEN_GROUP and model.geom_bodyid[g] in bodies
-        ]
-        self.is_object = not hasattr(asset, "parsed")
+        own = np.asarray(asset.entity.geom_ids)
+        if entity.kind == "geom":
+            own = np.arange(model.ngeom)[entity.frames.ids]
+        elif entity.link_ids:
+            own = own[np.isin(model.geom_bodyid[own], np.arange(model.nbody)[entity.frames.bodies])]
+        geoms = [int(g) for g in own if model.geom_group[g] < _HIDDEN_GROUP]
+        self.is_object = not hasattr(asset, "parsed") and entity.kind != "geom"
         if not geoms:
             raise ConfigError([Problem("entity_cfg", f"nothing of {entity.uid!r} is visible")])
         self._materials = sorted({int(model.geom_matid[g]) for g in geoms})
@@ -109,7 +107,7 @@ class RandomizeTexture(Term):
         ``{func: randomize_texture, mode: reset, params: {of: {uid: painted}}}``
     """
 
-    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: Whole) -> None:
         from embodichain.lab.sim.compiler.textures import declared_textures  # imports MuJoCo
 
         uid, self._engine = entity_cfg.uid, env.sim.engine
@@ -142,7 +140,7 @@ class RandomizeVisualMaterial(Term):
     and refraction: MuJoCo compiles textures into the model, and its rasterizer does not refract.
 
     Args:
-        entity_cfg: A rigid object or a robot; link names pick links.
+        entity_cfg: A rigid object or a robot, or links or geoms of it.
         base_color_range: [[r, g, b] low, [r, g, b] high] in [0, 1]; uniform per channel.
         metallic_range: [low, high] in [0, 1]; rigid objects only. Kept in the model, but MuJoCo's
             rasterizer does not show it.
@@ -158,7 +156,7 @@ class RandomizeVisualMaterial(Term):
     def __init__(
         self,
         env: TermContext,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: Frames,
         base_color_range: Box3 | None = None,
         metallic_range: Range | None = None,
         roughness_range: Range | None = None,
@@ -187,7 +185,7 @@ class RandomizeVisualMaterial(Term):
                 continue
             _within_one(f"{name}_range", bounds)
             if not self._surface.is_object:
-                message = "only of rigid objects: links share materials"
+                message = "only of whole rigid objects: geoms and links share materials"
                 raise ConfigError([Problem(f"{name}_range", message)])
             self._finish.append(Uniform(name, [bounds[0]], [bounds[1]]))
 
@@ -212,9 +210,7 @@ class SetRigidObjectVisualMaterial(Term):
         ``{func: set_rigid_object_visual_material, mode: startup, params: {of: {uid: cube}, mat_cfg: {base_color: [0.1, 0.5, 0.2, 1.0], roughness: 0.3}}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(
-        self, env: TermContext, entity_cfg: ResolvedEntity, mat_cfg: VisualMaterialCfg
-    ) -> None:
+    def __init__(self, env: TermContext, entity_cfg: Whole, mat_cfg: VisualMaterialCfg) -> None:
         self._surface = _Surface(entity_cfg)
         if not self._surface.is_object:
             message = f"{entity_cfg.uid!r} is not a rigid object"

@@ -1,4 +1,4 @@
-"""Quantities of one entity, or of one link of it: position, orientation and velocity.
+"""Quantities of one entity, or of one link, site or geom of it: position, orientation and velocity.
 
 Robots' bases above all. Axes are the environment's unless `frame` says otherwise.
 """
@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.param_types import Body, Positive, Vec3
+from embodichain.lab.gym.envs.managers.param_types import Body, Frames, Positive, Vec3, Whole
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._rows import norm, squares, total
 from embodichain.lab.gym.envs.mdp.shapes import gaussian_kernel
 from embodichain.lab.sim.body_motion import Frame
@@ -147,7 +146,7 @@ def height(env: TermContext, of: Body, above: float = 0.0) -> F64:
 
 
 @quantity()
-def shape_index(env: TermContext, entity_cfg: ResolvedEntity, one_hot: bool = False) -> F64:
+def shape_index(env: TermContext, entity_cfg: Whole, one_hot: bool = False) -> F64:
     """(N,) number of the shape that an object has, in the order of its `any_of`, from 0.
 
     Args:
@@ -305,7 +304,7 @@ def speed(
     """(N,) length of an entity's linear velocity, or its component along a direction, m/s.
 
     Args:
-        of: The entity, or a link of one; the velocity is that of its origin.
+        of: The entity, or a link, site or geom of one; the velocity is that of its origin.
         direction: A vector of any length; None gives the length of the velocity.
         frame: The axes of `direction`.
 
@@ -362,15 +361,15 @@ def _one_or_all(values: F64) -> F64:
 
 @quantity("observation")
 def link_pose(
-    env: TermContext, of: ResolvedEntity, to_matrix: bool = False, in_root_frame: bool = False
+    env: TermContext, of: Frames, to_matrix: bool = False, in_root_frame: bool = False
 ) -> F64:
-    """Poses of the picked links, x, y, z, qw, qx, qy, qz: metres, wxyz.
+    """Poses of the picked links, sites or geoms, x, y, z, qw, qx, qy, qz: metres, wxyz.
 
     (N, 7) of one link, (N, L, 7) of L; as matrices (N, 4, 4) or (N, L, 4, 4). Isaac Lab's
     ``body_pose_w``.
 
     Args:
-        of: The robot and links of it; without links its root.
+        of: The robot, and links, sites or geoms of it; without them its root.
         to_matrix: Whether to give matrices.
         in_root_frame: Whether poses are relative to the robot's root, instead of in the
             environment's frame.
@@ -385,13 +384,13 @@ def link_pose(
 
 
 @quantity("observation")
-def link_velocity(env: TermContext, of: ResolvedEntity, in_root_frame: bool = False) -> F64:
-    """Linear velocity of the picked links' origins in m/s, then angular in rad/s.
+def link_velocity(env: TermContext, of: Frames, in_root_frame: bool = False) -> F64:
+    """Linear velocity of picked links', sites' or geoms' origins in m/s, then angular in rad/s.
 
     (N, 6) of one link, (N, L, 6) of L. Isaac Lab's ``body_link_vel_w``.
 
     Args:
-        of: The robot and links of it; without links its root.
+        of: The robot, and links, sites or geoms of it; without them its root.
         in_root_frame: Whether the root's velocity is subtracted and the axes are the root's,
             instead of the world's.
 

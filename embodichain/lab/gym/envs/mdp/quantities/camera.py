@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.param_types import CameraOf, Positive
+from embodichain.lab.gym.envs.managers.param_types import CameraOf, Positive, Whole
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
@@ -104,7 +103,7 @@ class CameraMask(Term):
     returns_image = True
 
     def __init__(
-        self, env: TermContext, sensor: CameraOf, entity_cfg: ResolvedEntity, side: Side = "left"
+        self, env: TermContext, sensor: CameraOf, entity_cfg: Whole, side: Side = "left"
     ) -> None:
         self._sensor, self._name = sensor, _named(sensor, "mask", side, "sensor")
         self._number = entity_cfg.asset.entity.root_body_id

@@ -76,7 +76,7 @@ def feet_gait(
     if command_name is not None:
         walks = norm(command_name()) > min_command
         swing = np.where(walks[:, None], swing, 0.0)
-    origins = env.sim.engine.derived("xpos")[:, sensor.body_ids]
+    origins = sensor.frames.positions(env.sim.engine)
     above = origins[..., 2]
     if env.sim.scene.terrain is not None:
         from embodichain.lab.sim.height_field import GroundHeights  # few scenes have a terrain

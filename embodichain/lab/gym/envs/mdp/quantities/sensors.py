@@ -24,7 +24,6 @@ from embodichain.lab.gym.envs.managers.param_types import (
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import norm, total
-from embodichain.lab.sim.body_motion import origin_velocities
 from embodichain.lab.sim.sensors.cfg import CameraCfg, readings
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -141,7 +140,7 @@ class FeetAirTime(Term):
 def feet_slide(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0) -> F64:
     """(N,) sum over touched feet of their speed in the plane, m/s. Isaac Lab's reward of the name.
 
-    The speed is that of each link's origin.
+    The speed is that of the origin of each link or geom.
 
     Args:
         sensor: A contact sensor on the feet.
@@ -150,7 +149,7 @@ def feet_slide(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0
     Example:
         ``{func: feet_slide, weight: -0.1, params: {sensor: contacts}}``
     """
-    linear = origin_velocities(env.sim.engine, sensor.body_ids)[0]
+    linear = sensor.frames.velocities(env.sim.engine)[0]
     x, y = linear[..., 0], linear[..., 1]
     touched = _lengths(sensor.read_force()) > threshold
     return total(np.where(touched, np.sqrt(x * x + y * y), 0.0))

@@ -1,0 +1,93 @@
+"""Several solutions of inverse kinematics: `ranked` orders them, `distinct` drops repetitions.
+
+Solutions are in the first axis and environments in the last, as in `chain`; no result depends on
+the number of environments.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.sim.engine.api import F64
+
+__all__ = ["distinct", "ranked"]
+
+_CLOSE = 1e-6
+"""Rad or m: how far beyond a limit a position is still at it."""
+_SAME = 0.01
+"""Rad or m: solutions are the same where no joint differs by more."""
+
+
+def ranked(
+    found: F64,
+    exist: NDArray[np.bool_],
+    seed: F64,
+    limits: tuple[F64, F64],
+    weights: F64,
+    hinges: NDArray[np.bool_] | None = None,
+) -> tuple[F64, NDArray[np.bool_]]:
+    """Solutions within limits, whole turns nearest to a seed, the nearest first.
+
+    Args:
+        found: (S, k, n) joint positions, rad or m.
+        exist: (S, n) whether they are solutions.
+        seed: (k, n) joint positions.
+        limits: Lowest and highest positions, (k, n) each; infinite ones are none.
+        weights: (k,) of the joints' squared distances from the seed.
+        hinges: (k,) whether a joint is a hinge, not a slide; None: all are.
+
+    Returns:
+        (S, k, n) joint positions, those of solutions that do not exist being the seed's; (S, n)
+        whether they exist.
+    """
+    low, high = limits
+    turned = found + 2.0 * np.pi * np.round((seed - found) / (2.0 * np.pi))
+    # A whole turn back into the limits, where the nearest one is outside.
+    over, under = turned > high + _CLOSE, turned < low - _CLOSE
+    turned = turned + 2.0 * np.pi * (
+        np.where(under, np.ceil((np.where(under, low, 0.0) - turned) / (2.0 * np.pi)), 0.0)
+        - np.where(over, np.ceil((turned - np.where(over, high, 0.0)) / (2.0 * np.pi)), 0.0)
+    )
+    if hinges is not None:
+        turned = np.where(hinges[:, None], turned, found)
+    inside = (turned >= low - _CLOSE) & (turned <= high + _CLOSE)
+    exist = exist & inside.all(axis=1)
+    turned = np.clip(turned, low, high)
+    distance = np.zeros(exist.shape)
+    for joint, weight in enumerate(weights):
+        gap = turned[:, joint] - seed[joint]
+        distance = distance + weight * (gap * gap)
+    order = np.argsort(np.where(exist, distance, np.inf), axis=0, kind="stable")
+    return _ordered(turned, exist, order, seed)
+
+
+def distinct(found: F64, exist: NDArray[np.bool_], seed: F64) -> tuple[F64, NDArray[np.bool_]]:
+    """The first of solutions that are the same, in their order.
+
+    Args:
+        found: (S, k, n) joint positions.
+        exist: (S, n) whether they are solutions.
+        seed: (k, n) joint positions, of what is left out.
+
+    Returns:
+        As of `ranked`.
+    """
+    kept = exist.copy()
+    for i in range(1, len(found)):
+        apart = np.abs(found[:i] - found[i]).max(axis=1)
+        kept[i] &= ~((apart <= _SAME) & kept[:i]).any(axis=0)
+    return _ordered(found, kept, np.argsort(~kept, axis=0, kind="stable"), seed)
+
+
+def _ordered(
+    found: F64, exist: NDArray[np.bool_], order: NDArray[Any], seed: F64
+) -> tuple[F64, NDArray[np.bool_]]:
+    """Solutions in an order (S, n); the seed in place of those that do not exist."""
+    exist = np.take_along_axis(exist, order, axis=0)
+    found = np.take_along_axis(found, order[:, None], axis=0)
+    return np.where(exist[:, None], found, seed), exist
