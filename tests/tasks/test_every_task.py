@@ -66,9 +66,8 @@ def test_the_tasks_are_those_of_the_folder():
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_its_file_is_short_and_says_what_it_is(task):
+def test_its_file_says_what_it_is(task):
     text = (CONF / f"{task}.yaml").read_text(encoding="utf-8")
-    assert len(text.splitlines()) < 170  # block style, one setting a line
     assert len(declared(task)["description"]) > 20
     assert text.startswith("#")
 

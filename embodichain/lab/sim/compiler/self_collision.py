@@ -7,7 +7,7 @@ left out by MuJoCo's excludes, so that everything else meets the links as before
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -17,7 +17,7 @@ from embodichain.lab.sim.cfg import ArticulationCfg
 from embodichain.lab.sim.compiler.index import F64, Ids, Mask
 from embodichain.lab.sim.compiler.link_siblings import Pair, sibling_pairs
 from embodichain.lab.sim.compiler.names import match
-from embodichain.lab.sim.compiler.postures import DEPTH, deepest_contacts, draw_postures
+from embodichain.lab.sim.compiler.postures import DEPTH, deepest_contacts
 from embodichain.utils.errors import Problem
 
 __all__ = ["LinkOrigins", "SelfCollision", "set_self_collision"]
@@ -27,6 +27,8 @@ _MJCF = "its file decides"
 _URDF = "not parent and child, not links that overlap at the start"
 _NEAR = 0.01
 """Metres between shapes that are near each other."""
+_TURNS = 361
+"""Positions of a hinge within its range at which its link is compared with the base."""
 _WITH_PARENTS = int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
 _MEMORY = 2**30
 """Bytes for contacts, where MuJoCo's own estimate is too small."""
@@ -288,30 +290,45 @@ def _of_static_base(origins: LinkOrigins, links: _Links) -> set[Pair]:
 
 
 def _within_reach(model: mujoco.MjModel, qpos: F64, pairs: set[Pair]) -> set[Pair]:
-    """Return those of some pairs of a fixed body and its child that can come near each other.
+    """Return those of some pairs of a fixed body and its child that may come near each other.
 
-    Most arms turn on their base without ever touching it: a contact pair would cost time in
-    every step. Joints that are not drawn (ball joints, slides without limits) reach everything.
+    Most arms turn on their base without ever touching it, and a contact pair would cost time in
+    every step. A child on one hinge is turned through its whole range; any other child is taken to
+    reach its parent.
     """
-    if not pairs:
-        return pairs
-    postures = draw_postures(model, qpos)
-    drawn = np.ptp(postures, axis=0) > 0
-    unlimited = {
-        int(model.jnt_bodyid[joint])
-        for joint in range(model.njnt)
-        if not drawn[model.jnt_qposadr[joint]]
-    }
-    found = {pair for pair in pairs if unlimited & set(pair)}
-    low, high = postures.min(axis=0), postures.max(axis=0)
+    hinges = {_single_hinge(model, body) for pair in pairs for body in pair} - {-1}
+    columns = model.jnt_qposadr[sorted(hinges)]
+    low, high = _ranges(model, sorted(hinges))
+    turned = {int(model.jnt_bodyid[hinge]) for hinge in hinges}
+    welded = model.body_weldid
+    found = {(a, b) for a, b in pairs if turned.isdisjoint((int(welded[a]), int(welded[b])))}
+    if not hinges:
+        return found
     margins = model.geom_margin.copy(), model.body_margin.copy()
     model.geom_margin += _NEAR / 2
     model.body_margin += _NEAR / 2
-    data = mujoco.MjData(model)
-    for posture in (qpos, low, high, *postures):
+    data, posture = mujoco.MjData(model), qpos.copy()
+    for share in np.linspace(0.0, 1.0, _TURNS):
+        posture[columns] = low + share * (high - low)
         found |= pairs & set(deepest_contacts(model, data, posture, _WITH_PARENTS))
     model.geom_margin[:], model.body_margin[:] = margins
     return found
+
+
+def _single_hinge(model: mujoco.MjModel, body: int) -> int:
+    """Return the one hinge on which a body, with what it is welded to, turns; -1 if not one."""
+    carrier = int(model.body_weldid[body])
+    first = int(model.body_jntadr[carrier])
+    single = model.body_jntnum[carrier] == 1
+    return first if single and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_HINGE else -1
+
+
+def _ranges(model: mujoco.MjModel, joints: Sequence[int]) -> tuple[F64, F64]:
+    """Return (J,) bounds of hinges; one without limits turns once around."""
+    limited = model.jnt_limited[joints].astype(np.bool_)
+    low = np.where(limited, model.jnt_range[joints, 0], -np.pi)
+    high = np.where(limited, model.jnt_range[joints, 1], np.pi)
+    return low, high
 
 
 # --------------------------------------------------------------------------------------- the config
