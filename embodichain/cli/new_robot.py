@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
+    from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
 
 __all__ = ["UR10", "describe_robot"]
 

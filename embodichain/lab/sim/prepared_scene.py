@@ -17,9 +17,9 @@ from embodichain.utils.defaults import is_given
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ArticulationCfg
-    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep
     from embodichain.lab.sim.compiler.names import Known
+    from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.scene import CompiledScene, SceneParts
     from embodichain.lab.sim.compiler.world import World
     from embodichain.lab.sim.scene_cfg import SceneCfg

@@ -13,9 +13,10 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
-from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
+from embodichain.lab.sim.compiler.articulation import parse_articulation
 from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
 from embodichain.lab.sim.compiler.known import known_entities
+from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.compiler.world import World, read_world

@@ -29,7 +29,7 @@ from embodichain.lab.sim.cfg import (
     name_of,
 )
 from embodichain.lab.sim.compiler.appearance import check_ground, check_light
-from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
+from embodichain.lab.sim.compiler.articulation import parse_with_problems
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
     DriveOperation,
@@ -40,6 +40,7 @@ from embodichain.lab.sim.compiler.furniture import check_furniture, furniture_of
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.known import known_entities
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
+from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.physics_options import check_options
 from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
 from embodichain.lab.sim.compiler.scene import compile_scene

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.drives import inertia_matrix
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.robot_joints import gear_of
 
 __all__ = [

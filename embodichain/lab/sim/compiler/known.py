@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.names import (
     FrameKind,
     Jointed,
@@ -18,6 +17,7 @@ from embodichain.lab.sim.compiler.names import (
     frame_in_model,
     frame_names,
 )
+from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.rigid_objects import add_object, check_object
 from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, compile_quietly
 from embodichain.lab.sim.compiler.spec_frames import local_pose

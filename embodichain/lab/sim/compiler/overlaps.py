@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import mujoco
 
-from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.link_siblings import Pair
+from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.postures import (
     DEPTH,
     POSTURES,

@@ -17,13 +17,13 @@ from embodichain.lab.sim.compiler.appearance import (
     place_lights,
     set_look,
 )
-from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.contact_parameters import given_parameters
 from embodichain.lab.sim.compiler.floors import bind_floors, strangers_to
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
 from embodichain.lab.sim.compiler.known import known_entities
 from embodichain.lab.sim.compiler.model_size import reported
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
+from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.physics_options import apply_options, replace_options
 from embodichain.lab.sim.compiler.rigid_objects import (
     add_object,

@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.compiler.appearance import FOVY
-from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.known import find_place
 from embodichain.lab.sim.compiler.names import Known
+from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.world import WORLD, World
 from embodichain.lab.sim.scene_cfg import ViewCfg
 from embodichain.utils.errors import ConfigError, Problem

@@ -19,8 +19,8 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ArticulationCfg
-    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.index import EntityIndex
+    from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
     from embodichain.lab.sim.engine.api import F64, Columns, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
 

@@ -22,8 +22,8 @@ from embodichain.lab.sim.drive_cfg import NO_LIMIT
 from embodichain.utils.arrays import columns_of, field_values, is_host
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.index import EntityIndex
+    from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
     from embodichain.lab.sim.engine.api import F64, Columns, EnvIndex
     from embodichain.lab.sim.objects.entity import Handle
     from embodichain.utils.arrays import Arrays

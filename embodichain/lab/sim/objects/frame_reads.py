@@ -16,8 +16,8 @@ from embodichain.utils.suggest import did_you_mean, listing
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.index import Ids
+    from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["FrameReads"]

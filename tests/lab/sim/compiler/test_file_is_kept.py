@@ -387,6 +387,13 @@ def test_a_free_joint_that_fix_base_removes_takes_its_actuators_along_and_says_s
     assert any("left out with its free joint: actuator 'lift'" in note for note in parsed.notes)
 
 
+def test_a_start_beyond_limits_is_the_files_and_is_said(tmp_path):
+    name = write(tmp_path / "r.xml", ROBOTS["limits that the start is beyond"])
+    parsed = parse_articulation("r", RobotCfg(fpath=name))
+    assert parsed.init_qpos.tolist() == [0.0]
+    assert any("outside their limits, as in the file: a 0 of [0.5, 1]" in n for n in parsed.notes)
+
+
 def test_two_floating_bodies_are_named_and_no_others(tmp_path):
     text = robot(
         BALL.format(name="one", pos="0 0 1")
