@@ -195,6 +195,7 @@ def _read_mjcf(path: Path, convex_parts: bool) -> ModelFile:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compiler.fusestatic = False  # tool frames keep their bodies
+        spec.nkey = 0  # `<size nkey>` would add keyframes without values
         _name_elements(spec)
         make_absolute(spec, path.parent)
         notes = [f"{path}: {note}" for note in convert_meshes(spec)]

@@ -48,7 +48,7 @@ from embodichain.lab.sim.compiler.robot_joints import (
     read_joints,
     read_keyframe,
 )
-from embodichain.lab.sim.compiler.robot_root import leave_out_lights
+from embodichain.lab.sim.compiler.robot_root import leave_out_lights, leave_out_sizes
 from embodichain.lab.sim.compiler.spec_frames import on_frame
 from embodichain.lab.sim.shapes import PlaneCfg
 from embodichain.utils.defaults import is_given
@@ -120,10 +120,9 @@ def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
     keyframe = read_keyframe(spec, model)
     planes = planes_of(spec, model)
     floors = floors_of(planes)
-    said = [*leave_out_lights(spec), *_unused_keyframes(spec, keyframe), *_unused_sizes(spec)]
+    said = [*leave_out_lights(spec), *_unused_keyframes(spec, keyframe), *leave_out_sizes(spec)]
     for key in list(spec.keys):
         spec.delete(key)
-    spec.nkey = 0  # `<size nkey>` asks for empty keyframes
     prepare_shapes(spec, attrs, file.is_urdf, planes)
     hulls = limit_hulls(spec, model)
     keep_inertias(spec, model, hulls)
@@ -152,17 +151,6 @@ def _unused_keyframes(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[st
         return []
     used = keyframe.name if keyframe is not None else ""
     return [f"it starts at its keyframe {used!r}; left out: {', '.join(others)}"]
-
-
-_SIZES = "nconmax", "njmax", "nstack", "nuserdata"
-
-
-def _unused_sizes(spec: mujoco.MjSpec) -> list[str]:
-    """Return a message about sizes that a scene of several files cannot take from one."""
-    given = [f"{name}={getattr(spec, name)}" for name in _SIZES if getattr(spec, name) > 0]
-    for name in _SIZES:
-        setattr(spec, name, 0 if name == "nuserdata" else -1)
-    return [f"<size> left out: {', '.join(given)}"] if given else []
 
 
 def _limited(hulls: Sequence[HullLimit], is_urdf: bool) -> list[str]:

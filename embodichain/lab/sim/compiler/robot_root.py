@@ -21,6 +21,7 @@ __all__ = [
     "Root",
     "bind_to_body",
     "leave_out_lights",
+    "leave_out_sizes",
     "place",
     "remove_free_joint",
     "set_root",
@@ -104,6 +105,14 @@ def leave_out_lights(spec: mujoco.MjSpec) -> list[str]:
     for light in list(spec.lights):
         spec.delete(light)
     return [f"lights left out: {', '.join(map(repr, lights))}"] if lights else []
+
+
+def leave_out_sizes(spec: mujoco.MjSpec) -> list[str]:
+    """Remove sizes that a scene of several files cannot take from one; return a message."""
+    given = [f"{name}={getattr(spec, name)}" for name in _OWN_SIZES if getattr(spec, name) > 0]
+    for name in _OWN_SIZES:
+        setattr(spec, name, 0 if name == "nuserdata" else -1)
+    return [f"<size> left out: {', '.join(given)}"] if given else []
 
 
 def set_root(
@@ -235,6 +244,7 @@ def _wrapped(
     return outer, root
 
 
+_OWN_SIZES = "nconmax", "njmax", "nstack", "nuserdata"
 _SIZES = (
     *("memory", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site", "nuser_cam"),
     *("nuser_tendon", "nuser_actuator", "nuser_sensor"),

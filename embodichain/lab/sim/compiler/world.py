@@ -13,6 +13,7 @@ from embodichain.lab.sim.compiler.floors import floors_of, planes_of
 from embodichain.lab.sim.compiler.names import no_such
 from embodichain.lab.sim.compiler.rigid_objects import inertia_about_axes
 from embodichain.lab.sim.compiler.robot_files import locate, read_model
+from embodichain.lab.sim.compiler.robot_root import leave_out_sizes, take_sizes
 from embodichain.lab.sim.scene_cfg import SceneCfg
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -90,7 +91,10 @@ def read_world(cfg: SceneCfg) -> World:
         (actuators, "no action moves its actuators, their controls stay as at the start:"),
         (sensors, "no term reads its sensors:"),
     ]
-    notes = [f"{file.path}: {what} {', '.join(map(repr, names))}" for names, what in said if names]
+    sizes = [f"{file.path}: {line}" for line in leave_out_sizes(spec)]
+    notes = sizes + [
+        f"{file.path}: {what} {', '.join(map(repr, names))}" for names, what in said if names
+    ]
     bodies = [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
     objects = {model.body(i).name: _object(model, start, i) for i in bodies}
     floors = floors_of(planes_of(spec, model))
@@ -126,6 +130,7 @@ def _object(model: mujoco.MjModel, start: mujoco.MjData, body: int) -> RigidObje
 def add_world(spec: mujoco.MjSpec, child: mujoco.MjSpec) -> None:
     """Attach a copy of a world's spec to an empty scene, with its visual options."""
     spec.visual = child.visual
+    take_sizes(spec, child)
     spec.attach(child, frame=spec.worldbody.add_frame(), prefix=PREFIX)
 
 
