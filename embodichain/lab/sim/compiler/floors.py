@@ -199,9 +199,12 @@ def _adopt_contact(
     kept: list[str] = []
     for field in CONTACT_FIELDS:
         value = getattr(floor, field)
-        if np.array_equal(getattr(ground, field), value):
+        same = np.array_equal(getattr(ground, field), value)
+        if same and field != "friction":  # which acts in every contact from now on
             continue
         if given is None or field in given:
+            if same:
+                continue
             kept.append(f"{field} {_shown(value)}")
         else:
             setattr(ground, field, value)
