@@ -40,6 +40,7 @@ sim_steps_per_control: 2
 objects:
   ball:
     shape: {shape_type: Sphere, radius: 0.1}
+    attrs: {linear_damping: 0.7, angular_damping: 0.7}
 """
 
 

@@ -309,7 +309,7 @@ REED = """<mujoco>
     <body name="base" pos="0 0 .5"><geom type="box" size=".05 .05 .05"/>
       <body name="reed" pos="0 0 .06">
         <joint name="bend" axis="0 1 0" stiffness="6" damping="0.001" springref="20"/>
-        <geom type="box" size=".005 .005 .04" mass=".004"/></body>
+        <geom type="box" size=".005 .005 .04" mass=".004" contype="0" conaffinity="0"/></body>
       <body name="stick" pos=".1 0 .06"><joint name="turn" axis="0 1 0" range="-60 60"/>
         <geom type="capsule" fromto="0 0 0 0 0 .2" size=".01" mass=".2"/></body></body>
   </worldbody>

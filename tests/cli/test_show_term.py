@@ -24,7 +24,9 @@ def test_a_term_is_shown_with_kinds_parameters_and_example(
     rows = {row["parameter"]: row for row in term["parameters"]}
     assert list(rows) == ["source_entity_cfg", "target_entity_cfg", "threshold", "use_xy_only"]
     assert rows["source_entity_cfg"]["type"] == "entity"
-    of_type = "The entity, or a link of one."  # its type describes it, not the docstring
+    of_type = (
+        "The entity, or a link, site or geom of one."  # its type describes it, not the docstring
+    )
     assert rows["source_entity_cfg"]["what"] == rows["target_entity_cfg"]["what"] == of_type
     assert rows["threshold"] == {
         "parameter": "threshold",

@@ -26,10 +26,18 @@ Params = dict[str, Any]
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
-    """Exit code and what was said on stderr."""
+    """Exit code and what was said on stderr.
+
+    Notes come first and in one order: `run` says some of them earlier, as warnings. Links that
+    overlap in many postures are left out: a note of `validate` alone.
+    """
     capsys.readouterr()
     code = main(list(arguments))
-    return code, capsys.readouterr().err
+    lines = capsys.readouterr().err.splitlines(keepends=True)
+    lines = [re.sub("^(note|warning): ", "note: ", line) for line in lines]
+    notes = sorted(line for line in lines if line.startswith("note: "))
+    notes = [note for note in notes if "in many of 200 postures" not in note]
+    return code, "".join([*notes, *(line for line in lines if not line.startswith("note: "))])
 
 
 def refused_alike(capsys: pytest.CaptureFixture[str], lines: list[str], verb: str = "run") -> str:

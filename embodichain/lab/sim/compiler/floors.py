@@ -193,17 +193,17 @@ def _adopt_contact(
         given: Parameters that the ground keeps; None is all.
 
     Returns:
-        The parameters that changed, and those that differ and were kept, each as ``NAME VALUE``.
+        The parameters that it took, and those that differ and were kept, each as ``NAME VALUE``.
     """
     changed: list[str] = []
     kept: list[str] = []
     for field in CONTACT_FIELDS:
         value = getattr(floor, field)
-        if np.array_equal(getattr(ground, field), value):
-            continue
-        if given is None or field in given:
+        differs = not np.array_equal(getattr(ground, field), value)
+        decided = given is None or field in given
+        if decided and differs:
             kept.append(f"{field} {_shown(value)}")
-        else:
+        elif not decided and (differs or field == "friction"):  # which acts from now on
             setattr(ground, field, value)
             changed.append(f"{field} {_shown(value)}")
     return changed, kept

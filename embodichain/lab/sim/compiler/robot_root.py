@@ -140,7 +140,8 @@ def set_root(
             is the file's.
 
     Raises:
-        ConfigError: If the file has no bodies, or several that float.
+        ConfigError: If the file has no bodies, several that float, or shapes in its world that
+            would float.
     """
     tops = list(spec.worldbody.bodies)
     if not tops:
@@ -165,6 +166,11 @@ def set_root(
         wrap = wrap or _holds_something(spec, planes)
     else:
         notes += _fixed_mocap(tops)
+    shapes = [geom.name for geom in spec.worldbody.geoms if geom.name not in planes]
+    if wrap and not fixed and shapes:
+        listed = ", ".join(map(repr, shapes))
+        message = f"fix_base is false, and shapes of the file's world would float along: {listed}"
+        raise ConfigError(f"{message}; fix_base: true fixes them, or take them out of the file")
     if wrap:
         notes += _fixed_mocap(tops) if fixed else []
         spec, root = _wrapped(spec, planes)

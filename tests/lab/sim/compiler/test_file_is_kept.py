@@ -404,6 +404,13 @@ def test_two_floating_bodies_are_named_and_no_others(tmp_path):
         parse_articulation("r", RobotCfg(fpath=write(tmp_path / "r.xml", text), fix_base=False))
 
 
+def test_shapes_of_the_world_do_not_float_along(tmp_path):
+    text = ROBOTS["bodies fixed to the world, and shapes and sites of the world"]
+    cfg = RobotCfg(fpath=write(tmp_path / "r.xml", text), fix_base=False)
+    with pytest.raises(ConfigError, match="shapes of the file's world would float along: 'step'"):
+        parse_articulation("r", cfg)
+
+
 @pytest.mark.parametrize(
     ("pos", "rot", "expected"),
     [
