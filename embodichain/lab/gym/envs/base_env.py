@@ -135,6 +135,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.overridden = overridden_hooks(self)
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool, device=self.device)
         self._closed = self.arrays_moved = False
+        self.sim.physics_steps_per_control = cfg.sim_steps_per_control
         self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
             self._build_scene(kwargs)
