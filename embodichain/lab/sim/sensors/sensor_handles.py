@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.frames import BodyFrames, frames_named
+from embodichain.lab.sim.gravity import gravity_direction
 from embodichain.lab.sim.objects.entity import Handle
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.lab.sim.sensors.sampling import Readings, Sampler
@@ -228,9 +229,6 @@ class ForceTorqueSensor(_LastStepSensor):
         return self._readings()[0][..., 3:6].copy()
 
 
-_DOWN = np.array([0.0, 0.0, -1.0])
-
-
 class ImuSensor(_LastStepSensor):
     """An inertial measurement unit without noise; its axes are the link's, rotated by the config.
 
@@ -259,10 +257,10 @@ class ImuSensor(_LastStepSensor):
         return self._readings()[1].copy()
 
     def read_projected_gravity(self) -> F64:
-        """(N, 3) unit vector of gravity in sensor axes; (0, 0, -1) if upright."""
+        """(N, 3) unit vector of gravity in sensor axes; (0, 0, -1) if upright, 0 without gravity."""
         quat = self.read_orientation()
-        down: F64 = quat_rotate(quat_conjugate(quat), np.broadcast_to(_DOWN, (len(quat), 3)))
-        return down
+        gravity = np.broadcast_to(gravity_direction(self.engine), (len(quat), 3))
+        return quat_rotate(quat_conjugate(quat), gravity)
 
 
 class FramePoseSensor(BaseSensor):

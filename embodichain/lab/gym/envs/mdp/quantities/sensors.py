@@ -210,9 +210,10 @@ def imu_orientation(env: TermContext, sensor: ImuOf) -> F64:
 
 @quantity()
 def imu_projected_gravity(env: TermContext, sensor: ImuOf) -> F64:
-    """(N, 3) the world's unit vector straight down, in an IMU's axes: (0, 0, -1) when upright.
+    """(N, 3) the unit vector of gravity in an IMU's axes: (0, 0, -1) when upright.
 
-    Isaac Lab's observation of the same name.
+    It follows the scene's gravity, as `projected_gravity` does. Isaac Lab's observation of the same
+    name.
 
     Example:
         ``{func: imu_projected_gravity, params: {sensor: imu}}``
