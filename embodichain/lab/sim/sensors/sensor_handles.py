@@ -257,7 +257,7 @@ class ImuSensor(_LastStepSensor):
         return self._readings()[1].copy()
 
     def read_projected_gravity(self) -> F64:
-        """(N, 3) unit vector of gravity in sensor axes; (0, 0, -1) if upright, 0 without gravity."""
+        """(N, 3) unit vector of gravity in sensor axes: (0, 0, -1) if upright; 0 without it."""
         quat = self.read_orientation()
         gravity = np.broadcast_to(gravity_direction(self.engine), (len(quat), 3))
         return quat_rotate(quat_conjugate(quat), gravity)

@@ -22,7 +22,7 @@ TERMS = {
 
 
 def observed(**sections: Any) -> dict[str, np.ndarray]:
-    """The entries after a reset; the cube is turned by 90 degrees about z: its x is the world's y."""
+    """The entries after a reset; the cube, turned by 90 degrees, has the world's y as its x."""
     cube = RigidObjectCfg(
         shape=CubeCfg(size=[0.1, 0.1, 0.1]), init_pos=(0.5, 0.5, 0.5), init_rot=(0, 0, 90)
     )
