@@ -4,17 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
-from embodichain.lab.sim.engine.api import F64
-
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import Engine
+    from embodichain.lab.sim.engine.api import F64, Engine
 
 __all__ = ["gravity_direction"]
-
-_OFF = int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
 
 
 def gravity_direction(engine: Engine) -> F64:
@@ -25,8 +20,10 @@ def gravity_direction(engine: Engine) -> F64:
     Args:
         engine: The engine; gravity may be drawn for each environment.
     """
+    import mujoco  # lists of terms are made without it
+
     gravity: F64 = engine.model_values("opt.gravity")
-    if engine.model.opt.disableflags & _OFF:
+    if engine.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY):
         return np.zeros_like(gravity)
     x, y, z = gravity[:, 0], gravity[:, 1], gravity[:, 2]
     length = np.sqrt(x * x + y * y + z * z)[:, None]
