@@ -18,6 +18,7 @@ from embodichain.lab.gym.envs.cfg import (
     RewardCfg,
     TerminationCfg,
 )
+from embodichain.lab.gym.envs.managers.term import Term
 from tests.helpers.ur10_task import HOME, builder, task
 
 CUBE = {"entity_cfg": {"uid": "cube"}}
@@ -131,6 +132,37 @@ def test_environments_that_end_are_neither_pushed_nor_given_a_command(make) -> N
     assert (final["go"][:, 0] == first["go"][:, 0]).tolist() == [False, True, False]
     assert (final["v"][:, 0] > 0.5).tolist() == [True, False, True]
     assert torch.equal(final["go"][[0, 2]], obs["go"][[0, 2]])
+
+
+def test_events_that_watch_see_the_last_step(make) -> None:
+    """And what they see is not observed once more."""
+    seen: dict[str, list[Any]] = {"watching": [], "acting": []}
+
+    class Watching(Term):
+        watches = True
+
+        def __init__(self, env) -> None:
+            pass
+
+        def __call__(self, env, env_ids) -> None:
+            seen["watching"].append(None if env_ids is None else env_ids.tolist())
+
+    def acting(env, env_ids) -> None:
+        seen["acting"].append(None if env_ids is None else env_ids.tolist())
+
+    def ends(env, obs, action, info):
+        return torch.arange(env.num_envs) == 1
+
+    each = {"mode": "interval", "interval_step": 1}
+    env = make(
+        events={"w": EventCfg(Watching, **each), "a": EventCfg(acting, **each)},
+        terminations={"t": TerminationCfg(ends)},
+    )
+    env.reset()
+    env.step(act(env))
+    assert seen == {"watching": [None], "acting": [[0, 2]]}
+    alone = make(events={"w": EventCfg(Watching, **each)})
+    assert not alone.event_manager.acts_in_steps
 
 
 def test_events_of_all_environments_fire_whoever_ends(make) -> None:

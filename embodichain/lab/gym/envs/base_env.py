@@ -374,7 +374,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         terminated, truncated = outcome.ends(over, self.cfg.ignore_terminations)
 
         going = self._going_on(terminated, truncated, pending)
-        changed = self.event_manager.step(going) + self.command_manager.step(going)
+        changed = self.event_manager.step(going, stepped) + self.command_manager.step(going)
         obs = self._step_observation.to_return(seen, changed, kwargs, stepped)
         mask = judge.diverged(obs, reward)
         if mask is not None:

@@ -235,26 +235,32 @@ class EventManager(DrawingManager[EventCfg]):
 
     @property
     def acts_in_steps(self) -> bool:
-        """Whether there are `interval` events."""
-        return bool(self._intervals)
+        """Whether there are `interval` events that may change something."""
+        return any(not interval.watches for interval in self._intervals)
 
-    def step(self, env_ids: EnvIndex | None = None) -> list[EnvIndex | None]:
+    def step(
+        self, env_ids: EnvIndex | None = None, stepped: EnvIndex | None = None
+    ) -> list[EnvIndex | None]:
         """Advance the timers by one control step and fire the `interval` events that are due.
 
         Args:
             env_ids: (n,) environments whose episode goes on, or None for all. Events with
                 `is_global` fire in all environments nevertheless.
+            stepped: (m,) environments that stepped, or None for all: those of events that change
+                nothing (`Term.watches`).
 
         Returns:
-            The environments of each event that fired; None is all.
+            The environments of each event that fired and may have changed something; None is all.
         """
-        fired: list[EnvIndex | None] = []
+        changed: list[EnvIndex | None] = []
         for interval in self._intervals:
-            due = interval.advance(env_ids)
-            if due is None or len(due):
-                self._run(interval.term, "interval", due)
-                fired.append(due)
-        return fired
+            due = interval.advance(stepped if interval.watches else env_ids)
+            if due is not None and not len(due):
+                continue
+            self._run(interval.term, "interval", due)
+            if not interval.watches:
+                changed.append(due)
+        return changed
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Restart the timers of these environments and reset the terms that are classes."""
@@ -286,6 +292,7 @@ class _Interval:
         self._streams, self._arrays = env.streams, env.arrays
         cfg = term.cfg
         self.is_global = cfg.is_global
+        self.watches: bool = getattr(term.instance, "watches", False)
         self.every_step = cfg.interval_range_s is None and cfg.interval_step == 1
         # On a device a timer that all share is N equal ones: masks choose among N environments.
         count = 1 if cfg.is_global and not env.arrays.on_device else env.num_envs
