@@ -49,7 +49,6 @@ SENSORS = {
 READ = {
     "contact_found": "contacts",
     "contact_force": "contacts",
-    "largest_contact_force": "contacts",
     "grasped": "pinch",
     "imu_acceleration": "imu",
     "imu_angular_velocity": "imu",

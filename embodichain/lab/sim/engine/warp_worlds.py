@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -156,19 +156,12 @@ class WarpWorlds:
 
     # -- physics -----------------------------------------------------------------------------------
 
-    def step(self, nstep: int, after_each: Callable[[], None] | None = None) -> None:
-        """Advance all worlds; see `counts` for overflows.
-
-        Args:
-            nstep: Number of steps.
-            after_each: Called after each of them.
-        """
+    def step(self, nstep: int) -> None:
+        """Advance all worlds; see `counts` for overflows."""
         with wp.ScopedDevice(self._device):
             self._data.overflow.zero_()
             for _ in range(nstep):
                 mjw.step(self._model, self._data)
-                if after_each is not None:
-                    after_each()
 
     def forward(self) -> None:
         """Compute all stages of all worlds; see `counts` for overflows."""
