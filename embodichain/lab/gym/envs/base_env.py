@@ -315,8 +315,10 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         Returns:
             Observation; reward (N,) float32; terminated (N,) bool; truncated (N,) bool; info: a
-            dict with ``elapsed_steps``, ``success``, ``fail``, ``diverged``, ``rewards``,
-            ``episode_sums``, ``metrics`` (all as before any reset) and the entries of `evaluate`.
+            dict with ``elapsed_steps``, ``success``, ``success_terminated``, ``fail``,
+            ``diverged``, ``rewards``, ``episode_sums``, ``metrics`` (all as before any reset) and
+            the entries of `evaluate`. ``success`` is the metric of that name above 0, in a task
+            that has one, and else ``success_terminated``, the success that ends episodes.
             If an environment was reset in place, also ``final_obs`` (``final_observation``) and
             ``final_info``, valid in the rows where ``_final_obs`` and ``_final_info`` are True.
 

@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
 __all__ = ["EnvReads"]
 
+_SUCCESS_HOOKS = frozenset({"compute_task_state", "evaluate", "get_info"})
+"""Hooks of a class that may say what success is."""
+
 
 class EnvReads:
     """Size, clock, counters, random numbers and scene of N environments.
@@ -253,7 +256,7 @@ class EnvReads:
     def judges_success(self) -> bool:
         """Whether the task defines success: by a metric, a termination, or its class."""
         declared = self.metric_manager.has_success or self.termination_manager.has_success
-        return declared or not self.overridden.isdisjoint(("compute_task_state", "evaluate"))
+        return declared or not self.overridden.isdisjoint(_SUCCESS_HOOKS)
 
     # -- observers -----------------------------------------------------------------------------
 
