@@ -179,7 +179,8 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
             mine = ids[(ids >= rows.start) & (ids < rows.stop)] - rows.start
             self._others_reset[k] |= bool(len(ids)) and not len(mine)
             whole = len(mine) == self.pool.counts[k]
-            args.append((seed, None if whole else mine, rest))
+            everything = len(ids) == self.num_envs
+            args.append((seed, None if whole else mine, rest, everything))
         tables = self.pool.call("reset", args)
         self._begun = True
         joined = self._joined(tables, range(len(tables)))
