@@ -72,7 +72,7 @@ class StartupChanges:
                     engine.write_model(name, compiled_field(engine.model, name).ravel()[:width])
                 else:
                     engine.write_model(name, values.reshape(sim.num_envs, -1))
-        owners = {
+        owners: dict[str, Mapping[str, Any]] = {
             "drives": {uid: h.drives for uid, h in {**sim.robots, **sim.articulations}.items()},
             "objects": sim.rigid_objects,
             "lights": sim.lights,
