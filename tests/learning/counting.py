@@ -43,7 +43,7 @@ class CountingEnv(gym.Env):
         )
         self.judges_success = has_success
         self.curriculum_manager = SimpleNamespace(values={})
-        self.cfg = {"counts": True}
+        self.cfg = SimpleNamespace(counts=True, curriculum={})
         self.termination_manager = SimpleNamespace(values={})
         self.weights = np.arange(float(self.num_envs))
         self.level = 3
