@@ -14,7 +14,9 @@ from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import CurriculumCfg, MetricCfg, RewardCfg
 from embodichain.learning.curriculum_stage import read_stage
 from embodichain.learning.evaluation import evaluate
-from tests.lab.gym.conftest import home, task
+from embodichain.learning.vec_env import SB3VecEnv
+from tests.helpers.local_shards import sharded
+from tests.lab.gym.conftest import home, jumping, task
 from tests.lab.gym.mdp.test_terrain import levels
 from tests.lab.gym.mdp.test_terrain import task as terrain_task
 
@@ -193,3 +195,32 @@ def test_levels_of_a_terrain_are_drawn_from_those_of_the_training() -> None:
     assert 55 < int((columns[0] == 2).sum()) < 96
     assert columns[0].tolist() != columns[3].tolist()
     env.close()
+
+
+def later(first: int, count: int) -> BaseEnv:
+    """Weight 1, and 7 from the second control step on."""
+    change = {"term_name": "r", "weight": 7.0, "num_steps": 2}
+    sections = {
+        "rewards": {"r": RewardCfg(func=one)},
+        "curriculum": {"c": CurriculumCfg("modify_reward_weight", change)},
+    }
+    cfg = task(num_envs=count, max_episode_steps=2, seed=0, **sections, **jumping())
+    cfg.first_env = first
+    return BaseEnv(cfg)
+
+
+def test_shards_and_learners_environments_are_held_too() -> None:
+    with sharded(later, 4, 2) as (parts, _):
+        found = evaluate(parts, lambda obs, env: home(env), 12)
+        assert found.returns is not None and found.returns.max == 2.0
+        parts.reset()
+        for _ in range(2):
+            parts.step(home(parts))
+        stage = parts.curriculum_stage()
+    assert stage["values"] == {"c": 7.0}
+    vec = SB3VecEnv(later(0, 3))
+    vec.env_method("hold_curriculum", stage)
+    vec.reset()
+    assert vec.step(np.zeros((3, 6), np.float32))[1].tolist() == [7.0] * 3
+    assert vec.get_attr("curriculum_manager")[0].values == {"c": 7.0}
+    vec.close()
