@@ -248,5 +248,7 @@ class Collector:
 
 def _success(info: dict[str, Any]) -> Mask:
     """(N,) whether this step is a success of the task."""
-    mask: Mask = info["success"].numpy(force=True)
+    metrics = info["metrics"]
+    found = metrics["success"] if "success" in metrics else info["success"]
+    mask: Mask = found.numpy(force=True) > 0
     return mask

@@ -249,12 +249,7 @@ class StepJudge:
             check_shapes(self._env, obs)
 
     def info(self, obs: EnvObs, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
-        """Info of the step: from the class's hooks, then terminations, then metrics.
-
-        ``info["success"]`` is the metric `success` of a task that has one, above 0, and else what
-        ``info["success_terminated"]`` is: a termination of kind success, or the class's success.
-        Only the latter ends episodes.
-        """
+        """Info of the step: from the class's hooks, then terminations, then metrics."""
         env = self._env
         found = env.get_info(**kwargs)
         info = found if type(found) is dict else dict(found.items())  # EmbodiChain's is not a dict
@@ -265,16 +260,15 @@ class StepJudge:
             success = success | masks["success"]
         if "fail" in masks:
             fail = fail | masks["fail"]
-        info["success"], info["fail"] = tensor_of(success.copy()), tensor_of(fail)
-        info["success_terminated"] = tensor_of(success)
-        env.metric_manager.compute(obs, action, info)
+        info["success"], info["fail"] = tensor_of(success), tensor_of(fail)
+        reached = env.metric_manager.compute(obs, action, info)
         if env.action_manager.has_metrics:
             env.action_manager.report(info["metrics"])
         if env.command_manager.has_metrics:
             env.command_manager.report(info["metrics"])
         if len(env.curriculum_manager):
             info["curriculum"] = dict(env.curriculum_manager.values)
-        env.episodes.success = env.arrays.of(info["success"]).copy()
+        env.episodes.success = success.copy() if reached is None else reached
         return info, Outcome(success, fail, masks.get("time_out"))
 
     def reward(self, obs: EnvObs, action: Any, info: Info) -> F32:
