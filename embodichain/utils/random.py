@@ -308,3 +308,20 @@ class RandomStreams:
                 changed = True
         if changed:
             self.load_state_dict(now)
+
+    def take_back(self, before: dict[str, Any], after: dict[str, Any]) -> None:
+        """Undo the draws between two saved states, and none of those after them.
+
+        Args:
+            before: An earlier `save_counters` with the same seed.
+            after: A later one.
+        """
+        now = self.state_dict()
+        changed = False
+        for name, counters in after["counters"].items():
+            drawn = counters - before["counters"].get(name, np.zeros_like(counters))
+            if drawn.any():
+                now["counters"][name] -= drawn
+                changed = True
+        if changed:
+            self.load_state_dict(now)

@@ -49,6 +49,7 @@ SENSORS = {
 READ = {
     "contact_found": "contacts",
     "contact_force": "contacts",
+    "largest_contact_force": "contacts",
     "grasped": "pinch",
     "imu_acceleration": "imu",
     "imu_angular_velocity": "imu",

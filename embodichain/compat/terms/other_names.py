@@ -104,9 +104,8 @@ VALUES: Final[Mapping[str, Alias]] = {
     "undesired_contacts": alias("contact_found", "l1", threshold=_TOUCH),
     "desired_contacts": alias("contact_found", ["l1", {"below": 0.5}], threshold=_TOUCH),
     "contact_forces": alias(
-        "contact_force",
+        "largest_contact_force",
         [{"excess": P("threshold", needed=True, hint=NonNegative)}, "l1"],
-        norm=True,
     ),
     "illegal_contact": alias("contact_found", {"above": 0.5}, threshold=_TOUCH),
 }

@@ -21,6 +21,7 @@ class Host(Protocol):
     num_envs: int
     device: torch.device
     arrays: Arrays
+    physics_steps_per_control: int
 
     @property
     def engine(self) -> Engine:

@@ -103,6 +103,7 @@ class SimulationManager:
         inside: Those rigid objects that are bodies of the scene's file, by uid.
         known: What references may name: all entities and their parts, by uid.
         drive_changes: Values that events may draw for drives and links, by articulation uid.
+        physics_steps_per_control: Physics steps of a control step, which contact sensors look back.
         physics_seconds: Wall time spent on physics steps in `update` so far.
 
     Raises:
@@ -142,6 +143,7 @@ class SimulationManager:
         self._renderer: OffscreenRenderer | None = None
         self._viewer: NativeViewer | None = None
         self._physics_enabled = True
+        self.physics_steps_per_control = 1
         self.physics_seconds = 0.0
 
     @property

@@ -234,7 +234,6 @@ def test_the_order_of_hooks_and_terms(make_env):
         "_preprocess_action",
         "_step_action",
         "_update_sim_state",
-        "event interval",
         "_extend_obs",
         "observation",
         "evaluate",
@@ -245,6 +244,9 @@ def test_the_order_of_hooks_and_terms(make_env):
         "_extend_reward 5.0",
         "_postprocess_action",
         "check_truncated 1",
+        "event interval",
+        "_extend_obs",  # once more: the event may have changed something
+        "observation",
         "_hook_after_sim_step [False, True, False] ['extra', 'terminateds', 'truncateds']",
         "is_task_success",
         "_initialize_episode [1] {}",
@@ -734,7 +736,7 @@ def test_default_config_has_default_values():
 
 
 @pytest.mark.parametrize("looks", ["nobody", "get_info", "get_reward", "check_truncated", "a term"])
-def test_steps_are_counted_after_whoever_looks_at_info(make_env, looks):
+def test_terms_count_the_present_step_and_hooks_do_not(make_env, looks):
     seen = []
 
     class Looking(BaseEnv):
@@ -754,7 +756,8 @@ def test_steps_are_counted_after_whoever_looks_at_info(make_env, looks):
         return torch.zeros(self.num_envs, dtype=torch.bool)
 
     def term(env, obs, action, info):
-        seen.append(info["elapsed_steps"].tolist())
+        assert torch.equal(info["elapsed_steps"], env.elapsed_steps)
+        seen.append((info["elapsed_steps"] - 1).tolist())
         return torch.zeros(env.num_envs)
 
     hooks = {f.__name__: f for f in (get_info, get_reward, check_truncated)}

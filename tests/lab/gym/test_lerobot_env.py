@@ -41,7 +41,7 @@ def test_entries_are_of_the_robot_or_of_the_scene():
 
 
 def _second_succeeds(env, obs, action, info):
-    return (torch.arange(3) == 1) & (env.elapsed_steps == 1)
+    return (torch.arange(3) == 1) & (env.elapsed_steps == 2)
 
 
 def _picture(env, obs):

@@ -281,3 +281,20 @@ def test_every_place_is_found_and_can_be_set():
     assert shared["a"] is shared["b"][0] is shared["b"][1][0] is arrays[5]
     assert root.right["deep"].left is arrays[5] and shared["b"][1][1] == 5
     assert walk.kept_arrays(root, (Node,)) == ({}, {})
+
+
+def looks(env, obs, action, info):
+    """A metric of EmbodiChain's signature: it takes the observation, which is made before it."""
+    return obs["robot"]["qpos"][:, 0]
+
+
+def test_steps_that_observe_before_judging_are_recorded():
+    """After pushes and new commands they observe once more, with the same noise."""
+    mine = "+task.metrics.mine={func: 'tests.lab.gym.test_step_graph:looks'}"
+    with made("quadruped_velocity", mine) as (one, other, graph):
+        assert one._judge.takes_obs and one.command_manager.acts_in_steps
+        for action in actions(one, STEPS):
+            (obs, *_, info), (obs2, *_, info2) = one.step(action), other.step(action)
+            same(torch.as_tensor(obs.rows.tensor), torch.as_tensor(obs2.rows.tensor))
+            same(info["metrics"]["mine"], info2["metrics"]["mine"])
+        assert graph.reason == "" and graph._graph is not None

@@ -15,7 +15,7 @@ FIRST = 2
 
 
 def _first_fails(env, obs, action, info):
-    return (torch.arange(3) == 0) & (env.elapsed_steps == 1) & (env.episode_ids == 0)
+    return (torch.arange(3) == 0) & (env.elapsed_steps == 2) & (env.episode_ids == 0)
 
 
 @pytest.fixture

@@ -52,6 +52,7 @@ from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
 from embodichain.lab.gym.envs.step_graph import StepGraph
+from embodichain.lab.gym.envs.step_observation import StepObservation, observe
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.arrays import as_env_ids, tensor_of
@@ -134,6 +135,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.overridden = overridden_hooks(self)
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool, device=self.device)
         self._closed = self.arrays_moved = False
+        self.sim.physics_steps_per_control = cfg.sim_steps_per_control
         self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
             self._build_scene(kwargs)
@@ -209,8 +211,9 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self._judge = StepJudge(self, self.overridden)
         own_code = self.overridden & {"get_obs", "_extend_obs"}
         self.observation_buffer = buffer = ObservationBuffer(
-            robot, joints, self.observation_manager, not own_code, self.sensors
+            robot, joints, self.observation_manager, not own_code, self.episodes, self.sensors
         )
+        self._step_observation = StepObservation(self)
         saved = self.streams.state_dict()
         first = buffer.store(buffer.build(self.get_obs(**kwargs)))
         self._judge.check_terms(first)
@@ -280,7 +283,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         others[ids] = False
         where = None if self.arrays.are_all(ids, self.num_envs) else ids
         saved = None if where is None else self.streams.save_counters()
-        obs = self._observe(options, where)
+        obs = observe(self, options, where)
         if saved is not None:
             self.streams.rewind(saved, others)
         return self.observation_buffer.store_first(obs, others)
@@ -293,13 +296,20 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         """Advance all environments by one control step (K physics steps).
 
         In this order: `_preprocess_action`; action terms, then `_step_action`; physics;
-        `_update_sim_state`, interval events, commands; the observation (robot, sensors,
-        `_extend_obs`, observation terms); info (`compute_task_state`, `evaluate`, terminations,
+        `_update_sim_state`; counters; info (`compute_task_state`, `evaluate`, terminations,
         metrics); rewards (`get_reward`, reward terms, `_extend_reward`); `_postprocess_action`;
-        counters; terminated and truncated; `_hook_after_sim_step`. With SAME_STEP, environments
-        that are done are then reset in place, and the returned observation is that of the new
-        episode. With NEXT_STEP they are reset in the next step, with reward 0. With DISABLED the
-        caller resets them.
+        terminated and truncated; interval events and commands, in environments that do not end; the
+        observation (robot, sensors, `_extend_obs`, observation terms); divergence;
+        `_hook_after_sim_step`. With SAME_STEP, environments that are done are then reset in place,
+        and the returned observation is that of the new episode. With NEXT_STEP they are reset in
+        the next step, with reward 0. With DISABLED the caller resets them.
+
+        So a step is judged by the command that was acted on; a new command, or a push, is observed
+        before anything is judged by it. Where a hook (`get_reward`, `_extend_reward`,
+        `check_truncated`) or a term takes the observation, it is made before judging; where an
+        event or a command has then changed something, it is made once more, with the same noise,
+        and delays and histories advance once. ``elapsed_steps`` counts this step wherever a term
+        reads it; the hooks that observe and judge see it without this step, as in EmbodiChain.
 
         Poses, velocities and sensors are those after the last physics step and all writes; efforts
         and contact forces (``qf``) are those within the last physics step.
@@ -338,6 +348,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         """Take a step by a checked action and its numbers (N, A)."""
         episodes = self.episodes
         episodes.last_action = given
+        judge = self._judge
         pending = episodes.pending  # NEXT_STEP: these are reset instead of stepped
         saved = None if pending is None else self.streams.save_counters()
         stepped = None if pending is None else self.arrays.where(~pending)
@@ -347,28 +358,34 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             self._dump.keep()
         self.action_manager.step_physics(self.sim_steps_per_control)
         self._update_sim_state(**kwargs)
-        self.event_manager.step(stepped)
-        self.command_manager.step(stepped)
-        obs = self._observe(kwargs, stepped)
-        info, outcome = self._judge.info(obs, action, kwargs)
-        reward = self._judge.reward(obs, action, info)
-        action = self._postprocess_action(action)
-        mask = self._judge.diverged(obs, reward)
-        if mask is not None:
-            info = self._judge.exclude(mask, info, outcome)
-            obs, reward = self.observation_buffer.without(obs, mask), np.where(mask, _ZERO, reward)
-            if self._dump is not None:
-                self._dump.write(self.run_dir, mask, self.control_step, given)
-        self.observation_buffer.store(obs)
-        info["diverged"] = tensor_of(np.zeros(len(given), np.bool_) if mask is None else mask)
-
         episodes.advance()
         self.control_step += 1
-        info["elapsed_steps"], over = self.elapsed_steps, episodes.over()
-        if "check_truncated" in self.overridden:
-            cut = self.check_truncated(obs, info)
+
+        seen = self._step_observation.to_judge(kwargs, stepped) if judge.takes_obs else None
+        self.command_manager.measure(stepped)
+        info, outcome = judge.info(seen, action, kwargs)
+        reward = judge.reward(seen, action, info)
+        with episodes.counting(present=False):
+            action = self._postprocess_action(action)
+        over = episodes.over()
+        if seen is not None and "check_truncated" in self.overridden:
+            cut = self.check_truncated(seen, info)
             over |= as_mask(cut, self.num_envs, "check_truncated", self.arrays)
         terminated, truncated = outcome.ends(over, self.cfg.ignore_terminations)
+
+        going = self._going_on(terminated, truncated, pending)
+        changed = self.event_manager.step(going, stepped) + self.command_manager.step(going)
+        obs = self._step_observation.to_return(seen, changed, kwargs, stepped)
+        mask = judge.diverged(obs, reward)
+        if mask is not None:
+            info = judge.exclude(mask, info)
+            obs, reward = self.observation_buffer.without(obs, mask), np.where(mask, _ZERO, reward)
+            terminated, truncated = terminated | mask, truncated & ~mask
+            if self._dump is not None:
+                self._dump.write(self.run_dir, mask, self.control_step - 1, given)
+        self.observation_buffer.store(obs)
+        info["diverged"] = tensor_of(np.zeros(len(given), np.bool_) if mask is None else mask)
+        info["elapsed_steps"] = self.elapsed_steps
         if pending is not None and saved is not None:
             self.streams.rewind(saved, pending)
             terminated, truncated = terminated & ~pending, truncated & ~pending
@@ -389,6 +406,13 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             for observer in self.observers:
                 observer.on_step(self, record)
         return obs, rewards, *flags, info
+
+    def _going_on(self, terminated: Mask, truncated: Mask, pending: Mask | None) -> EnvIndex | None:
+        """Environments whose episode goes on after this step, None for all."""
+        ended = terminated | truncated
+        if pending is not None:
+            ended |= pending
+        return None if none_set(ended) else self.arrays.where(~ended)
 
     def _act(self, action: EnvAction) -> EnvAction:
         """Apply an action; return the one that rewards receive."""
@@ -416,11 +440,6 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         ids = self.arrays.where(done)
         self._reset_rows(ids, {})
         return self._observe_reset(ids, {})
-
-    def _observe(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
-        """Observe the environments that stepped or were reset."""
-        self.observation_manager.stepped = stepped
-        return self.observation_buffer.complete(self.get_obs(**kwargs))
 
     # -- the rest ------------------------------------------------------------------------------
 

@@ -155,7 +155,10 @@ class TermContext(ObservedEnv, Protocol):
 
     @property
     def elapsed_steps(self) -> torch.Tensor:
-        """(N,) int32 finished control steps of the current episodes; a copy."""
+        """(N,) int32 control steps of the current episodes, the present one included; a copy.
+
+        Before physics, in action terms, the present one does not count yet.
+        """
         ...
 
     @property

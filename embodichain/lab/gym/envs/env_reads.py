@@ -139,8 +139,13 @@ class EnvReads:
 
     @property
     def elapsed_steps(self) -> torch.Tensor:
-        """(N,) int32 finished control steps of the current episodes; a copy."""
-        return tensor_of(self.episodes.elapsed.copy())
+        """(N,) int32 control steps of the current episodes; a copy.
+
+        From the end of physics on the present step counts, wherever a term reads it. The hooks that
+        observe, judge and reward (`BaseEnv.step`) see it without the present step, as in
+        EmbodiChain.
+        """
+        return tensor_of(self.episodes.count)
 
     @property
     def episode_ids(self) -> torch.Tensor:

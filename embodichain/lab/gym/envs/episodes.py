@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium as gym
@@ -51,6 +53,7 @@ class Episodes:
     def __init__(self, num_envs: int, limit: int, arrays: Arrays) -> None:
         self.limit, self._arrays = limit, arrays
         self.begun = False
+        self._uncounted = False
         self.elapsed: NDArray[np.int32] = arrays.full(num_envs, 0, np.int32)
         self.ids: NDArray[np.int64] = arrays.full(num_envs, -1, np.int64)
         self.success: Mask = arrays.full(num_envs, False, np.bool_)
@@ -68,6 +71,24 @@ class Episodes:
     def advance(self) -> None:
         """Count a control step of all environments."""
         self.elapsed += 1
+
+    @property
+    def count(self) -> NDArray[np.int32]:
+        """(N,) int32 control steps as whoever runs now counts them; a copy. See `counting`."""
+        return self.elapsed - np.int32(1) if self._uncounted else self.elapsed.copy()
+
+    @contextmanager
+    def counting(self, present: bool) -> Iterator[None]:
+        """Say whether the present step counts in `count`.
+
+        It counts for terms and after a step. EmbodiChain counts it after the hooks that observe and
+        judge; these see the steps before it.
+        """
+        before, self._uncounted = self._uncounted, not present
+        try:
+            yield
+        finally:
+            self._uncounted = before
 
     def begin(self, ids: NDArray[np.int64]) -> None:
         """Start the next episode of environments (n,)."""

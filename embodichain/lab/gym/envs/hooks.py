@@ -183,7 +183,7 @@ class EnvHooks:
 
     def get_info(self, **kwargs: Any) -> dict[str, Any]:
         """Return ``elapsed_steps`` (N,) int32 and the entries of the class's hooks."""
-        info = {"elapsed_steps": tensor_of(self.episodes.elapsed.copy())}
+        info = {"elapsed_steps": tensor_of(self.episodes.count)}
         if "compute_task_state" in self.overridden:
             name = f"{type(self).__name__}.compute_task_state"
             info |= task_state(self.compute_task_state(**kwargs), self.cfg.num_envs, name)

@@ -7,7 +7,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -45,6 +46,8 @@ __all__ = [
 Mask = NDArray[np.bool_]
 F32 = NDArray[np.float32]
 Info = dict[str, Any]
+_TAKE_OBS = ("get_reward", "_extend_reward", "check_truncated")
+_OBSERVE = ("get_obs", "_extend_obs", "_get_sensor_obs")
 _ID_KEYS = ("reset_ids", "env_ids", "reset_mask")
 
 
@@ -55,16 +58,6 @@ class Outcome:
     success: Mask
     fail: Mask
     time_out: Mask | None = None
-    diverged: Mask | None = None
-
-    def exclude(self, diverged: Mask) -> None:
-        """Remove the flags of diverged environments."""
-        kept = ~diverged
-        self.success = self.success & kept
-        self.fail = self.fail & kept
-        if self.time_out is not None:
-            self.time_out = self.time_out & kept
-        self.diverged = diverged
 
     def ends(self, truncated: Mask, ignore_terminations: bool) -> tuple[Mask, Mask]:
         """Return the masks (N,) of terminated and truncated environments.
@@ -78,9 +71,6 @@ class Outcome:
         terminated = self.success | self.fail
         if ignore_terminations:
             terminated = np.zeros_like(terminated)
-        if self.diverged is not None:
-            terminated |= self.diverged
-            truncated &= ~self.diverged
         return terminated, truncated
 
 
@@ -238,6 +228,20 @@ class StepJudge:
         self._checks = overridden.isdisjoint(("compute_task_state", "evaluate", "get_info"))
         self._get_reward = env.get_reward if "get_reward" in overridden else None
         self._extend_reward = env._extend_reward if "_extend_reward" in overridden else None
+        self._hooks_take_obs = not overridden.isdisjoint(_TAKE_OBS) or not (
+            self._checks or overridden.isdisjoint(_OBSERVE)
+        )
+
+    @property
+    def takes_obs(self) -> bool:
+        """Whether a hook or a term takes the observation, which is then made before judging.
+
+        So it is too where a class has own hooks that observe and such that judge: the latter may
+        read what the former keep, as in EmbodiChain.
+        """
+        env = self._env
+        managers = env.termination_manager, env.metric_manager, env.reward_manager
+        return self._hooks_take_obs or any(manager.takes_obs for manager in managers)
 
     def check_terms(self, obs: EnvObs) -> None:
         """Call every term once and check its shape, unless terms may read info of a class's hooks.
@@ -248,13 +252,21 @@ class StepJudge:
         if self._checks:
             check_shapes(self._env, obs)
 
-    def info(self, obs: EnvObs, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
-        """Info of the step: from the class's hooks, then terminations, then metrics."""
+    def info(self, obs: Any, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
+        """Info of the step: from the class's hooks, then terminations, then metrics.
+
+        Args:
+            obs: The observation, or None if nothing takes it (`takes_obs`).
+            action: The action that rewards receive.
+            kwargs: Those of `step`.
+        """
         env = self._env
-        found = env.get_info(**kwargs)
+        with env.episodes.counting(present=False):
+            found = env.get_info(**kwargs)
         info = found if type(found) is dict else dict(found.items())  # EmbodiChain's is not a dict
         success = as_mask(info.get("success"), env.num_envs, "success", env.arrays)
         fail = as_mask(info.get("fail"), env.num_envs, "fail", env.arrays)
+        info["elapsed_steps"] = env.elapsed_steps
         masks = env.termination_manager.compute(obs, action, info)
         if "success" in masks:
             success = success | masks["success"]
@@ -271,17 +283,34 @@ class StepJudge:
         env.episodes.success = success.copy() if reached is None else reached
         return info, Outcome(success, fail, masks.get("time_out"))
 
-    def reward(self, obs: EnvObs, action: Any, info: Info) -> F32:
-        """(N,) rewards of `get_reward`, plus those of the terms, after `_extend_reward`."""
+    def reward(self, obs: Any, action: Any, info: Info) -> F32:
+        """(N,) rewards of `get_reward`, plus those of the terms, after `_extend_reward`.
+
+        Args:
+            obs: As of `info`.
+            action: The action that rewards receive.
+            info: The result of `info`; gains the values of the terms.
+        """
         count, own = self._env.num_envs, None
         if self._get_reward is not None:
-            given = self._get_reward(obs, action, info)
+            with self._as_class_counts(info):
+                given = self._get_reward(obs, action, info)
             own = checked_reward(given, count, "get_reward", self._env.arrays)
         reward = self._env.reward_manager.compute(own, obs, action, info)
         if self._extend_reward is not None:
-            extended = self._extend_reward(tensor_of(reward), obs, action, info)
+            with self._as_class_counts(info):
+                extended = self._extend_reward(tensor_of(reward), obs, action, info)
             reward = checked_reward(extended, count, "_extend_reward", self._env.arrays)
         return reward
+
+    @contextmanager
+    def _as_class_counts(self, info: Info) -> Iterator[None]:
+        """Let ``elapsed_steps`` be without the present step, as EmbodiChain's hooks count."""
+        env, counted = self._env, info["elapsed_steps"]
+        with env.episodes.counting(present=False):
+            info["elapsed_steps"] = env.elapsed_steps
+            yield
+        info["elapsed_steps"] = counted
 
     def diverged(self, obs: Observation, reward: F32) -> Mask | None:
         """(N,) environments that diverged in this step, or None; without those pending a reset."""
@@ -295,13 +324,12 @@ class StepJudge:
             mask = mask & ~self._env.episodes.pending
         return None if none_set(mask) else mask
 
-    def exclude(self, mask: Mask, info: Info, outcome: Outcome) -> Info:
-        """Remove environments (N,) that diverged from ``info``, sums and outcome."""
+    def exclude(self, mask: Mask, info: Info) -> Info:
+        """Remove environments (N,) that diverged from ``info`` and sums."""
         info = zeroed(info, mask)
         rewards, episodes = self._env.reward_manager, self._env.episodes
         rewards.take_back(mask)
         info["episode_sums"] = rewards.episode_sums
-        outcome.exclude(mask)
         episodes.success = episodes.success & ~mask
         return info
 

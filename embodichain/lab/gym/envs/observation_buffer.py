@@ -17,6 +17,7 @@ from embodichain.utils.arrays import is_host, to_tensor
 from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
 
 if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.episodes import Episodes
     from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
     from embodichain.lab.sim.objects.robot import Robot
 
@@ -39,6 +40,7 @@ class ObservationBuffer:
         plain: Whether only robot, sensors and terms are observed, so that all entries can be
             written into the array at once. Otherwise the hooks of the class receive the entries
             as nested tensors.
+        episodes: Counts steps: the present one counts for terms.
         sensors: All sensors by uid; the data of those with `reads_images` are images.
 
     Attributes:
@@ -55,6 +57,7 @@ class ObservationBuffer:
         joint_ids: Sequence[int],
         manager: ObservationManager,
         plain: bool,
+        episodes: Episodes,
         sensors: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         self._robot = robot
@@ -62,6 +65,7 @@ class ObservationBuffer:
         self._joints: Any = slice(None) if every else np.asarray(joint_ids, np.int64)
         self._manager = manager
         self._plain = plain
+        self._episodes = episodes
         self._cameras = {u for u, s in sensors.items() if getattr(s, "reads_images", False)}
         self._built = False
         self._has_terms = False
@@ -93,7 +97,8 @@ class ObservationBuffer:
         self._has_terms = True
         if self._built and self._plain:
             obs = Observation(self.layout, self.layout.empty())
-            self._manager.write(obs, self._own(sensors))
+            with self._episodes.counting(present=True):
+                self._manager.write(obs, self._own(sensors))
             return obs
         entries = TensorMapping(batch_size=(self._manager.num_envs,))
         for path, value in self._own(sensors).items():
@@ -102,8 +107,12 @@ class ObservationBuffer:
         if extended is None:
             raise TypeError("_extend_obs must return the observation, got None")
         found = self._nested(extended)
-        self._manager.compute(found)
+        self._compute(found)
         return found
+
+    def _compute(self, obs: TensorMapping) -> None:
+        with self._episodes.counting(present=True):
+            self._manager.compute(obs)
 
     def _own(self, sensors: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
         own: dict[tuple[str, ...], Any] = {}
@@ -125,7 +134,7 @@ class ObservationBuffer:
         """An observation with its terms, even if an override of `get_obs` omits them."""
         found = self._nested(obs)
         if not self._has_terms:
-            self._manager.compute(found)
+            self._compute(found)
         self._has_terms = False
         return found
 

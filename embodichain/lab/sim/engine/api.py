@@ -151,6 +151,15 @@ class Engine(Protocol):
         at the current state. The array is valid until the next step or full `forward`.
         """
 
+    def keep_sensors(self, columns: slice, depth: int) -> None:
+        """Keep columns of ``sensordata`` of the last ``depth`` physics steps from now on."""
+
+    def kept_sensors(self, columns: slice, depth: int) -> F64:
+        """(N, depth, k) what `keep_sensors` keeps, the oldest first. Do not write.
+
+        Environments that have not stepped since `forward` have its readings in every step.
+        """
+
     def cast_rays(
         self,
         origins: F64,

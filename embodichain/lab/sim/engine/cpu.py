@@ -25,6 +25,7 @@ from embodichain.lab.sim.engine.api import (
 )
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, ModelFields, row_layout
 from embodichain.lab.sim.engine.mujoco_process import all_cores, install_log_handler, stop_timers
+from embodichain.lab.sim.engine.sensor_history import SensorHistory
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -117,6 +118,7 @@ class HostEngine(Engine):
         self._changed: NDArray[np.int64] = np.zeros(num_envs, np.int64)
         self._all_changed = 0
         self._any_dirty = self._all_dirty = True
+        self._history = SensorHistory(num_envs, np.array)
 
     def close(self) -> None:
         self.__dict__.clear()  # terms of the environment may refer to the engine until it is freed
@@ -153,7 +155,14 @@ class HostEngine(Engine):
             else:
                 copy[env_ids] = output[env_ids]
 
-    def _call(self, function: Any, *args: Any, **kwargs: int) -> EnvIndex | None:
+    def keep_sensors(self, columns: slice, depth: int) -> None:
+        self.acceleration("sensordata")  # the first request computes it
+        self._history.keep(columns, depth)
+
+    def kept_sensors(self, columns: slice, depth: int) -> F64:
+        return self._history.read(columns, depth, self.acceleration("sensordata"))
+
+    def _call(self, function: Any, *args: Any, **kwargs: Any) -> EnvIndex | None:
         """Run a batch call; remember and return the environments in which MuJoCo raised."""
         try:
             function(*args, **kwargs)
@@ -272,6 +281,7 @@ class HostEngine(Engine):
             "model": self.model_fields(),
             "warning": self._batch.warning.copy(),
             "acceleration": {name: copy.copy() for name, (_, copy) in self._accelerations.items()},
+            "sensor_history": self._history.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -287,6 +297,7 @@ class HostEngine(Engine):
         self.write("row", state["rows"])
         for field, values in state["acceleration"].items():
             self.acceleration(field)[...] = values
+        self._history.load_state_dict(state.get("sensor_history", {}))
         # Counters are restored as a baseline: only new warnings count as divergence.
         self._divergence.begin()
 
@@ -378,7 +389,10 @@ class CpuEngine(HostEngine):
             event = PhysicsEvent("before", nstep, env_ids, self._rows)
             for listener in listeners:
                 listener.on_physics(event)
-        failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
+        if self._history:
+            failed = self._step_recorded(nstep, env_ids)
+        else:
+            failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
         self._mark(env_ids)
         self._copy_accelerations(env_ids)
         if listeners:
@@ -386,9 +400,51 @@ class CpuEngine(HostEngine):
             for listener in listeners:
                 listener.on_physics(event)
 
+    def _step_recorded(self, nstep: int, env_ids: EnvIndex | None) -> EnvIndex | None:
+        """Step as `Batch.step` does, to the bit, and record the sensors of each physics step."""
+        ids = np.arange(self.num_envs) if env_ids is None else env_ids
+        steps = np.zeros((len(ids), nstep, self.model.nsensordata))
+        before = self._views["time"][ids, 0]
+        warned = self._batch.warning.tobytes()
+        failed = self._roll_out(steps, env_ids)
+        if self._batch.warning.tobytes() != warned:
+            self._step_on(steps, ids, before, failed)
+        self._history.append(steps, env_ids)
+        return failed
+
+    def _roll_out(self, steps: F64, env_ids: EnvIndex | None) -> EnvIndex | None:
+        """Step and record into ``steps`` (n, nstep, nsensordata); return where MuJoCo raised."""
+        out, nstep = {"sensordata": steps}, steps.shape[1]
+        names = ["sensordata"]
+        return self._call(self._batch.rollout, nstep, record=names, ids=env_ids, out=out)
+
+    def _step_on(self, steps: F64, ids: EnvIndex, before: F64, failed: EnvIndex | None) -> None:
+        """Take the steps that a rollout has left out: it stops where a warning is counted.
+
+        Args:
+            steps: (n, nstep, nsensordata) what was recorded; completed.
+            ids: (n,) the environments.
+            before: (n,) their time before the steps, s.
+            failed: Environments in which MuJoCo raised, which stay where they are.
+        """
+        timestep = self.model_values("opt.timestep").reshape(-1)
+        each = timestep if len(timestep) == 1 else timestep[ids]
+        taken = np.rint((self._views["time"][ids, 0] - before) / each).astype(np.int64)
+        over = np.zeros(len(ids), np.bool_) if failed is None else np.isin(ids, failed)
+        for step in range(steps.shape[1]):
+            late = np.flatnonzero((taken <= step) & ~over)
+            if not len(late):
+                continue
+            one = np.zeros((len(late), 1, steps.shape[2]))
+            raised = self._roll_out(one, ids[late])
+            steps[late, step] = one[:, 0]
+            if raised is not None:
+                over |= np.isin(ids, raised)
+
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         if self._fields.stale:
             self._set_const_now()
+        self._history.begin(env_ids)
         self._call(self._batch.forward, env_ids, stage=_STAGE_ACC)
         self._copy_accelerations(env_ids)
         if env_ids is None:

@@ -26,6 +26,7 @@ from embodichain.lab.sim.engine.device_array import (
 )
 from embodichain.lab.sim.engine.device_fields import DeviceFields
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS
+from embodichain.lab.sim.engine.sensor_history import SensorHistory
 from embodichain.lab.sim.engine.torch_stream import torch_stream
 from embodichain.lab.sim.engine.warp import (
     COLLISION_BITS,
@@ -132,6 +133,7 @@ class DeviceEngine(WarpEngine):
         self._seen = torch.zeros(num_envs, dtype=torch.int32, pin_memory=pinned)
         self._derived_views: dict[str, DeviceArray] = {}
         self._views_made = 0
+        self._history = SensorHistory(num_envs, lambda array: on_device(array, self.device))
         self.fields = DeviceFields(self.worlds, self._fields, model, num_envs, self.device)
 
     @property
@@ -249,6 +251,10 @@ class DeviceEngine(WarpEngine):
         copy[EnvMask(mask.tensor)] = output
         mask[...] = False
 
+    def keep_sensors(self, columns: slice, depth: int) -> None:
+        super().keep_sensors(columns, depth)
+        self._views_made += 1
+
     def cast_rays(
         self,
         origins: Any,
@@ -294,7 +300,7 @@ class DeviceEngine(WarpEngine):
         for listener in self.listeners:
             listener.on_physics(PhysicsEvent("before", nstep, None, _NO_ROWS))
         with self._stream():
-            self.worlds.step(nstep)
+            self._step_worlds(nstep)
         self._time += nstep * self._timestep
         for listener in self.listeners:
             listener.on_physics(PhysicsEvent("after", nstep, None, _NO_ROWS))
@@ -304,6 +310,14 @@ class DeviceEngine(WarpEngine):
         for name, (output, copy) in self._kept.items():
             copy[...] = output
             self._late_masks[name][...] = False
+
+    def _step_worlds(self, nstep: int) -> None:
+        if not self._history:
+            self.worlds.step(nstep)
+            return
+        sensors, recorded = self.worlds.view("sensordata"), []
+        self.worlds.step(nstep, lambda: recorded.append(DeviceArray(sensors.clone())))
+        self._history.append(np.stack(recorded, axis=1), None)
 
     @property
     def _timestep(self) -> Any:
@@ -335,6 +349,7 @@ class DeviceEngine(WarpEngine):
         for mask in self._late_masks.values():
             mask[ALL if env_ids is None else env_ids] = True
         self._late.update(self._kept)
+        self._history.begin(env_ids)
         self.version += 1
 
     def take_diverged(self) -> Any:
@@ -456,4 +471,13 @@ class DeviceEngine(WarpEngine):
             "model": self.model_fields(),
             "warning": self._batch.warning.copy(),
             "acceleration": {name: self.acceleration(name).host() for name in self._kept},
+            "sensor_history": _hosted(self._history.state_dict()),
         }
+
+
+def _hosted(state: dict[str, Any]) -> dict[str, Any]:
+    """A state with its arrays on the host."""
+    return {
+        name: _hosted(part) if isinstance(part, dict) else part.host()
+        for name, part in state.items()
+    }

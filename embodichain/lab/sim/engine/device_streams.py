@@ -251,6 +251,17 @@ class DeviceStreams:
             old = saved[i] if i < len(saved) else torch.zeros_like(counters)
             torch.where(mask, old, counters, out=counters)
 
+    def take_back(self, before: list[torch.Tensor], after: list[torch.Tensor]) -> None:
+        """Undo the draws between two saved states, and none of those after them.
+
+        Args:
+            before: An earlier `save_counters`.
+            after: A later one.
+        """
+        for i, counters in enumerate(after):
+            drawn = counters - before[i] if i < len(before) else counters
+            self._blocks[i].counters.sub_(drawn)
+
     def state_dict(self) -> dict[str, Any]:
         """Copy the state to the host, as `RandomStreams.state_dict`; waits for the device."""
         counters = [block.counters.cpu().numpy().view(np.uint64) for block in self._blocks]

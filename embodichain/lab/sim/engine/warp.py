@@ -182,7 +182,21 @@ class WarpEngine(HostEngine):
         for listener in self.listeners:
             listener.on_physics(PhysicsEvent("before", nstep, env_ids, self._rows))
         self._upload()
-        self.worlds.step(nstep)  # all of them: the rows of the others are not read back
+        recorded: list[F64] = []
+        if self._history:
+            shape = self.num_envs, self.model.nsensordata
+
+            def record() -> None:
+                recorded.append(np.zeros(shape))
+                self.worlds.read("sensordata", recorded[-1])
+
+            self.worlds.step(nstep, record)
+        else:
+            self.worlds.step(nstep)
+        # All of them stepped: those of others are not read back.
+        if recorded:
+            steps = np.stack(recorded, axis=1)
+            self._history.append(steps if env_ids is None else steps[env_ids], env_ids)
         self._read_rows(nstep, ALL if env_ids is None else env_ids)
         self._check_memory(env_ids)
         self._mark(env_ids)
@@ -221,6 +235,7 @@ class WarpEngine(HostEngine):
             self._diverged.add(wild)
 
     def forward(self, env_ids: EnvIndex | None = None) -> None:
+        self._history.begin(env_ids)
         self._upload()
         self.worlds.forward()
         self._check_memory(env_ids)

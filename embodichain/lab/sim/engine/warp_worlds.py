@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -156,12 +156,19 @@ class WarpWorlds:
 
     # -- physics -----------------------------------------------------------------------------------
 
-    def step(self, nstep: int) -> None:
-        """Advance all worlds; see `counts` for overflows."""
+    def step(self, nstep: int, after_each: Callable[[], None] | None = None) -> None:
+        """Advance all worlds; see `counts` for overflows.
+
+        Args:
+            nstep: Number of steps.
+            after_each: Called after each of them.
+        """
         with wp.ScopedDevice(self._device):
             self._data.overflow.zero_()
             for _ in range(nstep):
                 mjw.step(self._model, self._data)
+                if after_each is not None:
+                    after_each()
 
     def forward(self) -> None:
         """Compute all stages of all worlds; see `counts` for overflows."""

@@ -108,6 +108,10 @@ class ContactSensorCfg(SensorCfg):
     sensor_type: Literal["contact"] = "contact"
     against: LinksCfg | None = None
     """Count contacts with this entity (or links or geoms of it, or ``default_plane``) only."""
+    history_length: Annotated[int, Field(ge=1)] | None = None
+    """Number of last physics steps of which terms that ask whether there is contact
+    (`contact_found`, `feet_air_time`) take the largest force; None is those of a control step.
+    Readings of the sensor are those of the last one."""
 
 
 @configclass

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.frames import BodyFrames, frames_named
+from embodichain.lab.sim.gravity import gravity_direction
 from embodichain.lab.sim.objects.entity import Handle
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.lab.sim.sensors.sampling import Readings, Sampler
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
-    from embodichain.lab.sim.sensors.cfg import SensorCfg
+    from embodichain.lab.sim.sensors.cfg import ContactSensorCfg, SensorCfg
 
 __all__ = [
     "BaseSensor",
@@ -139,7 +140,59 @@ class ContactSensor(_LastStepSensor):
 
     Contacts belong to the acceleration stage: they are those of the last physics step or, after a
     reset, of the reset state. Shapes that cannot collide report nothing.
+
+    Contacts that begin and end between two control steps are in `read_touched` and
+    `read_largest_force`, which are of several physics steps (``history_length``).
     """
+
+    cfg: ContactSensorCfg
+    _depth = 0
+    """Physics steps that are kept; 0 before `keep_history`."""
+
+    def bind(self, engine: Engine, index: SensorIndex) -> None:
+        """Set the engine and the sensor's columns. Called once, by the simulation."""
+        super().bind(engine, index)
+        if self.cfg.history_length is not None:
+            self.keep_history()
+
+    def keep_history(self) -> None:
+        """Keep the readings of several physics steps from now on; it costs a little time."""
+        if self._depth:
+            return
+        given = self.cfg.history_length
+        self._depth = self.host.physics_steps_per_control if given is None else given
+        self.engine.keep_sensors(self.index.columns, self._depth)
+        self._sampler.reset(None)
+
+    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        now = super()._measure(env_ids)
+        if not self._depth:
+            return now
+        steps = self.engine.kept_sensors(self.index.columns, self._depth)
+        steps = steps if env_ids is None else steps[env_ids]
+        data = steps.reshape(len(steps), self._depth, *self.index.shape)
+        force = data[..., 0, 1:]
+        found = data[..., 0, 0]
+        for other in range(1, self.index.shape[1]):
+            force = force + data[..., other, 1:]
+            found = found + data[..., other, 0]
+        x, y, z = force[..., 0], force[..., 1], force[..., 2]
+        lengths = np.sqrt(x * x + y * y + z * z)
+        return *now, lengths.max(axis=1), found.max(axis=1) > 0
+
+    def read_largest_force(self) -> F64:
+        """(N, n) N: largest net force on each link in the last ``history_length`` physics steps.
+
+        The first call begins to keep them.
+        """
+        self.keep_history()
+        return self._readings()[1].copy()
+
+    def read_touched(self) -> NDArray[np.bool_]:
+        """(N, n) whether each link was touched in one of these physics steps."""
+        self.keep_history()
+        touched: NDArray[np.bool_] = self._readings()[2].copy()
+        return touched
 
     def read_found(self) -> NDArray[np.bool_]:
         """(N, n) whether each link is touched."""
@@ -176,9 +229,6 @@ class ForceTorqueSensor(_LastStepSensor):
         return self._readings()[0][..., 3:6].copy()
 
 
-_DOWN = np.array([0.0, 0.0, -1.0])
-
-
 class ImuSensor(_LastStepSensor):
     """An inertial measurement unit without noise; its axes are the link's, rotated by the config.
 
@@ -207,10 +257,10 @@ class ImuSensor(_LastStepSensor):
         return self._readings()[1].copy()
 
     def read_projected_gravity(self) -> F64:
-        """(N, 3) unit vector of gravity in sensor axes; (0, 0, -1) if upright."""
+        """(N, 3) unit vector of gravity in sensor axes: (0, 0, -1) if upright; 0 without it."""
         quat = self.read_orientation()
-        down: F64 = quat_rotate(quat_conjugate(quat), np.broadcast_to(_DOWN, (len(quat), 3)))
-        return down
+        gravity = np.broadcast_to(gravity_direction(self.engine), (len(quat), 3))
+        return quat_rotate(quat_conjugate(quat), gravity)
 
 
 class FramePoseSensor(BaseSensor):

@@ -193,7 +193,7 @@ def test_an_unknown_command_is_an_error_that_lists_them(make) -> None:
     assert problem.hint == "Did you mean 'goal'?"
 
 
-def test_a_reward_sees_the_command_of_its_step(make) -> None:
+def test_a_reward_sees_the_command_that_was_acted_on(make) -> None:
     seen = []
 
     def near(env, obs, action, info):
@@ -206,8 +206,10 @@ def test_a_reward_sees_the_command_of_its_step(make) -> None:
     )
     env.reset()
     seen.clear()
+    given = env.command_manager.values("goal").copy()
     env.step(home(env))
-    assert (seen[-1] == env.command_manager.values("goal")).all()
+    assert (seen[-1] == given).all()
+    assert (env.command_manager.values("goal") != given).any()
 
 
 class Shapeless(CommandTerm):

@@ -8,7 +8,7 @@ from embodichain.lab.gym.envs.cfg import MetricCfg, TerminationCfg
 
 def elapsed(env, obs, action, info):
     """1, 2, 3... within an episode, negative in environment 0."""
-    count = (env.elapsed_steps + 1).to(torch.float32)
+    count = env.elapsed_steps.to(torch.float32)
     count[0] = -count[0]
     return count
 
@@ -41,7 +41,7 @@ def test_numbers(make, reduce, expected) -> None:
 @pytest.mark.parametrize(("reduce", "expected"), [("any", [0, 1, 1, 1]), ("all", [0, 0, 0, 0])])
 def test_truths(make, reduce, expected) -> None:
     def second(env, obs, action, info):
-        return env.elapsed_steps == 1
+        return env.elapsed_steps == 2
 
     env = make(metrics={"m": MetricCfg(func=second, reduce=reduce)})
     env.reset()

@@ -134,7 +134,7 @@ def test_the_order_of_the_pipeline(make) -> None:
 
 def test_delay_comes_before_history(make) -> None:
     env = make(observations={"a": count(delay=1, history_length=2)})
-    assert rollout(env, "a", 3)[:, 0, ::2].tolist() == [[0, 0], [0, 0], [0, 0], [0, 1]]
+    assert rollout(env, "a", 3)[:, 0, ::2].tolist() == [[0, 0], [0, 0], [0, 1], [1, 2]]
 
 
 # -- delay and history -----------------------------------------------------------------------------
@@ -147,18 +147,17 @@ def test_a_delay_hands_on_older_values(make) -> None:
     for _ in range(5):
         obs = env.step(act(env))[0]
         found.append((obs["now"][1, 0].item(), obs["then"][1, 0].item()))
-    # `elapsed_steps` still counts the finished steps before this one when a step is observed.
-    assert found == [(0, 0), (1, 0), (2, 0), (3, 1), (4, 2)]
+    assert found == [(1, 0), (2, 0), (3, 1), (4, 2), (5, 3)]
 
 
 def test_a_drawn_delay_lasts_for_an_episode(make) -> None:
     env = make(observations={"a": count(delay=[1, 3])}, num_envs=64, max_episode_steps=8)
-    first = 6 - rollout(env, "a", 7)[-1, :, 0]
+    first = 7 - rollout(env, "a", 7)[-1, :, 0]
     assert set(first.tolist()) == {1.0, 2.0, 3.0}
     env.step(act(env))  # the episode ends, every delay is drawn anew
     for _ in range(7):
         obs = env.step(act(env))[0]
-    second = 6 - obs["a"][:, 0].numpy()
+    second = 7 - obs["a"][:, 0].numpy()
     assert set(second.tolist()) == {1.0, 2.0, 3.0}
     assert (first != second).any()
 
@@ -173,7 +172,7 @@ def test_histories_are_flat_or_have_a_dimension(make) -> None:
     obs, _ = env.reset()
     for _ in range(4):
         obs = env.step(act(env))[0]
-    assert obs["flat"][2].tolist() == [1, 2, 2, 2, 3, 2]
+    assert obs["flat"][2].tolist() == [2, 2, 3, 2, 4, 2]
     assert obs["deep"].shape == (3, 3, 2)
     assert torch.equal(obs["deep"].reshape(3, -1), obs["flat"])
     assert env.observation_manager.columns() == {"flat": 6, "deep": 6}
@@ -199,13 +198,13 @@ def test_a_reset_fills_the_past_of_its_environments_only(make) -> None:
     for _ in range(4):
         env.step(act(env))
     obs, _ = env.reset(options={"reset_ids": [1]})
-    assert obs["a"][:, ::2].tolist() == [[1, 2, 3], [0, 0, 0], [1, 2, 3]]
-    assert obs["d"][:, 0].tolist() == [1, 0, 1]
-    obs = env.step(act(env))[0]
     assert obs["a"][:, ::2].tolist() == [[2, 3, 4], [0, 0, 0], [2, 3, 4]]
+    assert obs["d"][:, 0].tolist() == [2, 0, 2]
     obs = env.step(act(env))[0]
     assert obs["a"][:, ::2].tolist() == [[3, 4, 5], [0, 0, 1], [3, 4, 5]]
-    assert obs["d"][:, 0].tolist() == [3, 0, 3]
+    obs = env.step(act(env))[0]
+    assert obs["a"][:, ::2].tolist() == [[4, 5, 6], [0, 1, 2], [4, 5, 6]]
+    assert obs["d"][:, 0].tolist() == [4, 0, 4]
 
 
 # -- everything at once ----------------------------------------------------------------------------
@@ -367,7 +366,7 @@ def test_a_modified_entry_has_a_pipeline_too(make) -> None:
 def test_a_value_that_is_not_finite_stays_so(make) -> None:
     def broken(env, obs):
         value = torch.ones(env.num_envs, 1)
-        if env.control_step == 2:
+        if env.control_step == 3:
             value[1] = float("nan")
         return value
 

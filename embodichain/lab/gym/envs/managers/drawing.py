@@ -233,17 +233,34 @@ class EventManager(DrawingManager[EventCfg]):
         for term in self._by_mode[mode]:
             self._run(term, mode, env_ids)
 
-    def step(self, env_ids: EnvIndex | None = None) -> None:
+    @property
+    def acts_in_steps(self) -> bool:
+        """Whether there are `interval` events that may change something."""
+        return any(not interval.watches for interval in self._intervals)
+
+    def step(
+        self, env_ids: EnvIndex | None = None, stepped: EnvIndex | None = None
+    ) -> list[EnvIndex | None]:
         """Advance the timers by one control step and fire the `interval` events that are due.
 
         Args:
-            env_ids: (n,) environments that stepped, or None for all; without those that were reset
-                instead.
+            env_ids: (n,) environments whose episode goes on, or None for all. Events with
+                `is_global` fire in all environments nevertheless.
+            stepped: (m,) environments that stepped, or None for all: those of events that change
+                nothing (`Term.watches`).
+
+        Returns:
+            The environments of each event that fired and may have changed something; None is all.
         """
+        changed: list[EnvIndex | None] = []
         for interval in self._intervals:
-            due = interval.advance(env_ids)
-            if due is None or len(due):
-                self._run(interval.term, "interval", due)
+            due = interval.advance(stepped if interval.watches else env_ids)
+            if due is not None and not len(due):
+                continue
+            self._run(interval.term, "interval", due)
+            if not interval.watches:
+                changed.append(due)
+        return changed
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Restart the timers of these environments and reset the terms that are classes."""
@@ -275,6 +292,7 @@ class _Interval:
         self._streams, self._arrays = env.streams, env.arrays
         cfg = term.cfg
         self.is_global = cfg.is_global
+        self.watches: bool = getattr(term.instance, "watches", False)
         self.every_step = cfg.interval_range_s is None and cfg.interval_step == 1
         # On a device a timer that all share is N equal ones: masks choose among N environments.
         count = 1 if cfg.is_global and not env.arrays.on_device else env.num_envs
@@ -403,25 +421,43 @@ class CommandManager(DrawingManager[CommandCfg]):
         for update in self._updates:
             update(env_ids)
 
-    def step(self, env_ids: EnvIndex | None = None) -> None:
+    @property
+    def acts_in_steps(self) -> bool:
+        """Whether commands are drawn or updated within an episode."""
+        return bool(self._timers or self._updates)
+
+    def step(self, env_ids: EnvIndex | None = None) -> list[EnvIndex | None]:
         """Count one control step, draw the commands that are due, and update all.
+
+        Args:
+            env_ids: (n,) environments whose episode goes on, or None for all.
+
+        Returns:
+            The environments of each command that was drawn or updated; None is all.
+        """
+        changed: list[EnvIndex | None] = []
+        for name, timer in self._timers.items():
+            due = timer.advance(env_ids)
+            if len(due):
+                everyone = None if self.env.arrays.are_all(due, self.num_envs) else due
+                self._run(self.terms[name], "command", everyone)
+                changed.append(everyone)
+        for update in self._updates:
+            update(env_ids)
+        if self._updates and (env_ids is None or len(env_ids)):
+            changed.append(env_ids)
+        return changed
+
+    def measure(self, env_ids: EnvIndex | None = None) -> None:
+        """Count one control step in the metrics of the commands that were acted on.
 
         Args:
             env_ids: (n,) environments that stepped, or None for all.
         """
+        if not self._measured:
+            return
         where: Any = slice(None) if env_ids is None else env_ids
-        for name, timer in self._timers.items():
-            due = timer.advance(env_ids)
-            if len(due):
-                everyone = self.env.arrays.are_all(due, self.num_envs)
-                self._run(self.terms[name], "command", None if everyone else due)
-        for update in self._updates:
-            update(env_ids)
-        if self._measured:
-            self._steps[where] += 1.0
-            self._measure(where)
-
-    def _measure(self, where: Any) -> None:
+        self._steps[where] += 1.0
         for name, metrics in self._measured:
             for key, value in metrics().items():
                 total = self._sums.setdefault(f"{name}/{key}", np.zeros_like(self._steps))

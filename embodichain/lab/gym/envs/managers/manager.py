@@ -60,6 +60,15 @@ class BuiltTerm(Generic[C]):
     call: Callable[..., Any]
     instance: Any = None
 
+    @property
+    def takes_obs(self) -> bool:
+        """Whether it takes the observation, as a reward, termination or metric."""
+        lead = self.spec.lead
+        if lead is not None:
+            return "obs" in lead
+        taken: bool = getattr(self.instance, "takes_obs", True)
+        return taken
+
 
 def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[C]:
     """Check a declared term and build it.
@@ -255,6 +264,7 @@ class Manager(Generic[C]):
 
     Attributes:
         revision: Number of changes of parameters and weights so far.
+        takes_obs: Whether a reward, termination or metric takes the observation.
     """
 
     def __init__(self, env: TermContext, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
@@ -279,6 +289,7 @@ class Manager(Generic[C]):
     def _collect(self) -> None:
         """Collect the calls and states of the terms; repeated when a term is rebuilt."""
         instances = {n: t.instance for n, t in self.terms.items() if t.instance is not None}
+        self.takes_obs = any(term.takes_obs for term in self.terms.values())
         self._resets = [i.reset for i in instances.values() if hasattr(i, "reset")]
         self._stateful = {n: i for n, i in instances.items() if hasattr(i, "state_dict")}
         self._bind()
@@ -325,12 +336,18 @@ class Manager(Generic[C]):
         for reset in self._resets:
             reset(env_ids)
 
-    def state_dict(self) -> dict[str, Any]:
+    def term_states(self) -> dict[str, Any]:
         """State of the terms that have one (copies), by name."""
-        return {
-            "terms": {name: term.state_dict() for name, term in self._stateful.items()},
-            "params": copy.deepcopy(self._changed),
-        }
+        return {name: term.state_dict() for name, term in self._stateful.items()}
+
+    def load_term_states(self, states: Mapping[str, Any]) -> None:
+        """Continue where `term_states` was taken, with the same parameters."""
+        for name, term in self._stateful.items():
+            term.load_state_dict(states[name])
+
+    def state_dict(self) -> dict[str, Any]:
+        """State of the terms that have one, and changed parameters (copies)."""
+        return {"terms": self.term_states(), "params": copy.deepcopy(self._changed)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
@@ -338,8 +355,7 @@ class Manager(Generic[C]):
             first = self._declared[name]
             usual = {"params": first.params, "shape": getattr(first, "shape", None)}
             self.set_params(name, **copy.deepcopy(usual | state["params"].get(name, {})))
-        for name, term in self._stateful.items():
-            term.load_state_dict(state["terms"][name])
+        self.load_term_states(state["terms"])
 
 
 def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> None:

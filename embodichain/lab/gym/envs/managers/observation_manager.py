@@ -388,16 +388,29 @@ class ObservationManager(Manager[ObservationCfg]):
         rows: NDArray[np.float32] = self._arrays.of(torch.cat(entries, dim=1))
         return rows
 
+    def memory(self) -> dict[str, Any]:
+        """Noise, delays, histories and states of terms (copies): what an observation advances."""
+        found: dict[str, Any] = {"terms": self.term_states()}
+        if self._remembers:
+            found["memories"] = {entry.term.name: entry.state_dict() for entry in self._entries}
+            found["fresh"] = self._fresh.copy()
+        return found
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Continue where `memory` was taken, with the same parameters."""
+        self.load_term_states(memory["terms"])
+        self._recall(memory)
+
     def state_dict(self) -> dict[str, Any]:
         """Noise, delays and histories, and the state of terms that are classes (copies)."""
-        if not self._remembers:
-            return super().state_dict()
-        memories = {entry.term.name: entry.state_dict() for entry in self._entries}
-        return {**super().state_dict(), "memories": memories, "fresh": self._fresh.copy()}
+        return {**super().state_dict(), **self.memory()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         super().load_state_dict(state)
+        self._recall(state)
+
+    def _recall(self, state: Mapping[str, Any]) -> None:
         if self._remembers:
             self._fresh[:] = state["fresh"]
             for entry in self._entries:

@@ -47,6 +47,7 @@ __all__ = [
     "Box3",
     "CameraOf",
     "Command",
+    "ContactHistoryOf",
     "ContactOf",
     "ForceTorqueOf",
     "Fraction",
@@ -281,6 +282,15 @@ class _Sensor(Reference):
         return f"{self.kind} sensors: {', '.join(there) or 'none'}"
 
 
+class _ContactHistory(_Sensor):
+    """A contact sensor that keeps the physics steps of a control step."""
+
+    def resolve(self, env: TermContext, value: Any) -> Any:
+        sensor = super().resolve(env, value)
+        sensor.keep_history()
+        return sensor
+
+
 class _AnySensor(Reference):
     """A sensor of any kind with named readings."""
 
@@ -317,6 +327,7 @@ if TYPE_CHECKING:
     Arm = ResolvedEntity
     CameraOf = Camera
     ContactOf = ContactSensor
+    ContactHistoryOf = ContactSensor
     ImuOf = ImuSensor
     ForceTorqueOf = ForceTorqueSensor
     HeightScanOf = HeightScanSensor
@@ -342,6 +353,9 @@ else:
         "A camera.",
     )
     ContactOf = _reference(_Sensor("contact", "read_force"), "A contact sensor.")
+    ContactHistoryOf = _reference(
+        _ContactHistory("contact", "read_largest_force"), "A contact sensor."
+    )
     ImuOf = _reference(_Sensor("imu", "read_acceleration"), "An IMU.")
     ForceTorqueOf = _reference(_Sensor("force_torque", "read_torque"), "A force-torque sensor.")
     HeightScanOf = _reference(_Sensor("height_scan", "read_height"), "A height scan.")

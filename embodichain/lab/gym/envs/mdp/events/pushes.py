@@ -55,7 +55,7 @@ class EpisodeTimer:
         """Count the control steps since the last call; return environments that are due."""
         ids = self._arrays.every(len(self._seen)) if env_ids is None else env_ids
         elapsed = self._arrays.of(self._env.elapsed_steps)
-        step = elapsed[ids].astype(np.int64) + 1  # the step ends later
+        step = elapsed[ids].astype(np.int64)
         passed = step - self._seen[ids]
         self._seen[ids] = step
         return self._timer.advance(ids, passed)

@@ -55,6 +55,7 @@ class RecordCameraData(Term):
         ``{func: record_camera_data, mode: interval, interval_step: 1, params: {resolution: [320, 240], camera: default, max_env_num: 1}}``
     """  # noqa: E501  (an example is one line)
 
+    watches = True
     whole_batch = "it names its videos by environments of one process; record.images has pictures"
 
     def __init__(

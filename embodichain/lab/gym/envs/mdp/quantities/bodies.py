@@ -15,9 +15,10 @@ from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, squares, total
 from embodichain.lab.gym.envs.mdp.shapes import gaussian_kernel
 from embodichain.lab.sim.body_motion import Frame
+from embodichain.lab.sim.gravity import gravity_direction
 from embodichain.utils.arrays import contiguous, rows_at, zeros
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.math import quat_to_matrix
+from embodichain.utils.math import quat_to_matrix, rotate_back
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -214,14 +215,15 @@ def yaw(env: TermContext, of: Body, representation: Heading = "yaw") -> F64:
 
 @quantity()
 def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
-    """(N, 3) the world's unit vector straight down in a body's axes: (0, 0, -1) when upright.
+    """(N, 3) the unit vector of gravity in a body's axes: (0, 0, -1) when upright.
 
-    It measures roll and pitch, and not yaw.
+    It measures roll and pitch, and not yaw. It follows the scene's gravity, also where an event
+    draws it, as Isaac Lab's does; without gravity it is (0, 0, 0).
 
     Example:
         ``{func: projected_gravity, params: {of: {uid: go}}}``
     """
-    return _of_axes(-of.axes()[:, 2], axes)
+    return _of_axes(rotate_back(of.axes(), gravity_direction(env.sim.engine)), axes)
 
 
 @quantity()
@@ -251,8 +253,7 @@ def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
     """
     if std is None:
         return 0.5 * (1.0 + of.axes()[:, 2, 2])
-    down = projected_gravity(env, of, "xy")
-    return gaussian_kernel(squares(down), std)
+    return gaussian_kernel(squares(of.axes()[:, 2, :2]), std)
 
 
 @quantity()

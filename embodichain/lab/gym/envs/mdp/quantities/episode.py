@@ -134,7 +134,7 @@ def time_out(env: TermContext, time_limit_s: Positive) -> Mask:
         ``{func: time_out, kind: time_out, params: {time_limit_s: 5.0}}``
     """
     steps = max(1, round(time_limit_s / env.step_dt))
-    over: Mask = env.arrays.of(env.elapsed_steps) + 1 >= steps
+    over: Mask = env.arrays.of(env.elapsed_steps) >= steps
     return over
 
 

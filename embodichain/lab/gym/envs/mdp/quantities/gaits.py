@@ -71,7 +71,7 @@ def feet_gait(
         feet = ", ".join(sensor.names)
         message = f"{len(offsets)} offsets for {len(sensor.names)} feet: {feet}"
         raise ConfigError([Problem("offsets", message)])
-    cycles = (env.arrays.of(env.elapsed_steps) + 1) * (env.step_dt / period_s)
+    cycles = env.arrays.of(env.elapsed_steps) * (env.step_dt / period_s)
     swing = np.stack([np.sin(2.0 * np.pi * (cycles + offset)) for offset in offsets], axis=1)
     if command_name is not None:
         walks = norm(command_name()) > min_command

@@ -45,12 +45,17 @@ Info = dict[str, Any]
 
 
 class _Joined(Term):
-    """Builds the inner terms, joins their values, and forwards resets and states to them."""
+    """Builds the inner terms, joins their values, and forwards resets and states to them.
+
+    Attributes:
+        takes_obs: Whether an inner term takes the observation.
+    """
 
     def __init__(
         self, env: TermContext, terms: Mapping[str, ValueCfg], join: np.ufunc, dtype: type
     ) -> None:
         self._inner: Manager[ValueCfg] = Manager(env, "terms", "metric", terms)
+        self.takes_obs = self._inner.takes_obs
         self._calls = [term.call for term in self._inner.terms.values()]
         self._join_two, self._dtype = join, dtype
 

@@ -1,8 +1,9 @@
 """Quantities of sensors: contacts, inertial measurements, forces at joints, heights, any reading.
 
 Sensors are declared under `sensors:`; contact forces, specific forces and joint forces are those of
-the last physics step (Isaac Lab's contact rewards take the largest of several physics steps). n is
-the number of links of a sensor.
+the last physics step. Whether there is contact is asked of all physics steps of a control step
+(``history_length`` of the sensor), as in Isaac Lab and mjlab: a contact may begin and end between
+two observations. n is the number of links of a sensor.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import (
+    ContactHistoryOf,
     ContactOf,
     ForceTorqueOf,
     HeightScanOf,
@@ -46,6 +48,7 @@ __all__ = [
     "imu_angular_velocity",
     "imu_orientation",
     "imu_projected_gravity",
+    "largest_contact_force",
 ]
 
 
@@ -57,8 +60,12 @@ def _lengths(forces: F64) -> F64:
 
 
 @quantity()
-def contact_found(env: TermContext, sensor: ContactOf, threshold: NonNegative | None = None) -> F64:
-    """(N, n) 1 where a link of a contact sensor is touched, else 0.
+def contact_found(
+    env: TermContext, sensor: ContactHistoryOf, threshold: NonNegative | None = None
+) -> F64:
+    """(N, n) 1 where a link of a contact sensor was touched in a physics step, else 0.
+
+    The physics steps are those of the control step (``history_length`` of the sensor).
 
     Args:
         threshold: N; if given, a link counts as touched where its net force is larger.
@@ -67,8 +74,8 @@ def contact_found(env: TermContext, sensor: ContactOf, threshold: NonNegative | 
         ``{func: contact_found, params: {sensor: contacts, threshold: 1.0}}``
     """
     if threshold is None:
-        return sensor.read_found().astype(np.float64)
-    return (_lengths(sensor.read_force()) > threshold).astype(np.float64)
+        return sensor.read_touched().astype(np.float64)
+    return (sensor.read_largest_force() > threshold).astype(np.float64)
 
 
 @quantity()
@@ -85,13 +92,26 @@ def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> F6
     return _lengths(force) if norm else force
 
 
+@quantity()
+def largest_contact_force(env: TermContext, sensor: ContactHistoryOf) -> F64:
+    """(N, n) N: largest net contact force on each link in the physics steps of a control step.
+
+    The physics steps are those of ``history_length`` of the sensor.
+
+    Example:
+        ``{func: largest_contact_force, params: {sensor: contacts}}``
+    """
+    return sensor.read_largest_force()
+
+
 @quantity("reward", "metric", name="feet_air_time")
 class FeetAirTime(Term):
     """Sum over feet that land in this step of (time in the air - threshold), s: rewards long steps.
 
     0 where the commanded speed is less than `min_command`. Air time counts control steps, that of
-    the landing included; the air time of feet that start in the air begins with the episode. Isaac
-    Lab's reward of the same name.
+    the landing included; the air time of feet that start in the air begins with the episode. A foot
+    is in contact that is so in a physics step of the control step (``history_length`` of the
+    sensor). Isaac Lab's reward of the same name.
 
     Args:
         sensor: A contact sensor on the feet.
@@ -110,7 +130,7 @@ class FeetAirTime(Term):
     def __init__(
         self,
         env: TermContext,
-        sensor: ContactOf,
+        sensor: ContactHistoryOf,
         command_name: PlanarCommand | None = None,
         threshold: NonNegative = 0.5,
         min_command: NonNegative = 0.1,
@@ -122,7 +142,7 @@ class FeetAirTime(Term):
 
     def __call__(self) -> F64:
         """(N,) s; the clocks of the feet advance by one control step."""
-        touched = _lengths(self._sensor.read_force()) > self._force
+        touched = self._sensor.read_largest_force() > self._force
         lasted = self._air + self._dt
         landed = touched & (self._air > 0.0)
         self._air = np.where(touched, 0.0, lasted)
@@ -137,10 +157,11 @@ class FeetAirTime(Term):
 
 
 @quantity("reward", "metric")
-def feet_slide(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0) -> F64:
+def feet_slide(env: TermContext, sensor: ContactHistoryOf, threshold: NonNegative = 1.0) -> F64:
     """(N,) sum over touched feet of their speed in the plane, m/s. Isaac Lab's reward of the name.
 
-    The speed is that of the origin of each link or geom.
+    The speed is that of the origin of each link or geom after the last physics step. A foot is
+    touched that is so in a physics step of the control step (``history_length`` of the sensor).
 
     Args:
         sensor: A contact sensor on the feet.
@@ -151,7 +172,7 @@ def feet_slide(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0
     """
     linear = sensor.frames.velocities(env.sim.engine)[0]
     x, y = linear[..., 0], linear[..., 1]
-    touched = _lengths(sensor.read_force()) > threshold
+    touched = sensor.read_largest_force() > threshold
     return total(np.where(touched, np.sqrt(x * x + y * y), 0.0))
 
 
@@ -189,9 +210,10 @@ def imu_orientation(env: TermContext, sensor: ImuOf) -> F64:
 
 @quantity()
 def imu_projected_gravity(env: TermContext, sensor: ImuOf) -> F64:
-    """(N, 3) the world's unit vector straight down, in an IMU's axes: (0, 0, -1) when upright.
+    """(N, 3) the unit vector of gravity in an IMU's axes: (0, 0, -1) when upright.
 
-    Isaac Lab's observation of the same name.
+    It follows the scene's gravity, as `projected_gravity` does. Isaac Lab's observation of the same
+    name.
 
     Example:
         ``{func: imu_projected_gravity, params: {sensor: imu}}``

@@ -1,0 +1,31 @@
+"""`gravity_direction`: where gravity points, in each environment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.api import F64, Engine
+
+__all__ = ["gravity_direction"]
+
+
+def gravity_direction(engine: Engine) -> F64:
+    """(N or 1, 3) unit vectors along gravity, world axes; zeros where there is none.
+
+    One row if all environments have the same gravity.
+
+    Args:
+        engine: The engine; gravity may be drawn for each environment.
+    """
+    import mujoco  # lists of terms are made without it
+
+    gravity: F64 = engine.model_values("opt.gravity")
+    if engine.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY):
+        return np.zeros_like(gravity)
+    x, y, z = gravity[:, 0], gravity[:, 1], gravity[:, 2]
+    length = np.sqrt(x * x + y * y + z * z)[:, None]
+    none = length == 0.0
+    return np.where(none, 0.0, gravity / np.where(none, 1.0, length))
