@@ -46,14 +46,24 @@ def test_show_tells_what_is_built(capsys: pytest.CaptureFixture[str]) -> None:
     assert data["actions"][0]["params"] == (
         "{of: {uid: ur10}, centre: home, scale: 0.6, clip: [-1, 1]}"
     )
-    assert [row["moves"] for row in data["action vector"]][:2] == ["arm/Joint1", "arm/Joint2"]
+    first, second = data["action vector"][:2]
+    assert (first["joint"], second["joint"]) == ("arm/Joint1", "arm/Joint2")
+    assert (first["scale"], first["clip"]) == (0.6, [-1.0, 1.0])
+    assert first["centre"] == start["Joint1"]["qpos"]  # centre: home
+    assert second["centre"] == start["Joint2"]["qpos"]
     assert [row["term"] for row in data["rewards"]] == ["distance", "near"]
-    assert [(row["columns"], row["entry"]) for row in data["observation vector"]] == [
-        ("0:6", "qpos"),
-        ("6:12", "qvel"),
-        ("12:15", "to_goal"),
-        ("15:21", "action"),
-    ]
+    columns = data["observation vector"]
+    assert [row["columns"] for row in columns] == [str(i) for i in range(21)]
+    terms = ["qpos"] * 6 + ["qvel"] * 6 + ["to_goal"] * 3 + ["action"] * 6
+    assert [row["term"] for row in columns] == terms
+    assert [row["scale"] for row in columns] == [1.0] * 6 + [0.1] * 6 + [1.0] * 9
+    links = [row["link or joint"] for row in columns]
+    assert (links[0], links[11], links[12], links[15]) == (
+        "Joint1",
+        "Joint6",
+        "ee_link to goal",
+        "arm/Joint1",
+    )
 
 
 def test_tables_of_terms_fit_80_columns(
