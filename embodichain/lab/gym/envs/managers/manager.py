@@ -261,9 +261,10 @@ def _moved(error: ConfigError, path: str, names: Mapping[str, str] | None = None
     def moved(problem: Problem) -> Problem:
         if problem.path.startswith(path):
             return problem
-        head, dot, rest = problem.path.partition(".")
-        head = (names or {}).get(head, head)
-        return Problem(f"{path}.{head}{dot}{rest}".rstrip("."), problem.message, problem.hint)
+        inner, dot, rest = problem.path.partition(".")
+        head = (names or {}).get(inner, inner)
+        hint = problem.hint.replace(f"{inner}: {{", f"{head}: {{") if inner else problem.hint
+        return Problem(f"{path}.{head}{dot}{rest}".rstrip("."), problem.message, hint)
 
     return ConfigError(map(moved, error.problems))
 

@@ -75,7 +75,7 @@ class OperationalSpace(JointTerm):
         stiffness: Of the axes x, y, z, rx, ry, rz: a number, a list, or {axis regex: number}; 0 is
             a free axis. With `decoupling` in 1/s^2, None is 150; without in N/m and N m/rad, None
             is 1000 and 50.
-        damping_ratio: r, likewise; 1 is critical.
+        damping_ratio: r, likewise; 1 is critical, and that of axes that are not in a map.
         max_position_error: m: the spring pulls no more than at this error, so that the tool approaches
             a far pose at about max_position_error sqrt(K) / (2 r), and contact forces are bounded.
         max_rotation_error: rad, likewise.
@@ -296,6 +296,8 @@ def _refuse(given: Mapping[str, object], names: tuple[str, ...], command: str) -
 
 def _gains(value: PerJoint, axes: tuple[str, ...], name: str) -> F64:
     """(6 or 3,) gains of the axes."""
+    if name == "damping_ratio" and isinstance(value, dict):
+        value = {".*": 1.0, **value}
     found = per_joint(value, axes, name, "column")
     if (found < 0).any():
         raise ConfigError([Problem(name, "must not be negative")])

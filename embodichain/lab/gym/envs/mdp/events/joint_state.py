@@ -59,6 +59,11 @@ class ResetJoints(Term):
         driven = np.asarray(asset.entity.actuator_ids)[self._joints] >= 0
         self._driven: NDArray[np.int64] = np.flatnonzero(driven)
         self._operation = operation
+        rows = position_range
+        listed = isinstance(rows, (list, tuple)) and isinstance(rows[0], (list, tuple))
+        if listed and any(len(row) != count for row in rows):
+            message = f"needs [low, high] or two rows of {count} values, got {rows}"
+            raise ConfigError([Problem("position_range", message)])
         low, high = ranges_in_columns(
             position_range, entity_cfg.joint_names, "position_range", entity_cfg.joints_by
         )

@@ -65,7 +65,7 @@ def feet_gait(
 
     Example:
         ``{func: feet_gait, weight: 0.5, params: {sensor: contacts, period_s: 0.5,
-        offsets: [0, 0.5, 0.5, 0], command_name: velocity}}``
+        offsets: {FL_foot|RR_foot: 0, FR_foot|RL_foot: 0.5}, command_name: velocity}}``
     """
     if isinstance(offsets, list) and len(offsets) != len(sensor.names):
         feet = ", ".join(sensor.names)
