@@ -422,6 +422,8 @@ def _action_vector(env: BaseEnv) -> Rows:
         names = tuple(env.robot.joint_names[i] for i in env.active_joint_ids)
         centres, scales = [0.0] * len(names), [1.0] * len(names)
     space: Any = env.single_action_space
+    if space.shape != (len(names),):  # that of a class, which says what it means
+        return []
     columns = zip(names, centres, scales, space.low, space.high, strict=True)
     return [
         {

@@ -156,11 +156,14 @@ class ObservationEntry:
         names = getattr(self.term.instance, "column_names", ())
         if names:
             columns = TermColumns(tuple(names))
-        depth = self.term.cfg.history_length
-        if not depth or count % depth:
-            return columns.labels(count)
+        depth = self.term.cfg.history_length or 1
+        if count % depth:
+            return [""] * count
+        labels = columns.labels(count // depth)
+        if not any(labels):  # one number of several links
+            labels = [", ".join(columns.names)] * len(labels)
         ages = [f" ({age} before)" if age else "" for age in range(depth - 1, -1, -1)]
-        return [f"{one}{age}".strip() for age in ages for one in columns.labels(count // depth)]
+        return [f"{label}{age}".strip() for age in ages for label in labels]
 
     # -- saving --------------------------------------------------------------------------------
 

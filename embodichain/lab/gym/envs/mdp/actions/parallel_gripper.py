@@ -226,10 +226,12 @@ class ParallelGripper(JointTerm):
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """Of the fingers' commands: a number, or one for each finger where they differ."""
         if self._binary:
-            return [f"below 0 {_said(self._low)}, else {_said(self._high)}"], [""]
+            return [f"below 0: {_in_words(self._low)}; else {_in_words(self._high)}"], [""]
         scale = self._span / (self._ends[1] - self._ends[0])
         centre = self._low - self._ends[0] * scale
-        return [_said(centre)], [_said(scale)]
+        if (centre == centre[0]).all() and (scale == scale[0]).all():
+            return [float(centre[0])], [float(scale[0])]
+        return [_in_words(centre)], [_in_words(scale)]
 
     def home(self) -> F64:
         """(1,) the action nearest to the initial state."""
@@ -308,11 +310,10 @@ class _Controls:
         return free, force / np.abs(self._gain)
 
 
-def _said(values: F64) -> float | str:
+def _in_words(values: F64) -> str:
     """One number if all are the same, else all."""
-    if (values == values[0]).all():
-        return float(values[0])
-    return ", ".join(f"{value:g}" for value in values)
+    shown = values[:1] if (values == values[0]).all() else values
+    return ", ".join(f"{value:g}" for value in shown)
 
 
 def _direction(axis: str | Sequence[float] | None) -> F64 | None:

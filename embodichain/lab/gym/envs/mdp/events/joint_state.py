@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class ResetJoints(Term):
         driven = np.asarray(asset.entity.actuator_ids)[self._joints] >= 0
         self._driven: NDArray[np.int64] = np.flatnonzero(driven)
         self._operation = operation
-        rows = position_range
+        rows: Any = position_range
         listed = isinstance(rows, (list, tuple)) and isinstance(rows[0], (list, tuple))
         if listed and any(len(row) != count for row in rows):
             message = f"needs [low, high] or two rows of {count} values, got {rows}"
