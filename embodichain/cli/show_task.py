@@ -415,23 +415,60 @@ def _flow(value: Any) -> str:
 
 
 def _action_vector(env: BaseEnv) -> Rows:
-    """The joints or other targets of each action column."""
+    """Each column of the action: what it moves, and the line from action to value."""
     manager = env.action_manager
-    columns = zip(manager.names, manager.low, manager.high, strict=True)
+    names, (centres, scales) = manager.names, manager.centre_and_scale()
+    if not len(manager) and env.robot is not None:  # joint positions as they are
+        names = tuple(env.robot.joint_names[i] for i in env.active_joint_ids)
+        centres, scales = [0.0] * len(names), [1.0] * len(names)
+    space: Any = env.single_action_space
+    if space.shape != (len(names),):  # that of a class, which says what it means
+        return []
+    columns = zip(names, centres, scales, space.low, space.high, strict=True)
     return [
-        {"column": index, "moves": name, "low": float(low), "high": float(high)}
-        for index, (name, low, high) in enumerate(columns)
+        {
+            "column": index,
+            "joint": name,
+            "centre": centre,
+            "scale": scale,
+            "clip": [float(low), float(high)],
+        }
+        for index, (name, centre, scale, low, high) in enumerate(columns)
     ]
 
 
+_LONGEST = 64
+"""Columns of an entry that are listed one by one; more of the same kind are one row."""
+
+
 def _observation_vector(env: BaseEnv) -> Rows:
-    """Which columns of a group's flattened vector contain which entry."""
+    """Each column of a group's flattened vector: its entry, what it belongs to, and its factor."""
     spaces = _leaves(env.single_observation_space)
+    manager = env.observation_manager
     rows: Rows = []
-    for group in env.observation_manager.groups:
+    for group in manager.groups:
         start = 0
-        for entry in env.observation_manager.group_terms(group):
-            stop = start + math.prod(spaces[entry].shape)
-            rows.append({"group": group, "columns": f"{start}:{stop}", "entry": entry})
+        for entry in manager.group_terms(group):
+            count = math.prod(spaces[entry].shape)
+            columns = manager.column_table(entry, count)
+            stop = start + count
+            if count > _LONGEST and len(set(columns)) == 1:
+                label, scale = columns[0]
+                rows.append(_column_of(group, f"{start}:{stop}", entry, label, scale))
+            else:
+                rows += [
+                    _column_of(group, str(start + i), entry, label, scale)
+                    for i, (label, scale) in enumerate(columns)
+                ]
             start = stop
     return rows
+
+
+def _column_of(group: str, columns: str, entry: str, label: str, scale: float) -> dict[str, Any]:
+    return {
+        "group": group,
+        "columns": columns,
+        "term": entry,
+        "link or joint": label,
+        "scale": scale,
+    }

@@ -23,7 +23,7 @@ from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import Tensor
 
 from embodichain.lab.gym.envs.cfg import SymmetryCfg
-from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.compiler.names import match_every
 from embodichain.lab.sim.sensors.cfg import HeightScanSensorCfg
 from embodichain.lab.sim.sensors.ray_patterns import pattern_rays
 from embodichain.utils.errors import ConfigError, Problem
@@ -127,7 +127,7 @@ def _joints(cfg: SymmetryCfg, env: BaseEnv) -> tuple[Columns, list[Problem]]:
     index, sign = np.arange(len(names)), np.ones(len(names), np.float32)
     problems: list[Problem] = []
     for pattern, image in cfg.swap.items():
-        found, wrong = match(pattern, names, "joint", f"swap.{pattern}")
+        found, wrong = match_every(pattern, names, "joint", f"swap.{pattern}")
         problems += wrong
         for i in found:
             try:
@@ -149,7 +149,7 @@ def _joints(cfg: SymmetryCfg, env: BaseEnv) -> tuple[Columns, list[Problem]]:
             index[i], index[j] = j, i
     patterns = [cfg.opposite] if isinstance(cfg.opposite, str) else cfg.opposite or []
     for pattern in patterns:
-        found, wrong = match(pattern, names, "joint", "opposite")
+        found, wrong = match_every(pattern, names, "joint", "opposite")
         problems += wrong
         sign[list(found)] = -1.0
     uneven = [names[i] for i in range(len(names)) if sign[i] != sign[index[i]]]

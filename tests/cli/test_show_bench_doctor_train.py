@@ -46,14 +46,24 @@ def test_show_tells_what_is_built(capsys: pytest.CaptureFixture[str]) -> None:
     assert data["actions"][0]["params"] == (
         "{of: {uid: ur10}, centre: home, scale: 0.6, clip: [-1, 1]}"
     )
-    assert [row["moves"] for row in data["action vector"]][:2] == ["arm/Joint1", "arm/Joint2"]
+    first, second = data["action vector"][:2]
+    assert (first["joint"], second["joint"]) == ("arm/Joint1", "arm/Joint2")
+    assert (first["scale"], first["clip"]) == (0.6, [-1.0, 1.0])
+    assert first["centre"] == start["Joint1"]["qpos"]  # centre: home
+    assert second["centre"] == start["Joint2"]["qpos"]
     assert [row["term"] for row in data["rewards"]] == ["distance", "near"]
-    assert [(row["columns"], row["entry"]) for row in data["observation vector"]] == [
-        ("0:6", "qpos"),
-        ("6:12", "qvel"),
-        ("12:15", "to_goal"),
-        ("15:21", "action"),
-    ]
+    columns = data["observation vector"]
+    assert [row["columns"] for row in columns] == [str(i) for i in range(21)]
+    terms = ["qpos"] * 6 + ["qvel"] * 6 + ["to_goal"] * 3 + ["action"] * 6
+    assert [row["term"] for row in columns] == terms
+    assert [row["scale"] for row in columns] == [1.0] * 6 + [0.1] * 6 + [1.0] * 9
+    links = [row["link or joint"] for row in columns]
+    assert (links[0], links[11], links[12], links[15]) == (
+        "Joint1",
+        "Joint6",
+        "ee_link to goal",
+        "arm/Joint1",
+    )
 
 
 def test_tables_of_terms_fit_80_columns(
@@ -197,3 +207,74 @@ def test_without_a_display_the_viewer_only_warns(
     assert main(["run", "task=random_reach", "viewer=native", *short]) == 0
     assert "warning: " in (err := capsys.readouterr().err)
     assert "no display" in err
+
+
+_TWO = """
+robot: {uid: ur10, fpath: UniversalRobots/UR10/UR10.urdf, init_pos: [0, 0, 1]}
+sensors:
+  touch: {sensor_type: contact, entity_cfg: {uid: ur10, link_names: [ee_link, forearm_link]}}
+actions:
+  swapped:
+    func: joint_action
+    params: {of: {uid: ur10, joint_names: [Joint2, Joint1]}, scale: [0.3, 0.1], offset: [0.0, 0.5],
+             clip: [[-1, 1], [-2, 2]]}
+  relative:
+    func: joint_action
+    params: {of: {uid: ur10, joint_names: [Joint3]}, centre: target, scale: 0.2, offset: 0.1}
+  limits: {func: joint_action, params: {of: {uid: ur10, joint_names: [Joint4]}, centre: limits}}
+observations:
+  q:
+    func: joint_position
+    history_length: 2
+    scale: [2, 3]
+    params: {of: {uid: ur10, joint_names: [Joint2, Joint1]}}
+  touch: {func: contact_found, params: {sensor: touch}}
+  force: {func: contact_force, params: {sensor: touch}}
+"""
+
+
+def test_show_tells_the_order_of_columns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "conf" / "task").mkdir(parents=True)
+    (tmp_path / "conf" / "task" / "two.yaml").write_text(f"description: Two.\n{_TWO}")
+    monkeypatch.chdir(tmp_path)
+    assert main(["show", "task=two", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    limits = {row["joint"]: (row["lower"], row["upper"]) for row in data["initial qpos"]}
+    low, high = limits["Joint4"]
+    rows = [tuple(row.values())[1:] for row in data["action vector"]]
+    assert rows[:3] == [
+        ("swapped/Joint1", 0.5, 0.1, [-2.0, 2.0]),
+        ("swapped/Joint2", 0.0, 0.3, [-1.0, 1.0]),
+        ("relative/Joint3", "target + 0.1", 0.2, [-1.0, 1.0]),
+    ]
+    name, centre, scale, clip = rows[3]
+    assert (name, clip) == ("limits/Joint4", [-1.0, 1.0])
+    assert (centre, scale) == pytest.approx(((low + high) / 2, (high - low) / 2))
+    columns = [
+        (row["term"], row["link or joint"], row["scale"]) for row in data["observation vector"]
+    ]
+    assert columns == [
+        ("q", "Joint1 (1 before)", 3.0),
+        ("q", "Joint2 (1 before)", 2.0),
+        ("q", "Joint1", 3.0),
+        ("q", "Joint2", 2.0),
+        ("touch", "forearm_link", 1.0),
+        ("touch", "ee_link", 1.0),
+        *[("force", "forearm_link", 1.0)] * 3,
+        *[("force", "ee_link", 1.0)] * 3,
+    ]
+
+
+def test_show_tells_the_joints_of_a_task_without_action_terms(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "conf" / "task").mkdir(parents=True)
+    text = "description: A robot.\nrobot: {uid: ur10, fpath: UniversalRobots/UR10/UR10.urdf}\n"
+    (tmp_path / "conf" / "task" / "bare.yaml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    assert main(["show", "task=bare", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["action vector"]
+    found = [(row["joint"], row["centre"], row["scale"]) for row in rows]
+    assert found == [(f"Joint{i}", 0.0, 1.0) for i in range(1, 7)]

@@ -40,8 +40,8 @@ class SolverCfg:
     """The tool point in the frame of `end_link_name`, or of `end_site_name`: a 4x4 matrix; None is
     that frame."""
     ik_nearest_weight: list[float] | None = None
-    """Weights of the joints of the chain in the distance from the seed, by which solutions are
-    ranked; None is 1."""
+    """Weights of the chain's joints, from root to tool, in the distance from the seed, by which
+    solutions are ranked; None is 1."""
     pos_eps: Annotated[float, Field(gt=0)] = 1e-5
     """Metres: a solution is at most this far from the target."""
     rot_eps: Annotated[float, Field(gt=0)] = 1e-5

@@ -54,8 +54,8 @@ Names = str | list[str] | None
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 """[low, high]."""
 Steps = Annotated[int, Field(ge=0)]
-Noise = float | list[float] | None
-"""One number, or one for each column."""
+Numbers = float | list[float] | dict[str, float] | None
+"""One number, one for each column, or {joint or link regex: number}."""
 
 
 @configclass
@@ -137,13 +137,13 @@ class NoiseCfg:
     type: Literal["gaussian", "uniform", "constant"] = "gaussian"
     operation: Literal["add", "scale", "abs"] = "add"
     """The result is value + noise, value x noise, or the noise alone."""
-    mean: Noise = None
-    std: Noise = None
-    low: Noise = None
-    high: Noise = None
-    n_min: Noise = None
-    n_max: Noise = None
-    bias: Noise = None
+    mean: Numbers = None
+    std: Numbers = None
+    low: Numbers = None
+    high: Numbers = None
+    n_min: Numbers = None
+    n_max: Numbers = None
+    bias: Numbers = None
 
 
 @configclass
@@ -163,7 +163,9 @@ class ObservationCfg(ValueCfg):
     """The task's `enable_corruption` switches it off, for all groups or by group."""
     clip: Pair | None = None
     """[low, high]."""
-    scale: float | list[float] | None = None
+    scale: Numbers = None
+    """A number, a list or {joint or link regex: number}. The numbers of a list go with plain names
+    of the reference in `params`; without names they are in the order of the columns."""
     delay: Steps | Annotated[list[Steps], Field(min_length=2, max_length=2)] = 0
     """Control steps, or [low, high]: then each episode of each environment draws its own."""
     history_length: Steps = 0

@@ -69,6 +69,10 @@ class Commands(Draws, Protocol):
         """Return ``name`` if there is such a command; else raise a ConfigError for ``key``."""
         ...
 
+    def names(self, name: str) -> tuple[str, ...]:
+        """Names of the columns of a command."""
+        ...
+
     def values(self, name: str) -> F64:
         """(N, K) float64 current command: a live view; do not write to it or store it."""
         ...
@@ -84,6 +88,11 @@ class ActionSlices(Protocol):
     @property
     def slices(self) -> Mapping[str, slice]:
         """Columns by name of the action term."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each column of the action: ``TERM/JOINT``."""
         ...
 
 

@@ -25,7 +25,7 @@ from embodichain.lab.sim.compiler.drives import (
 )
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.model_size import reported
-from embodichain.lab.sim.compiler.names import exact_pattern, match, names_in_spec
+from embodichain.lab.sim.compiler.names import exact_pattern, match_every, names_in_spec
 from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.postures import start_posture
 from embodichain.lab.sim.compiler.rigid_objects import check_pose
@@ -324,7 +324,7 @@ def _control_parts(
     for part, patterns in (parts or {}).items():
         ids: list[int] = []
         for pattern in [patterns] if isinstance(patterns, str) else patterns:
-            matched, wrong = match(pattern, names, "joint", f"control_parts.{part}")
+            matched, wrong = match_every(pattern, names, "joint", f"control_parts.{part}")
             problems += wrong
             ids += matched
         if not patterns:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from embodichain.lab.sim.compiler.alternatives import unmatched_alternatives
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -24,6 +25,7 @@ __all__ = [
     "Jointed",
     "Known",
     "KnownObject",
+    "NamedBy",
     "Picked",
     "check_uid",
     "exact_pattern",
@@ -32,6 +34,7 @@ __all__ = [
     "frame_in_model",
     "frame_names",
     "match",
+    "match_every",
     "names_in_spec",
     "no_such",
     "pick",
@@ -69,6 +72,24 @@ def match(
         return found, []
     message = f"no {what} matches {pattern!r}; there are: {listing(names, pattern)}"
     return (), [Problem(path, message, _closest(pattern, names))]
+
+
+def match_every(
+    pattern: str, names: Sequence[str], what: str, path: str
+) -> tuple[tuple[int, ...], list[Problem]]:
+    """Do as `match`, and report each alternative of a ``|`` that matches nothing."""
+    found, problems = match(pattern, names, what, path)
+    if problems:
+        return found, problems
+    return found, [
+        Problem(
+            path,
+            f"no {what} matches the alternative {one!r} of {pattern!r}; "
+            f"there are: {listing(names, one)}",
+            _closest(one, names),
+        )
+        for one in unmatched_alternatives(pattern, names)
+    ]
 
 
 def no_such(what: str, name: str, names: Sequence[str], path: str) -> Problem:
@@ -178,6 +199,26 @@ Known = Mapping[str, Jointed | KnownObject | str | None]
 
 
 @dataclass(frozen=True)
+class NamedBy:
+    """One entry of a reference, as written, and what it picks.
+
+    Attributes:
+        key: The key that contains it: ``joint_names``.
+        text: A name, a regex, a control part, or a number.
+        names: The names that it picks.
+    """
+
+    key: str
+    text: str
+    names: tuple[str, ...]
+
+    @property
+    def is_part(self) -> bool:
+        """Whether it is a control part: a declared group of joints, no regex."""
+        return self.key == "control_parts"
+
+
+@dataclass(frozen=True)
 class Picked:
     """Joints, frames and parts that a reference picks, as indices in the entity's order.
 
@@ -188,6 +229,8 @@ class Picked:
         frames: Links, sites or geoms; by default none.
         key: The key that names them.
         parts: Control parts, by name.
+        joints_by: The entries that name joints, in the order of the file; none picks all.
+        frames_by: The entries that name frames, likewise.
     """
 
     joints: tuple[int, ...] = ()
@@ -195,6 +238,8 @@ class Picked:
     frames: tuple[int, ...] = ()
     key: str = "link_names"
     parts: tuple[str, ...] = ()
+    joints_by: tuple[NamedBy, ...] = ()
+    frames_by: tuple[NamedBy, ...] = ()
 
 
 def frame_names(
@@ -309,17 +354,24 @@ def _pick_of_articulation(
     problems += found
     ids, found = _numbered("joint_ids", fields, len(names), "joints", uid)
     problems += found
-    if ids is None and parts is None and joints is None:
+    by: list[NamedBy] = []
+    chosen = [there[i] for _, hits in parts or () for i in hits]
+    if ids is not None:
+        by = [NamedBy("joint_ids", str(i), (names[i],)) for i in ids]
+    elif parts is None and joints is None:
         ids = active
-    elif ids is None:
-        of_parts = [i for part in parts or () for i in entity.control_parts[there[part]]]
-        ids = _ordered([i for i in of_parts if i in active] + list(joints or ()), fields)
+    else:
+        of_parts = {p: [i for i in entity.control_parts[p] if i in active] for p in chosen}
+        by = [NamedBy("control_parts", p, _named(of_parts[p], names)) for p in chosen]
+        by += [NamedBy("joint_names", text, _named(hits, names)) for text, hits in joints or ()]
+        picked = [i for own in of_parts.values() for i in own] + _flat(joints)
+        ids = _ordered(picked, fields)
         if not ids and not problems:
             key = "joint_names" if parts is None else "control_parts"
             problems.append(Problem(key, f"picks no joint of {uid!r}; leave it out for all"))
     frames, found = _frames(entity, uid, fields)
-    named = tuple(there[i] for i in parts or ())
-    return replace(frames, joints=tuple(ids), parts=named), problems + found
+    picked_all = replace(frames, joints=tuple(ids), parts=tuple(chosen), joints_by=tuple(by))
+    return picked_all, problems + found
 
 
 def _pick_of_body(
@@ -357,10 +409,14 @@ def _frames(
         return Picked(kind=kind, key=key), []
     ids, problems = _numbered("body_ids", fields, len(names), "links", uid)
     if ids is not None:
-        return Picked(kind=kind, frames=tuple(ids), key=key), problems
+        numbers = tuple(NamedBy("body_ids", str(i), (names[i],)) for i in ids)
+        return Picked(kind=kind, frames=tuple(ids), key=key, frames_by=numbers), problems
     picked: list[int] = []
+    by: list[NamedBy] = []
     for name in given[kind]:
-        matched, found = _matching(name, fields, names, kind, uid)
+        entries, found = _matching(name, fields, names, kind, uid)
+        matched = None if entries is None else _flat(entries)
+        by += [NamedBy(name, text, _named(hits, names)) for text, hits in entries or ()]
         if name == kind and len(matched or ()) > 1:
             matching = ", ".join(names[i] for i in matched or ())
             found.append(Problem(name, f"one {kind} is wanted, these match: {matching}"))
@@ -368,7 +424,8 @@ def _frames(
         problems += [_with_other_kind(p, entity, uid, fields[name], kind) for p in found]
         if kind != "link" and matched == [] and not found:
             problems.append(Problem(name, f"names no {kind}; leave it out for the root"))
-    return Picked(kind=kind, frames=tuple(_ordered(picked, fields)), key=key), problems
+    ordered = tuple(_ordered(picked, fields))
+    return Picked(kind=kind, frames=ordered, key=key, frames_by=tuple(by)), problems
 
 
 _KEYS = _FRAME_KEYS.items()
@@ -392,22 +449,34 @@ def _with_other_kind(
     return problem
 
 
+_Entries = list[tuple[str, tuple[int, ...]]]
+"""Entries of a list of names, and the indices of what each matches."""
+
+
 def _matching(
     key: str, fields: Mapping[str, Any], names: Sequence[str], what: str, uid: str
-) -> tuple[list[int] | None, list[Problem]]:
-    """Indices of the names that each pattern matches, in the order of the patterns."""
+) -> tuple[_Entries | None, list[Problem]]:
+    """Each name or regex of a key with the indices of the names that it matches."""
     wanted = fields.get(key)
     if wanted is None:
         return None, []
-    picked: list[int] = []
+    entries: _Entries = []
     problems: list[Problem] = []
     for pattern in [wanted] if isinstance(wanted, str) else wanted:
         if key == what and pattern in names:  # one name, as it is
-            return [names.index(pattern)], []
-        found, wrong = match(str(pattern), names, f"{what} of {uid!r}", key)
-        picked += found
+            return [(pattern, (names.index(pattern),))], []
+        found, wrong = match_every(str(pattern), names, f"{what} of {uid!r}", key)
+        entries.append((str(pattern), found))
         problems += wrong
-    return picked, problems
+    return entries, problems
+
+
+def _flat(entries: _Entries | None) -> list[int]:
+    return [i for _, hits in entries or () for i in hits]
+
+
+def _named(ids: Sequence[int], names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(names[i] for i in ids)
 
 
 def _numbered(

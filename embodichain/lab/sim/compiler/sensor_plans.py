@@ -17,6 +17,7 @@ from embodichain.lab.sim.compiler.names import (
     FrameKind,
     Known,
     KnownObject,
+    NamedBy,
     frame_in_model,
     frame_names,
     no_such,
@@ -79,6 +80,7 @@ class SensorPlan:
         frames: (n,) their names in the model; empty for a sensor of joints.
         places: (n,) where the file has them: the body and the pose in its frame.
         joints: (n,) names of its joints in the model.
+        named_by: The entries of the config that name them; none if it takes all.
         others: Objects with which contacts count, or in whose frame a pose is measured: MuJoCo's
             object type and name of each; empty is any object, or the world.
     """
@@ -91,6 +93,7 @@ class SensorPlan:
     places: tuple[Place, ...] = ()
     joints: tuple[str, ...] = ()
     others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
+    named_by: tuple[NamedBy, ...] = ()
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -210,11 +213,11 @@ def _plan_frame(uid: str, cfg: FramePoseSensorCfg, scene: _Names) -> _Plan:
 
 def _plan_joints(uid: str, cfg: JointTorqueSensorCfg, scene: _Names) -> _Plan:
     entity = cfg.entity_cfg
-    joints, problems = scene.joints(entity)
+    joints, named_by, problems = scene.joints(entity)
     if problems or not joints:
         return None, problems
     in_model = tuple(f"{entity.uid}/{name}" for name in joints)
-    return SensorPlan(uid, cfg, joints, joints=in_model), []
+    return SensorPlan(uid, cfg, joints, joints=in_model, named_by=named_by), []
 
 
 def _plan_rays(uid: str, cfg: RayCastCfg, scene: _Names) -> _Plan:
@@ -240,18 +243,29 @@ class _Frames:
         names: Their names.
         in_model: Their names in the model.
         places: Where the file has them.
+        named_by: The entries that name them; none if all were taken.
     """
 
     kind: FrameKind
     names: tuple[str, ...]
     in_model: tuple[str, ...]
     places: tuple[Place, ...]
+    named_by: tuple[NamedBy, ...]
 
     def plan(
         self, uid: str, cfg: SensorCfg, others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
     ) -> SensorPlan:
         """The plan of a sensor that is fixed on them."""
-        return SensorPlan(uid, cfg, self.names, self.kind, self.in_model, self.places, (), others)
+        return SensorPlan(
+            uid,
+            cfg,
+            self.names,
+            self.kind,
+            self.in_model,
+            self.places,
+            others=others,
+            named_by=self.named_by,
+        )
 
 
 @dataclass(frozen=True)
@@ -288,6 +302,7 @@ class _Names:
             chosen,
             tuple(frame_in_model(entity, cfg.uid, picked.kind, name) for name in chosen),
             tuple(place_of(entity, cfg.uid, picked.kind, name) for name in chosen),
+            picked.frames_by,
         ), []
 
     def one(self, path: str, cfg: LinksCfg) -> tuple[_Frames | None, list[Problem]]:
@@ -301,20 +316,20 @@ class _Names:
             return None, [Problem(f"{path}.{frames.kind}_names", message)]
         return frames, problems
 
-    def joints(self, cfg: JointsCfg) -> tuple[tuple[str, ...], list[Problem]]:
-        """The joints that a config picks; by default all active ones."""
+    def joints(self, cfg: JointsCfg) -> tuple[tuple[str, ...], tuple[NamedBy, ...], list[Problem]]:
+        """The joints that a config picks, by default all active ones, and its entries."""
         for key in (key for key in _FRAME_KEYS if getattr(cfg, key) is not None):
-            return (), [Problem(f"entity_cfg.{key}", "this sensor takes joint_names")]
+            return (), (), [Problem(f"entity_cfg.{key}", "this sensor takes joint_names")]
         picked, problems = pick("entity_cfg", vars(cfg), self.known, self.open_scene)
         entity = self.known.get(cfg.uid)
         if problems or entity is None:
-            return (), problems
+            return (), (), problems
         if isinstance(entity, (str, KnownObject)):
             what = entity if isinstance(entity, str) else "rigid object"
-            return (), [Problem("entity_cfg.uid", f"{cfg.uid!r} is a {what} without joints")]
+            return (), (), [Problem("entity_cfg.uid", f"{cfg.uid!r} is a {what} without joints")]
         if not picked.joints:
-            return (), [Problem("entity_cfg", f"picks no joint of {cfg.uid!r}")]
-        return tuple(entity.joint_names[i] for i in picked.joints), []
+            return (), (), [Problem("entity_cfg", f"picks no joint of {cfg.uid!r}")]
+        return tuple(entity.joint_names[i] for i in picked.joints), picked.joints_by, []
 
     def site(self, cfg: FramePoseSensorCfg) -> list[Problem]:
         """Check the site that is named beside the entity."""

@@ -71,7 +71,10 @@ def test_drives_come_after_the_files_actuators_one_column_each(make):
 
 def test_scale_offset_clip_and_choice_of_actuators(make):
     term = ctrl(
-        actuator_names=["wrist_[12]", "elbow"], scale={"wrist_1": 2.0}, offset=0.5, clip=0.2
+        actuator_names=["wrist_[12]", "elbow"],
+        scale={"wrist_1": 2.0, ".*": 1.0},
+        offset=0.5,
+        clip=0.2,
     )
     env = make("ur5e", actions={"some": term})
     assert env.action_manager.names == ("some/elbow", "some/wrist_1", "some/wrist_2")

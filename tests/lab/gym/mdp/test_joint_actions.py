@@ -38,7 +38,7 @@ def driven(gravcomp: float | None = None, **drives) -> dict:
 
 
 def test_scale_and_offset_of_absolute_positions(make) -> None:
-    env = make(actions={"arm": act("joint_position", scale=0.5, offset={"Joint1": 0.1})})
+    env = make(actions={"arm": act("joint_position", scale=0.5, offset={"Joint1": 0.1, ".*": 0})})
     limits = np.asarray(env.robot.parsed.qpos_limits)
     expected = limits / 0.5
     expected[0] -= 0.2  # (limit - 0.1) / 0.5
@@ -59,7 +59,7 @@ def test_a_negative_scale_keeps_bounds_in_order(make) -> None:
 
 
 def test_lists_and_maps_give_one_value_a_joint(make) -> None:
-    scale = {"Joint[12]": 0.1, "Joint6": 0.5}  # the others get 1
+    scale = {"Joint[12]": 0.1, "Joint6": 0.5, ".*": 1}
     clip = {"Joint[1-5]": [-1, 1], "Joint6": 0.5}  # one number is both sides
     term = act("default_offset_joint_position", scale=scale, clip=clip, offset=[0, 0, 0, 0, 0, 1])
     env = make(actions={"arm": term})
@@ -285,7 +285,7 @@ def test_velocity_needs_something_to_drive_with(make) -> None:
 def test_effort_is_applied_and_limited(make) -> None:
     env = make(
         **driven(stiffness=0.0, damping=0.0, max_effort={".*": 30.0, "Joint6": 2.0}),
-        actions={"arm": act("joint_effort", scale=10.0, offset={"Joint1": 1.0}, clip=5)},
+        actions={"arm": act("joint_effort", scale=10.0, offset={"Joint1": 1.0, ".*": 0.0}, clip=5)},
     )
     assert env.action_manager.high.tolist() == [5.0] * 6
     env.reset()

@@ -64,7 +64,8 @@ def test_continuous_between_commands(hand) -> None:
 
 
 def test_binary(hand) -> None:
-    env = hand(command_mode="binary", open_command=[0.04, 0.03], close_command=0.0)
+    opened = {"finger_left": 0.04, "finger_right": 0.03}
+    env = hand(command_mode="binary", open_command=opened, close_command=0.0)
     assert moved(env, -0.2) == [0, 0]
     assert env.action_manager.hold().tolist() == [[-1.0]] * 3
     assert np.allclose(moved(env, 0.0), [0.04, 0.03])

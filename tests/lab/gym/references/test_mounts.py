@@ -43,7 +43,7 @@ def test_contacts_of_feet_that_are_geoms(make) -> None:  # noqa: F811
         "slide": RewardCfg(func="feet_slide", params={"sensor": "feet"}),
         "gait": RewardCfg(
             func="feet_gait",
-            params={"sensor": "feet", "period_s": 0.5, "offsets": [0, 0.5, 0.5, 0]},
+            params={"sensor": "feet", "period_s": 0.5, "offsets": {"FR|RL": 0, "FL|RR": 0.5}},
         ),
     }
     env = make(sensors=sensors, rewards=rewards)

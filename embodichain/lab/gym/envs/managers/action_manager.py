@@ -18,6 +18,7 @@ from embodichain.lab.gym.envs.cfg import ActionTermCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import ActionPipeline
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
+from embodichain.lab.gym.envs.managers.term_columns import TermColumns
 from embodichain.utils.arrays import all_finite, is_host, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.tensor_mapping import leaves_of
@@ -261,8 +262,8 @@ class ActionManager(Manager[ActionTermCfg]):
             return call
         pipeline = self._pipelines.get(name)
         if pipeline is None:
-            width = term.instance.action_dim
-            pipeline = ActionPipeline(name, cfg, width, self.env.streams, self._arrays)
+            columns = TermColumns(self._columns(term), term.instance.named_by, "joint")
+            pipeline = ActionPipeline(name, cfg, columns, self.env.streams, self._arrays)
             self._pipelines[name] = pipeline
         pipeline.hold = term.instance.hold
         return lambda action: call(pipeline(action))
@@ -289,10 +290,24 @@ class ActionManager(Manager[ActionTermCfg]):
         """Name of each column of the action: ``TERM/JOINT``."""
         found: list[str] = []
         for name, term in self.terms.items():
-            width = self.slices[name].stop - self.slices[name].start
-            columns = term.instance.names or tuple(map(str, range(width)))
-            found += [f"{name}/{column}" for column in columns]
+            found += [f"{name}/{column}" for column in self._columns(term)]
         return tuple(found)
+
+    @staticmethod
+    def _columns(term: BuiltTerm[ActionTermCfg]) -> tuple[str, ...]:
+        """Name of each column of a term's slice, or its number."""
+        found: tuple[str, ...] = term.instance.names
+        return found or tuple(map(str, range(term.instance.action_dim)))
+
+    def centre_and_scale(self) -> tuple[list[float | str], list[float | str]]:
+        """Centre and scale of each column of the action; see `ActionTerm.centre_and_scale`."""
+        centres: list[float | str] = []
+        scales: list[float | str] = []
+        for term in self.terms.values():
+            centre, scale = term.instance.centre_and_scale()
+            centres += centre
+            scales += scale
+        return centres, scales
 
     def apply(self, action: torch.Tensor) -> None:
         """Apply every term to its slice of the action.

@@ -15,6 +15,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 
 from embodichain.lab.gym.envs.cfg import (
@@ -401,18 +402,25 @@ def _check_noise(path: str, noise: Any) -> list[Problem]:
         for n in missing
         if not strange
     ]
-    wild = [n for n in given if not np.isfinite(np.asarray(getattr(noise, n))).all()]
+    wild = [n for n in given if not np.isfinite(_numbers_in(getattr(noise, n))).all()]
     found += [Problem(f"{path}.{name}", "must be finite") for name in wild]
     return found or _check_noise_order(path, noise)
 
 
+def _numbers_in(value: Any) -> NDArray[np.float64]:
+    """The numbers of a number, a list or a map."""
+    return np.asarray(list(value.values()) if isinstance(value, Mapping) else value, np.float64)
+
+
 def _check_noise_order(path: str, noise: NoiseCfg) -> list[Problem]:
-    if noise.type == "gaussian" and (np.asarray(noise.std) < 0).any():
+    if noise.type == "gaussian" and (_numbers_in(noise.std) < 0).any():
         return [Problem(f"{path}.std", f"must not be negative, got {noise.std}")]
     if noise.type != "uniform":
         return []
     low = noise.n_min if noise.low is None else noise.low
     high = noise.n_max if noise.high is None else noise.high
+    if isinstance(low, Mapping) or isinstance(high, Mapping):
+        return []  # compared when they are spread over columns
     lists = [bound for bound in (low, high) if isinstance(bound, list)]
     if len({len(bound) for bound in lists}) > 1:
         return [Problem(path, f"low has {len(lists[0])} values, high {len(lists[1])}")]

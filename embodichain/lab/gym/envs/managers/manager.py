@@ -18,8 +18,10 @@ from embodichain.lab.gym.envs.cfg import CurriculumCfg, SceneEntityCfg, TermCfg
 from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.check import CheckedTerm, check_in_task, check_term
 from embodichain.lab.gym.envs.managers.param_types import references
+from embodichain.lab.gym.envs.managers.per_name import ranges_in_columns
 from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
+from embodichain.lab.gym.envs.managers.term_columns import TermColumns, columns_of_term
 from embodichain.utils.arrays import is_host
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -52,6 +54,7 @@ class BuiltTerm(Generic[C]):
         spec: The function or class behind it.
         call: The function that the manager calls, with parameters bound.
         instance: The object with the term's state, if the term is a class.
+        columns: The names of the columns of its value, before shapes.
     """
 
     name: str
@@ -59,6 +62,7 @@ class BuiltTerm(Generic[C]):
     spec: TermSpec
     call: Callable[..., Any]
     instance: Any = None
+    columns: TermColumns = TermColumns()
 
     @property
     def takes_obs(self) -> bool:
@@ -93,6 +97,7 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     values, names = _resolved_values(env, checked, where), checked.names
     if isinstance(spec, AliasSpec):
         names = {**names, **{key: names.get(name, name) for key, name in spec.names.items()}}
+    columns = columns_of_term(env, checked.values, values, spec.hints())
     with _under(where, names):
         parts = spec.meaning(values, env) if isinstance(spec, AliasSpec) else [(spec, values)]
         (source, values), steps = parts[0], parts[1:]
@@ -100,9 +105,10 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
         shapes = [step.func(env, **step.arguments(given)) for step, given in steps]
     for step, given in checked.shapes:
         with _under(f"{path}.shape.{step.name}"):
+            given = _in_columns_of_term(given, columns)
             shapes.append(step.func(env, **step.arguments(given)))
     if source.lead is None and not shapes:
-        return _plain(name, cfg, source, values, kind, instance)
+        return _plain(name, cfg, source, values, kind, instance, columns)
     if instance is not None:
         read = instance if source.lead is None else _discarding(instance)
     else:
@@ -113,19 +119,41 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     call = _call(source.name, read, lead, shapes, kind, where)
     kept = [part for part in (instance, *shapes) if hasattr(part, "state_dict")]
     if len(kept) > 1:
-        return BuiltTerm(name, cfg, spec, call, _Several(kept))
-    return BuiltTerm(name, cfg, spec, call, kept[0] if kept else None)
+        return BuiltTerm(name, cfg, spec, call, _Several(kept), columns)
+    return BuiltTerm(name, cfg, spec, call, kept[0] if kept else None, columns)
+
+
+def _in_columns_of_term(given: Mapping[str, Any], columns: TermColumns) -> dict[str, Any]:
+    """Parameters of a shape, with bounds of each column in the order of the columns."""
+    found = dict(given)
+    bounds = found.get("bounds")
+    by_name = isinstance(bounds, Mapping)
+    by_column = isinstance(bounds, (list, tuple)) and any(isinstance(b, list) for b in bounds)
+    if by_name and not columns.names:
+        message = "the columns have no names that a map could give: write [low, high]"
+        raise ConfigError([Problem("bounds", message)])
+    if by_name or (by_column and columns.named_by):
+        ends = ranges_in_columns(bounds, columns.names, "bounds", columns.named_by, columns.what)
+        found["bounds"] = [end.tolist() for end in ends]
+    return found
 
 
 def _plain(
-    name: str, cfg: C, spec: TermSpec, values: dict[str, Any], kind: Kind, instance: Any
+    name: str,
+    cfg: C,
+    spec: TermSpec,
+    values: dict[str, Any],
+    kind: Kind,
+    instance: Any,
+    columns: TermColumns,
 ) -> BuiltTerm[C]:
     """A function or class with the signature of its kind."""
     if instance is None:
         arguments = spec.arguments(values)
-        return BuiltTerm(name, cfg, spec, partial(spec.func, **arguments) if values else spec.func)
+        call = partial(spec.func, **arguments) if values else spec.func
+        return BuiltTerm(name, cfg, spec, call, None, columns)
     method = {"action": "apply", "command": "resample"}.get(kind, "__call__")
-    return BuiltTerm(name, cfg, spec, getattr(instance, method), instance)
+    return BuiltTerm(name, cfg, spec, getattr(instance, method), instance, columns)
 
 
 def _discarding(instance: Callable[[], Any]) -> Callable[[Any], Any]:
@@ -242,9 +270,10 @@ def _moved(error: ConfigError, path: str, names: Mapping[str, str] | None = None
     def moved(problem: Problem) -> Problem:
         if problem.path.startswith(path):
             return problem
-        head, dot, rest = problem.path.partition(".")
-        head = (names or {}).get(head, head)
-        return Problem(f"{path}.{head}{dot}{rest}".rstrip("."), problem.message, problem.hint)
+        inner, dot, rest = problem.path.partition(".")
+        head = (names or {}).get(inner, inner)
+        hint = problem.hint.replace(f"{inner}: {{", f"{head}: {{") if inner else problem.hint
+        return Problem(f"{path}.{head}{dot}{rest}".rstrip("."), problem.message, hint)
 
     return ConfigError(map(moved, error.problems))
 

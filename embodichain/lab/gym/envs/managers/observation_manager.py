@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import Delay, Noise, Past, Rows
+from embodichain.lab.gym.envs.managers.term_columns import TermColumns
 from embodichain.lab.gym.envs.observation import Observation, new_tensor
 from embodichain.utils.arrays import contiguous, may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
@@ -47,6 +48,7 @@ class ObservationEntry:
         modifies: Whether it changes an existing entry.
         key: Its key path in the config.
         remembers: Whether it has a state between steps.
+        scales: The factor of each column of the term's value, once there is a value; None is 1.
         image: Whether its value is an image, known after the first one: that of a term class with
             `returns_image`, or uint8 with three dimensions.
     """
@@ -60,8 +62,6 @@ class ObservationEntry:
         self._env = env
         self._clip = cfg.clip
         self._scale: Any = cfg.scale
-        if isinstance(cfg.scale, list):
-            self._scale = np.asarray(cfg.scale, np.float32)
         self._noise_cfg = cfg.noise if corrupted else None
         self._noise: Noise | None = None
         self._delay: Delay | None = None
@@ -74,6 +74,7 @@ class ObservationEntry:
         self.remembers = bool(self._delay or self._past or self._noise_cfg is not None)
         self._changes = self.remembers or self._clip is not None or self._scale is not None
         self._checked = False
+        self.scales: NDArray[np.float32] | None = None
         self.image = False
 
     def value(self, obs: Any, rows: Rows) -> NDArray[Any]:
@@ -131,22 +132,38 @@ class ObservationEntry:
                 f"observation term {self.term.name!r} must return a tensor of shape "
                 f"({count}, ...), got {wrong}"
             )
-        if isinstance(self._scale, np.ndarray) and self._scale.shape != tuple(value.shape[-1:]):
-            message = (
-                f"has {len(self._scale)} values; the term's value is {tuple(value.shape)}, "
-                "and its last dimension counts"
-            )
-            raise ConfigError([Problem(f"{self.key}.scale", message)])
-        if self._scale is not None and "float" in str(value.dtype):
-            # With a row for every environment: broadcasting one row takes four times as long.
-            rows = np.broadcast_to(np.float32(self._scale), tuple(value.shape))
-            self._scale = self._env.arrays.put(rows)
+        shape = tuple(value.shape[1:])
+        columns = self.term.columns
+        if self._scale is not None:
+            self._scale = np.float32(columns.numbers(self._scale, shape, f"{self.key}.scale"))
+            self.scales = np.broadcast_to(self._scale, shape).reshape(-1)
+            if "float" in str(value.dtype):
+                # With a row for every environment: broadcasting one row takes four times as long.
+                rows = np.broadcast_to(self._scale, tuple(value.shape))
+                self._scale = self._env.arrays.put(rows)
         if self._noise_cfg is not None:
-            shape = tuple(value.shape[1:])
             self._noise = Noise(
-                self._noise_cfg, shape, self.key, self._env.streams, self._env.arrays
+                self._noise_cfg, shape, self.key, self._env.streams, self._env.arrays, columns
             )
         self._checked = True
+
+    def labels(self, count: int) -> list[str]:
+        """The joint, link or other name of each of its columns, flattened; "" if there is none.
+
+        Values of earlier steps, of which a history has several, are marked by their age.
+        """
+        columns = self.term.columns
+        names = getattr(self.term.instance, "column_names", ())
+        if names:
+            columns = TermColumns(tuple(names))
+        depth = self.term.cfg.history_length or 1
+        if count % depth:
+            return [""] * count
+        labels = columns.labels(count // depth)
+        if not any(labels):  # one number of several links
+            labels = [", ".join(columns.names)] * len(labels)
+        ages = [f" ({age} before)" if age else "" for age in range(depth - 1, -1, -1)]
+        return [f"{label}{age}".strip() for age in ages for label in labels]
 
     # -- saving --------------------------------------------------------------------------------
 
@@ -340,6 +357,25 @@ class ObservationManager(Manager[ObservationCfg]):
         paths, layout = self._paths(group), self.layout
         widths = {} if layout is None else layout.widths
         return {"/".join(path): widths.get(path, 0) for path in paths}
+
+    def column_table(self, name: str, count: int) -> list[tuple[str, float]]:
+        """What each column of a flattened entry belongs to (a joint, a link), and its factor.
+
+        Available once the environment is built.
+
+        Args:
+            name: The entry ("/" nests).
+            count: Number of its columns.
+        """
+        path = tuple(name.split("/"))
+        entries = [entry for entry in self._entries if entry.path == path]
+        labels = next((e.labels(count) for e in entries if not e.modifies), [""] * count)
+        scales = np.ones(count)
+        for entry in entries:
+            if entry.scales is not None and count % len(entry.scales) == 0:
+                scales *= np.tile(entry.scales.astype(np.float64), count // len(entry.scales))
+        found = zip(labels, (float(f"{scale:.6g}") for scale in scales), strict=True)
+        return list(found)
 
     @property
     def images(self) -> set[tuple[str, ...]]:

@@ -72,6 +72,8 @@ __all__ = [
     "Vec3",
     "VelocityCommand",
     "Whole",
+    "of_bodies",
+    "of_command",
     "references",
 ]
 
@@ -144,6 +146,10 @@ def _axis_form(value: Any) -> str:
     return "by axis" if nested else "for all"
 
 
+def _any_form(value: Any) -> str:
+    return "by name" if isinstance(value, Mapping) else _axis_form(value)
+
+
 def _scale_form(value: Any) -> str:
     if _axis_form(value) == "for all":
         return "for all"
@@ -157,15 +163,19 @@ Ranges = Annotated[
 ]
 """[low, high] for all, or {name regex: [low, high]}."""
 JointRange = Annotated[
-    Annotated[Range, Tag("for all")] | Annotated[Box, Tag("by axis")],
-    Discriminator(_axis_form),
+    Annotated[Range, Tag("for all")]
+    | Annotated[Box, Tag("by axis")]
+    | Annotated[dict[str, Range], Tag("by name")],
+    Discriminator(_any_form),
 ]
-"""[low, high] for all joints, or [[low of each joint], [high of each]]."""
+"""[low, high] for all joints, [[low of each joint], [high of each]], or {joint regex: pair}."""
 BoundsOrBox = Annotated[
-    Annotated[Bounds, Tag("for all")] | Annotated[Box, Tag("by axis")],
-    Discriminator(_axis_form),
+    Annotated[Bounds, Tag("for all")]
+    | Annotated[Box, Tag("by axis")]
+    | Annotated[dict[str, Bounds], Tag("by name")],
+    Discriminator(_any_form),
 ]
-"""[low, high], either infinite, or [[low of each column], [high of each]]."""
+"""[low, high], either infinite, [[low of each column], [high of each]], or {name regex: pair}."""
 ScaleRange = Annotated[
     Annotated[Range, Tag("for all")]
     | Annotated[Box1, Tag("for all axes")]
@@ -209,6 +219,16 @@ def references(hint: Any) -> Iterator[Reference]:
             yield part
     for part in typing.get_args(hint):
         yield from references(part)
+
+
+def of_bodies(marks: Iterable[Reference]) -> bool:
+    """Whether marks are of a parameter that picks bodies, links, sites or geoms, not joints."""
+    return any(isinstance(mark, (_Links, _Body, _Frames)) for mark in marks)
+
+
+def of_command(marks: Iterable[Reference]) -> bool:
+    """Whether marks are of a parameter that names a command."""
+    return any(isinstance(mark, _Command) for mark in marks)
 
 
 def _reference(mark: Reference, description: str) -> Any:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
+    from embodichain.lab.gym.envs.managers.term_columns import TermColumns
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
@@ -49,6 +50,7 @@ class Noise:
         path: Key path of the value: the name of its stream, also used in messages.
         streams: The environment's random numbers.
         arrays: Makes the arrays.
+        columns: The names of the value's columns.
 
     Attributes:
         last: (N, ...) float32, the last draw.
@@ -64,6 +66,7 @@ class Noise:
         path: str,
         streams: RandomStreams,
         arrays: Arrays,
+        columns: TermColumns,
     ) -> None:
         self._operation = cfg.operation
         self._gaussian = cfg.type == "gaussian"
@@ -73,13 +76,20 @@ class Noise:
         self._width = int(np.prod(shape, dtype=np.int64))
 
         def sized(*names: str) -> F64:
-            return _sized(cfg, names, shape, path)
+            return _sized(cfg, names, shape, path, columns)
 
         self._draws = cfg.type != "constant"
         if self._gaussian:
             self._low, self._high = sized("mean"), sized("std")
         elif self._draws:
             self._low, self._high = sized("low", "n_min"), sized("high", "n_max")
+            if (self._low > self._high).any():
+                message = "low exceeds high for " + ", ".join(
+                    name or str(i)
+                    for i, name in enumerate(columns.labels(self._width))
+                    if self._low[i] > self._high[i]
+                )
+                raise ConfigError([Problem(f"{path}.noise", message)])
         else:
             self._low = self._high = sized("bias")
         # Before the first draw the value is unchanged, or the lower bound if noise replaces it.
@@ -118,15 +128,18 @@ class Noise:
         return self._streams.uniform(self._stream, shape, self._low, self._high, rows)
 
 
-def _sized(cfg: NoiseCfg, names: tuple[str, ...], shape: tuple[int, ...], path: str) -> F64:
+def _sized(
+    cfg: NoiseCfg,
+    names: tuple[str, ...],
+    shape: tuple[int, ...],
+    path: str,
+    columns: TermColumns,
+) -> F64:
     """(width,) read-only numbers of the first given field; a mean may be absent."""
     name = next((n for n in names if getattr(cfg, n) is not None), names[0])
     given = first_given(getattr(cfg, name), 0.0)
-    width = shape[-1] if shape else 1
-    if isinstance(given, list) and len(given) != width:
-        message = f"has {len(given)} values; the observation's last dimension is {width}"
-        raise ConfigError([Problem(f"{path}.noise.{name}", message)])
-    array: F64 = np.broadcast_to(np.asarray(given, np.float64), shape or (1,)).reshape(-1).copy()
+    numbers = columns.numbers(given, shape, f"{path}.noise.{name}")
+    array: F64 = np.broadcast_to(numbers, shape or (1,)).reshape(-1).copy()
     array.setflags(write=False)
     return array
 
@@ -252,7 +265,7 @@ class ActionPipeline:
     Args:
         name: The term's name.
         cfg: Its declaration.
-        width: Number A of its columns.
+        columns: The names of its A columns.
         streams: Random numbers: each environment draws the delay once per episode, the noise in
             every step.
         arrays: Makes the arrays.
@@ -267,7 +280,12 @@ class ActionPipeline:
     hold: Callable[[], F64]
 
     def __init__(
-        self, name: str, cfg: ActionTermCfg, width: int, streams: RandomStreams, arrays: Arrays
+        self,
+        name: str,
+        cfg: ActionTermCfg,
+        columns: TermColumns,
+        streams: RandomStreams,
+        arrays: Arrays,
     ) -> None:
         self._arrays = arrays
         path = f"actions.{name}"
@@ -277,7 +295,7 @@ class ActionPipeline:
         self._fresh: NDArray[np.bool_] = arrays.full(streams.num_envs, True, np.bool_)
         self._noise: Noise | None = None
         if cfg.noise is not None:
-            self._noise = Noise(cfg.noise, (width,), path, streams, arrays)
+            self._noise = Noise(cfg.noise, (len(columns.names),), path, streams, arrays, columns)
 
     def __call__(self, action: torch.Tensor) -> torch.Tensor:
         """(N, A) float32 action that the term receives in this step."""

@@ -28,7 +28,7 @@ from embodichain.utils.type_errors import from_dict
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.sim.compiler.names import FrameKind
+    from embodichain.lab.sim.compiler.names import FrameKind, NamedBy
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sim_manager import SimulationManager
 
@@ -59,6 +59,8 @@ class ResolvedEntity:
         in_model: Their names in the compiled scene.
         frame_key: The key of the reference that names them, for messages.
         control_parts: Picked control parts.
+        joints_by: The entries of the reference that name joints, as written; none picks all.
+        frames_by: The entries that name frames, likewise.
         path: Its key path, for messages; empty if Python code made it.
         all_joints: Whether `joint_ids` is every joint in the entity's order, so that no indexing
             is needed.
@@ -76,6 +78,8 @@ class ResolvedEntity:
     all_joints: bool = False
     control_parts: tuple[str, ...] = ()
     path: str = ""
+    joints_by: tuple[NamedBy, ...] = ()
+    frames_by: tuple[NamedBy, ...] = ()
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
@@ -443,6 +447,8 @@ def resolve_entity(
         frame_key=picked.key,
         control_parts=picked.parts,
         path=path,
+        joints_by=picked.joints_by,
+        frames_by=picked.frames_by,
         all_joints=hasattr(entity, "joint_names") and picked.joints == tuple(range(len(joints))),
     )
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import Draws
+    from embodichain.lab.sim.compiler.names import NamedBy
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform", "finite_limits"]
@@ -85,11 +86,13 @@ class ActionTerm(Term):
         low: (A,) float32 lower bounds of its slice, finite.
         high: (A,) float32 upper bounds, finite.
         names: Name of each column, for tables and logs.
+        named_by: The entries of the config that name the columns' joints or controls, as written.
     """
 
     low: NDArray[np.float32]
     high: NDArray[np.float32]
     names: tuple[str, ...] = ()
+    named_by: tuple[NamedBy, ...] = ()
 
     @property
     def action_dim(self) -> int:
@@ -109,6 +112,13 @@ class ActionTerm(Term):
 
         If a class overrides it, the physics of a control step is calculated step by step.
         """
+
+    def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
+        """Centre and scale of each column, for tables: the value is centre + scale x action.
+
+        Words stand for what is no number; the default is empty words.
+        """
+        return [""] * self.action_dim, [""] * self.action_dim
 
     def home(self) -> NDArray[np.float64]:
         """(A,) the action that goes to the initial state; policies explore around it."""

@@ -20,7 +20,7 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm, Uniform
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
 from embodichain.lab.gym.envs.mdp.quantities.bodies import heading, unique_quat
-from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.compiler.names import match_every
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply, quat_rotate, wrapped
@@ -266,7 +266,7 @@ def _rows(given: Range | dict[str, Range], names: tuple[str, ...], rest: F64) ->
         rows[:] = given
         return rows
     for pattern, pair in given.items():
-        found, problems = match(pattern, names, "picked joint", f"position_range.{pattern}")
+        found, problems = match_every(pattern, names, "picked joint", f"position_range.{pattern}")
         if problems:
             raise ConfigError(problems)
         rows[list(found)] = pair

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
+from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
 from embodichain.utils.arrays import contiguous, may_be_set
 from embodichain.utils.math import (
@@ -196,6 +196,7 @@ class MotionColumns:
     Attributes:
         names: Names of the A columns.
         low, high: (A,) float32 bounds of the action.
+        scale: (A,) m and rad per unit of action.
     """
 
     def __init__(
@@ -211,7 +212,7 @@ class MotionColumns:
             scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
         affine = Affine(self.names, env, scale, 0.0, clip or [-1.0, 1.0], what="column")
         self.low, self.high = affine.low, affine.high
-        self.value = affine.value
+        self.value, self.scale = affine.value, affine.scale
         self._action_for = affine.action_for
         ends = np.abs([affine.value_of(self.low), affine.value_of(self.high)]).min(axis=0)
         self._largest = ends[:3].min(), ends[3:].min(initial=np.inf)

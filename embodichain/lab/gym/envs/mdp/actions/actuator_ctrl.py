@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.param_types import Whole
+from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
-from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
-from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.compiler.names import NamedBy, match_every
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -70,16 +71,26 @@ class ActuatorCtrl(ActionTerm):
         if list(entity_cfg.joint_ids) != self._asset.active_joint_ids:
             message = "picks joints; this term picks actuators: actuator_names"
             raise ConfigError([Problem("entity_cfg", message)])
-        self._which: NDArray[np.int64] = picked_controls(actuator_names, parsed.control_names)
+        self._which, named_by = picked_controls(actuator_names, parsed.control_names)
         self.names = tuple(parsed.control_names[i] for i in self._which)
-        limits = None if clip is not None else self._ranges(parsed)
-        affine = Affine(self.names, env, scale, offset, clip, limits=limits, what="actuator")
+        affine = Affine(
+            self.names,
+            env,
+            scale,
+            offset,
+            clip,
+            limits=self._ranges(parsed),
+            what="actuator",
+            named_by=named_by,
+        )
+        self._require_bounds(affine)
+        self.named_by, self._affine = named_by, affine
         self.low, self.high = affine.low, affine.high
         self._value, self._action_for = affine.value, affine.action_for
         self._initial: F64 = parsed.init_ctrl[self._which]
 
     def _ranges(self, parsed: Any) -> tuple[F64, F64]:
-        """Low and high of the controls, (A,) each, finite."""
+        """Low and high of the controls, (A,) each; infinite where nothing bounds them."""
         limits: F64 = parsed.ctrl_limits.copy()
         index = self._asset.entity
         joints = np.flatnonzero((index.ctrl_ids >= 0) & (parsed.stiffness > 0))
@@ -88,7 +99,11 @@ class ActuatorCtrl(ActionTerm):
         places = np.searchsorted(index.own_ctrl_ids, index.ctrl_ids[joints])
         limits[places] = np.where(np.isfinite(limits[places]), limits[places], ends)
         low, high = limits[self._which].T.copy()
-        finite = np.isfinite(low) & np.isfinite(high)
+        return low, high
+
+    def _require_bounds(self, affine: Affine) -> None:
+        """Refuse controls without a range that no `clip` bounds."""
+        finite = np.isfinite(affine.low) & np.isfinite(affine.high)
         endless = [name for name, good in zip(self.names, finite, strict=True) if not good]
         if endless:
             message = (
@@ -97,11 +112,14 @@ class ActuatorCtrl(ActionTerm):
                 f"{self._asset.uid}}}, clip: [-1, 1]}}}}}}, or clip: {{NAME: [-1, 1], ...}}"
             )
             raise ConfigError([Problem("clip", message)])
-        return low, high
 
     def apply(self, action: torch.Tensor) -> None:
         """Write the controls of (N, A) actions."""
         self._asset.write_ctrl(self._value(action), self._which, seconds=self._period)
+
+    def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
+        """Of controls, in their units."""
+        return self._affine.centre.tolist(), self._affine.scale.tolist()
 
     def home(self) -> F64:
         """(A,) the action for the initial controls, within the bounds."""
@@ -112,18 +130,25 @@ class ActuatorCtrl(ActionTerm):
         return self._action_for(self._asset.read_ctrl()[:, self._which])
 
 
-def picked_controls(patterns: Names | None, names: tuple[str, ...]) -> NDArray[np.int64]:
+def picked_controls(
+    patterns: Names | None, names: tuple[str, ...]
+) -> tuple[NDArray[np.int64], tuple[NamedBy, ...]]:
     """Return the indices of the controls that regexes match in full, in the model's order.
 
+    Returns:
+        The indices, and each regex with what it matches; none if there are no patterns.
+
     Raises:
-        ConfigError: If a regex matches none; lists the names.
+        ConfigError: If a regex, or an alternative in it, matches none; lists the names.
     """
     if patterns is None:
-        return np.arange(len(names))
+        return np.arange(len(names)), ()
     found: set[int] = set()
+    named_by: list[NamedBy] = []
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
-        hits, problems = match(pattern, names, "actuator", "actuator_names")
+        hits, problems = match_every(pattern, names, "actuator", "actuator_names")
         if problems:
             raise ConfigError(problems)
         found.update(hits)
-    return np.asarray(sorted(found), np.int64)
+        named_by.append(NamedBy("actuator_names", pattern, tuple(names[i] for i in hits)))
+    return np.asarray(sorted(found), np.int64), tuple(named_by)

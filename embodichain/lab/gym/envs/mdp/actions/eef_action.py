@@ -6,12 +6,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Arm, Box3, UnitInterval
+from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint, per_joint
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._tools import (
@@ -20,7 +21,6 @@ from embodichain.lab.gym.envs.mdp._tools import (
     tool_orientation,
     usual_speeds,
 )
-from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint, per_joint
 from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
     AbsolutePose,
     MotionColumns,
@@ -86,7 +86,7 @@ class EefTerm(JointTerm):
     def _speeds(self, given: PerJoint | None) -> F64:
         """(k,) largest speeds of the joints."""
         if given is not None:
-            speeds = per_joint(given, self.names, "max_velocity")
+            speeds = per_joint(given, self.names, "max_velocity", named_by=self._named_by)
             if not (speeds > 0).all():
                 raise ConfigError([Problem("max_velocity", "must be positive")])
             return speeds
@@ -211,6 +211,10 @@ class EefPose(EefTerm):
         """The tool's pose in `frame`."""
         return self._solver.forward(qpos) if self._world else self._solver.forward_in_root(qpos)
 
+    def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
+        """Of the pose itself, in m and as of `rotation`."""
+        return [0.0] * self.action_dim, [1.0] * self.action_dim
+
     def home(self) -> F64:
         """(A,) the action that goes to the tool's initial pose."""
         return self._poses.home
@@ -278,6 +282,11 @@ class EefDeltaPose(EefTerm):
         quat = self.target_pose()[1]
         shift, turn = in_axes(self._solver, self._frame, quat, shift, turn)
         return self._columns.action_for(shift, turn)
+
+    def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
+        """About the pose measured or targeted, in m and rad."""
+        about = "qpos" if self._measured else "target"
+        return [about] * self.action_dim, self._columns.scale.tolist()
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets by (N, A) actions."""

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Arm, Range
-from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
-from embodichain.lab.gym.envs.mdp._tools import arm_solver, usual_speeds
-from embodichain.lab.gym.envs.mdp.actions._per_joint import (
+from embodichain.lab.gym.envs.managers.per_name import (
     JointClip,
     PerJoint,
     joint_clip,
     per_joint,
 )
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
+from embodichain.lab.gym.envs.mdp._tools import arm_solver, usual_speeds
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.mdp._tools import Orientation
+    from embodichain.lab.sim.compiler.names import NamedBy
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
@@ -52,15 +53,17 @@ class Affine:
     Args:
         names: Names of the A columns.
         env: The environment.
-        scale: `PerJoint`, not 0; 1 for names that are not in a map.
-        offset: `PerJoint`; 0 for names that are not in a map.
-        clip: `JointClip`, or None: the bounds of the action then follow from `limits`.
+        scale: `PerJoint`, not 0.
+        offset: `PerJoint`.
+        clip: `JointClip`. Bounds of names that are not in a map, or of all if it is None, follow
+            from `limits`; without `limits` a map must have all names.
         centre: (A,) added to the offset.
-        limits: Low and high of the value, (A,) each, finite; needed without `clip`.
+        limits: Low and high of the value, (A,) each; None bounds the action by -1 and 1.
         what: The kind of the names, for messages.
+        named_by: The entries of the reference that name the columns; see `in_columns`.
 
     Attributes:
-        low, high: (A,) float32 bounds of the action; unset with neither `clip` nor `limits`.
+        low, high: (A,) float32 bounds of the action.
     """
 
     def __init__(
@@ -73,25 +76,42 @@ class Affine:
         centre: F64 | float = 0.0,
         limits: tuple[Any, Any] | None = None,
         what: str = "joint",
+        named_by: Sequence[NamedBy] = (),
     ) -> None:
         count, put = env.num_envs, env.arrays.put
         self._of = env.arrays.of
-        self._scale: F64 = per_joint(scale, names, "scale", 1.0, what)
+        self._scale: F64 = per_joint(scale, names, "scale", what, named_by)
         if (self._scale == 0).any():
             raise ConfigError([Problem("scale", "must not be 0")])
-        self._centre: F64 = per_joint(offset, names, "offset", 0.0, what) + centre
+        self._centre: F64 = per_joint(offset, names, "offset", what, named_by) + centre
         self._clips = clip is not None
-        if clip is not None:
-            self._least, self._most = joint_clip(clip, names, "clip", what)
-        elif limits is not None:
+        rest: tuple[F64, F64] | None = None
+        if limits is not None:
             ends = (np.asarray(limits, np.float64) - self._centre) / self._scale
-            self._least, self._most = np.minimum(*ends), np.maximum(*ends)
+            rest = np.minimum(*ends), np.maximum(*ends)
+        if clip is not None:
+            self._least, self._most = joint_clip(clip, names, "clip", what, named_by, rest)
+        else:
+            self._most = np.ones(len(names))
+            self._least = -self._most
+            if rest is not None:
+                self._least, self._most = rest
         self.low: NDArray[np.float32] = self._least.astype(np.float32)
         self.high: NDArray[np.float32] = self._most.astype(np.float32)
         self._plain = bool((self._scale == 1).all() and not self._centre.any())
         # With a row for every environment: broadcasting one row takes four times as long.
         self._bounds = [put(np.tile(bound, (count, 1))) for bound in (self.low, self.high)]
         self._line = [put(np.tile(part, (count, 1))) for part in (self._centre, self._scale)]
+
+    @property
+    def centre(self) -> F64:
+        """(A,) the value of the action 0."""
+        return self._centre
+
+    @property
+    def scale(self) -> F64:
+        """(A,) change of the value per unit of action."""
+        return self._scale
 
     def value(self, action: torch.Tensor) -> F64:
         """(N, A) the value of an action."""
@@ -145,6 +165,7 @@ class JointTerm(ActionTerm):
         self._asset: Any = asset
         self._ids: NDArray[np.int64] = np.asarray(entity.joint_ids, np.int64)
         self._joints = None if entity.all_joints else self._ids
+        self._named_by = entity.joints_by
         actuators = np.asarray(asset.entity.actuator_ids)[self._ids]
         undriven = [n for n, a in zip(self.names, actuators, strict=True) if a < 0]
         if driven and undriven:
@@ -342,8 +363,10 @@ class JointAction(JointTerm):
         elif clip is None:
             clip = [-1.0, 1.0]
         home = self._default if centre == "home" else 0.0
-        affine = Affine(self.names, env, scale, offset, clip, home, limits)
+        affine = Affine(self.names, env, scale, offset, clip, home, limits, named_by=self._named_by)
         self.low, self.high = affine.low, affine.high
+        self.named_by = self._named_by
+        self._centres, self._scales, self._from = affine.centre, affine.scale, centre
         self._value, self._action_for = affine.value, affine.action_for
         self._value_of = affine.value_of
         self._start, self._end, self._joint_low = *ends, low
@@ -364,6 +387,17 @@ class JointAction(JointTerm):
     def apply(self, action: torch.Tensor) -> None:
         """Write the targets or efforts of (N, A) actions."""
         self._write(self._value(action))
+
+    def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
+        """Of targets in rad, m, rad/s or m/s, or of efforts; ``qpos`` or ``target`` in words."""
+        centres, scales = self._centres, self._scales
+        if self._maps:
+            centres = self._joint_low + (centres - self._start) * self._slope
+            scales = scales * self._slope
+        if self._from in ("qpos", "target"):
+            words = [f"{self._from} + {c:g}" if c else self._from for c in centres]
+            return words, scales.tolist()
+        return centres.tolist(), scales.tolist()
 
     def _write_relative(self, value: F64) -> None:
         self._write_targets(self._reference() + value)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Arm, Box3, NonNegative, Positive
+from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint, per_joint
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.mdp._tools import (
     arm_solver,
@@ -15,7 +16,6 @@ from embodichain.lab.gym.envs.mdp._tools import (
     tool_orientation,
     usual_speeds,
 )
-from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint, per_joint
 from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
     AbsolutePose,
     RelativePose,
@@ -75,7 +75,7 @@ class OperationalSpace(JointTerm):
         stiffness: Of the axes x, y, z, rx, ry, rz: a number, a list, or {axis regex: number}; 0 is
             a free axis. With `decoupling` in 1/s^2, None is 150; without in N/m and N m/rad, None
             is 1000 and 50.
-        damping_ratio: r, likewise; 1 is critical.
+        damping_ratio: r, likewise; 1 is critical, and that of axes that are not in a map.
         max_position_error: m: the spring pulls no more than at this error, so that the tool approaches
             a far pose at about max_position_error sqrt(K) / (2 r), and contact forces are bounded.
         max_rotation_error: rad, likewise.
@@ -141,7 +141,9 @@ class OperationalSpace(JointTerm):
         if stiffness is None:
             stiffness = 150.0 if decoupling else [1000.0] * 3 + [50.0] * (len(axes) - 3)
         gains = _gains(stiffness, axes, "stiffness"), _gains(damping_ratio, axes, "damping_ratio")
-        target = self._default if posture is None else per_joint(posture, joints, "posture")
+        target = self._default
+        if posture is not None:
+            target = per_joint(posture, joints, "posture", named_by=self._named_by)
         pull = posture_stiffness if len(joints) > len(axes) else 0.0
         self._dynamics = ArmDynamics(self._asset, self._ids.tolist(), solver.chain.tool)
         most = max_position_error, max_rotation_error
@@ -265,6 +267,13 @@ class OperationalSpace(JointTerm):
             found["rotation_error"] = np.sqrt(squares[3] + squares[4] + squares[5])
         return found
 
+    def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
+        """Of ``delta``, about the measured or the previous pose; of ``pose`` the pose itself."""
+        if isinstance(self._poses, AbsolutePose):
+            return [0.0] * self.action_dim, [1.0] * self.action_dim
+        about = "qpos" if self._measured else "target"
+        return [about] * self.action_dim, self._poses.scale.tolist()
+
     def home(self) -> F64:
         """(A,) the action for the tool's initial pose; of ``delta``, no motion."""
         poses = self._poses
@@ -287,7 +296,9 @@ def _refuse(given: Mapping[str, object], names: tuple[str, ...], command: str) -
 
 def _gains(value: PerJoint, axes: tuple[str, ...], name: str) -> F64:
     """(6 or 3,) gains of the axes."""
-    found = per_joint(value, axes, name, 1.0 if name == "damping_ratio" else None, "column")
+    if name == "damping_ratio" and isinstance(value, dict):
+        value = {".*": 1.0, **value}
+    found = per_joint(value, axes, name, "column")
     if (found < 0).any():
         raise ConfigError([Problem(name, "must not be negative")])
     return found

@@ -11,9 +11,9 @@ import numpy as np
 
 from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.param_types import Positive, Range, Vec3, Whole
+from embodichain.lab.gym.envs.managers.per_name import PerJoint, per_joint
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import finite_limits
-from embodichain.lab.gym.envs.mdp.actions._per_joint import PerJoint, per_joint
 from embodichain.lab.gym.envs.mdp.actions.actuator_ctrl import picked_controls
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.utils.errors import ConfigError, Problem
@@ -142,7 +142,12 @@ class ParallelGripper(JointTerm):
         missing = [name for name, value in commands.items() if value is None]
         if missing:
             raise ConfigError([Problem(name, "missing; this mode needs it") for name in missing])
-        low, high = (per_joint(value, self.names, name) for name, value in commands.items())
+        named_by, what = self._named_by, "joint"
+        if self._controls is not None:
+            named_by, what = self._controls.named_by, "actuator"
+        low, high = (
+            per_joint(value, self.names, name, what, named_by) for name, value in commands.items()
+        )
         return low, high
 
     def apply(self, action: torch.Tensor) -> None:
@@ -218,6 +223,16 @@ class ParallelGripper(JointTerm):
         found: F64 = total / len(moving)
         return found
 
+    def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
+        """Of the fingers' commands: a number, or one for each finger where they differ."""
+        if self._binary:
+            return [f"below 0: {_in_words(self._low)}; else {_in_words(self._high)}"], [""]
+        scale = self._span / (self._ends[1] - self._ends[0])
+        centre = self._low - self._ends[0] * scale
+        if (centre == centre[0]).all() and (scale == scale[0]).all():
+            return [float(centre[0])], [float(scale[0])]
+        return [_in_words(centre)], [_in_words(scale)]
+
     def home(self) -> F64:
         """(1,) the action nearest to the initial state."""
         return self._action_at(self._default)
@@ -238,13 +253,14 @@ class _Controls:
     Attributes:
         which: (A,) columns of the controls.
         names: Their names.
+        named_by: The regexes, and what each matches.
         limits: (A, 2), infinite where there are none.
         initial: (A,) initial controls.
     """
 
     def __init__(self, asset: Any, patterns: Names, forced: bool) -> None:
         parsed = asset.parsed
-        self.which: NDArray[np.int64] = picked_controls(patterns, parsed.control_names)
+        self.which, self.named_by = picked_controls(patterns, parsed.control_names)
         self.names = tuple(parsed.control_names[i] for i in self.which)
         self.limits: F64 = np.asarray(parsed.ctrl_limits, np.float64)[self.which]
         self.initial: F64 = np.asarray(parsed.init_ctrl, np.float64)[self.which]
@@ -292,6 +308,12 @@ class _Controls:
             length += qpos[:, joint, None] * lever
         free: F64 = -(self._bias[:, 0] + self._bias[:, 1] * length) / self._gain
         return free, force / np.abs(self._gain)
+
+
+def _in_words(values: F64) -> str:
+    """One number if all are the same, else all."""
+    shown = values[:1] if (values == values[0]).all() else values
+    return ", ".join(f"{value:g}" for value in shown)
 
 
 def _direction(axis: str | Sequence[float] | None) -> F64 | None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.param_types import JointRange, Range, Whole
+from embodichain.lab.gym.envs.managers.per_name import ranges_in_columns
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._model_fields import Operation
@@ -29,8 +30,8 @@ class ResetJoints(Term):
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
-        position_range: [low, high] in rad or m for all picked joints, or [[low, ...], [high, ...]]
-            with one value per joint.
+        position_range: [low, high] in rad or m for all picked joints, [[low, ...], [high, ...]]
+            with one value per joint, or {joint regex: [low, high]}, which must name all of them.
         velocity_range: [low, high] in rad/s or m/s; [0, 0] draws nothing.
         operation: Whether a drawn position is added to the initial one (``add``), multiplies it
             (``scale``) or replaces it (``abs``).
@@ -58,11 +59,15 @@ class ResetJoints(Term):
         driven = np.asarray(asset.entity.actuator_ids)[self._joints] >= 0
         self._driven: NDArray[np.int64] = np.flatnonzero(driven)
         self._operation = operation
-        low, high = (np.asarray(bound, np.float64) for bound in position_range)
-        if low.shape not in ((), (count,)):
-            message = f"needs [low, high] or two rows of {count} values, got {position_range}"
+        rows: Any = position_range
+        listed = isinstance(rows, (list, tuple)) and isinstance(rows[0], (list, tuple))
+        if listed and any(len(row) != count for row in rows):
+            message = f"needs [low, high] or two rows of {count} values, got {rows}"
             raise ConfigError([Problem("position_range", message)])
-        self._position = Uniform("position", *(np.broadcast_to(b, count) for b in (low, high)))
+        low, high = ranges_in_columns(
+            position_range, entity_cfg.joint_names, "position_range", entity_cfg.joints_by
+        )
+        self._position = Uniform("position", low, high)
         self._velocity: Uniform | None = None
         if tuple(velocity_range) != (0.0, 0.0):
             self._velocity = Uniform("velocity", *(np.full(count, b) for b in velocity_range))

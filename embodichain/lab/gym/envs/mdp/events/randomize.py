@@ -24,7 +24,7 @@ from embodichain.lab.gym.envs.mdp._model_fields import (
     Values,
     Write,
 )
-from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.compiler.names import match_every
 from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import constant
@@ -294,7 +294,7 @@ def _by_name(param: str, ranges: Any, names: Sequence[str]) -> tuple[F64, F64]:
         low[:], high[:] = np.tile(bounds, (1, len(names) // bounds.shape[1]))
         return low, high
     for pattern, (least, most) in ranges.items():
-        found, problems = match(pattern, names, "name", f"{param}.{pattern}")
+        found, problems = match_every(pattern, names, "name", f"{param}.{pattern}")
         if problems:
             raise ConfigError(problems)
         low[list(found)], high[list(found)] = least, most

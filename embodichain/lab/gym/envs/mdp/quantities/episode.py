@@ -273,6 +273,13 @@ class LastAction(Term):
             raise ConfigError([Problem("action_name", message, hint)])
         self._env, self._name = env, action_name
 
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Name of each column: ``TERM/JOINT``."""
+        manager = self._env.action_manager
+        names: tuple[str, ...] = manager.names
+        return names if self._name is None else names[manager.slices[self._name]]
+
     def __call__(self) -> F64:
         """(N, A)."""
         action = self._env.read_last_action()

@@ -5,19 +5,17 @@ For flat ground at height 0.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
-from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.param_types import (
     ContactOf,
-    Finite,
     NonNegative,
     Positive,
     VelocityCommand,
 )
+from embodichain.lab.gym.envs.managers.per_name import PerJoint, per_joint
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import mean, norm, squares
 from embodichain.utils.errors import ConfigError, Problem
@@ -37,7 +35,7 @@ def feet_gait(
     env: TermContext,
     sensor: ContactOf,
     period_s: Positive,
-    offsets: Annotated[Sequence[Finite], Field(min_length=1)],
+    offsets: PerJoint,
     height: Positive = 0.06,
     width: Positive = 0.035,
     rest_height: NonNegative = 0.02,
@@ -55,7 +53,9 @@ def feet_gait(
     Args:
         sensor: A contact sensor on the feet.
         period_s: Seconds per cycle.
-        offsets: Phase of each foot at t = 0, in periods, in the order of the sensor's links.
+        offsets: Phase of each foot at t = 0, in periods: a number, {link regex: number}, or a list
+            whose numbers go with the plain names of the sensor's links (in the entity's order if
+            the sensor names none).
         height: Height in the middle of the swing, m.
         width: Error of the height at which a swinging foot has exp(-1), m.
         rest_height: Height of a foot's origin while it stands on the ground, m.
@@ -65,14 +65,15 @@ def feet_gait(
 
     Example:
         ``{func: feet_gait, weight: 0.5, params: {sensor: contacts, period_s: 0.5,
-        offsets: [0, 0.5, 0.5, 0], command_name: velocity}}``
+        offsets: {FL_foot|RR_foot: 0, FR_foot|RL_foot: 0.5}, command_name: velocity}}``
     """
-    if len(offsets) != len(sensor.names):
+    if isinstance(offsets, list) and len(offsets) != len(sensor.names):
         feet = ", ".join(sensor.names)
         message = f"{len(offsets)} offsets for {len(sensor.names)} feet: {feet}"
         raise ConfigError([Problem("offsets", message)])
+    phases = per_joint(offsets, sensor.names, "offsets", "foot", sensor.plan.named_by)
     cycles = env.arrays.of(env.elapsed_steps) * (env.step_dt / period_s)
-    swing = np.stack([np.sin(2.0 * np.pi * (cycles + offset)) for offset in offsets], axis=1)
+    swing = np.stack([np.sin(2.0 * np.pi * (cycles + offset)) for offset in phases], axis=1)
     if command_name is not None:
         walks = norm(command_name()) > min_command
         swing = np.where(walks[:, None], swing, 0.0)
