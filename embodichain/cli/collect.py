@@ -136,6 +136,7 @@ def collect_job(job: Job) -> float | None:
 def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
     """Build, collect and close; returns the summary."""
     from embodichain.config.factory import make_env
+    from embodichain.learning.curriculum_stage import hold_at_stage
     from embodichain.recording.attempts import Attempts
     from embodichain.recording.collecting import Collected, Collector, EndRules
     from embodichain.recording.collection import new_log, read_collection
@@ -155,6 +156,7 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
     env = make_env(resolved, run_dir=run_dir, autoreset_mode="DISABLED")
     try:
         policy = policy_of(root, env)
+        hold_at_stage(env, policy)
         recorder: McapRecorder | None = dataclasses.replace(job, resolved=resolved).attach_log(
             env, name
         )

@@ -193,6 +193,7 @@ def result_rows(result: Mapping[str, Any]) -> list[tuple[str, Any]]:
     rows: list[tuple[str, Any]] = [
         ("policy", f"{result['policy']} ({mode})"),
         ("episodes", f"{result['episodes']:,} of {result['num_envs']} environments"),
+        *_stage_row(result),
         *_success_row(result),
         *_estimate_rows("return", result["returns"]),
         *_estimate_rows("length", result["length"]),
@@ -208,7 +209,7 @@ def brief_rows(result: Mapping[str, Any]) -> list[tuple[str, Any]]:
     """Return the rows about the evaluation for the final table of a training."""
     episodes = f"{result['episodes']:,} episodes  ([low, high]: {result['confidence']:.0%})"
     returns = _estimate_rows("return", result["returns"])[:2]
-    rows = [("episodes", episodes), *_success_row(result), *returns]
+    rows = [("episodes", episodes), *_stage_row(result), *_success_row(result), *returns]
     return [(f"eval {name}", value) for name, value in rows]
 
 
@@ -217,6 +218,16 @@ def objective_of(result: Mapping[str, Any]) -> float | None:
     if result["success"] is not None:
         return float(result["success"]["rate"])
     return None if result["returns"] is None else float(result["returns"]["mean"])
+
+
+def _stage_row(result: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """At which stage of its curriculum the task was judged; older files do not say."""
+    stage = result.get("curriculum")
+    if stage is None:
+        return []
+    where = "of the training" if stage["training"] else "of this task, not of a training"
+    values = "".join(f", {name} {number(value)}" for name, value in stage["values"].items())
+    return [("curriculum", f"control step {stage['control_step']:,} {where}{values}")]
 
 
 def _success_row(result: Mapping[str, Any]) -> list[tuple[str, Any]]:

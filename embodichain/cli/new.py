@@ -171,14 +171,13 @@ def _files(names: _Names, robot: dict[str, str], *, python: bool) -> dict[Path, 
         "fixture": "monkeypatch: pytest.MonkeyPatch" if python else "",
         "search": search if python else "",
         "hold": "torch.from_numpy(env.action_manager.hold()).float()",
-        "success": 'info["metrics"]["success"].bool().tolist()',
+        "success": 'info["success"].tolist()',
         **robot,
     }
     files = {names.conf / "task" / f"{names.task}.yaml": "task.yaml"}
     if python:
         files = {path: "class.yaml" for path in files} | {names.python: "class.py"}
         words["hold"] = "env.robot.get_qpos()[:, env.active_joint_ids]"
-        words["success"] = 'info["success"].tolist()'
     files[names.test] = "test.py"
     templates = resources.files("embodichain.cli") / "templates"
     texts = {

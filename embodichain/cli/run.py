@@ -84,12 +84,14 @@ def run_job(job: Job) -> float | None:
 def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
     """Build, roll out and close; returns the summary and what was recorded."""
     from embodichain.config.factory import make_batch
+    from embodichain.learning.curriculum_stage import hold_at_stage
 
     root = job.root
     env = make_batch(job.resolved, run_dir=job.folder)
     picture: _StartPicture | None = None
     try:
         policy = policy_of(root, env)
+        hold_at_stage(env, policy)
         recorder = job.attach_log(env)
         job.attach_viewer(env, policy)
         obs, _ = env.reset()

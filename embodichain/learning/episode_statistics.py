@@ -184,7 +184,7 @@ def _ended_values(
     metrics = {name: as_array(value) for name, value in info["metrics"].items()}
     kept = {"terminated": terminated, "diverged": as_array(info["diverged"])}
     if has_success:
-        kept["success"] = metrics["success"] if "success" in metrics else as_array(info["success"])
+        kept["success"] = as_array(info["success"])
     kept |= {f"metrics/{name}": value for name, value in metrics.items()}
     kept |= {f"rewards/{name}": as_array(v) for name, v in info["episode_sums"].items()}
     return kept

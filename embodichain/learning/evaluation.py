@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.lab.gym.policies import Policy, resolve_policy
+from embodichain.learning.curriculum_stage import at_stage
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
 from embodichain.learning.spaces import require_torch_batch
 from embodichain.learning.statistics import CONFIDENCE, Estimate, Rate, estimate, rate
@@ -46,6 +47,8 @@ class Evaluation:
         diverged: Number of episodes in which the physics diverged.
         rewards: Mean over episodes of each reward term's sum, weight included.
         metrics: Mean over episodes of each metric.
+        curriculum: Of a task with one: the stage at which it was held, ``values`` and
+            ``control_step``, and whether that is of the policy's ``training``.
         per_episode: ``env``, ``return``, ``length`` and, where known, ``success`` of each episode,
             ordered by environment, then by time.
     """
@@ -64,6 +67,7 @@ class Evaluation:
     diverged: int
     rewards: dict[str, float]
     metrics: dict[str, float]
+    curriculum: dict[str, Any] | None
     per_episode: dict[str, list[Any]]
 
     def as_dict(self) -> dict[str, Any]:
@@ -81,6 +85,8 @@ def evaluate(
     watch: Callable[[EpisodeStatistics], bool | None] | None = None,
 ) -> Evaluation:
     """Run a policy for exactly `episodes` episodes.
+
+    A curriculum stays at the stage of the policy's training; without one, where it is.
 
     The first `quotas` episodes of each environment count, later ones do not. Counting the first N
     episodes to end in any environment would favour short episodes.
@@ -109,14 +115,15 @@ def evaluate(
     acting = _resolve(env, policy, deterministic)
     counted = EpisodeStatistics(env.num_envs, quotas(episodes, env.num_envs))
     # Forked, so that the caller's random numbers do not change.
-    with torch.random.fork_rng(devices=()), torch.no_grad():
+    forked = torch.random.fork_rng(devices=())
+    with forked, torch.no_grad(), at_stage(env, acting) as stage:
         obs, _ = env.reset(seed=EVAL_SEED_OFFSET + seed)
         acting.reset(None)
         start = time.perf_counter()
         for _ in play(env, acting, obs, counted):
             if watch is not None and watch(counted):
                 break
-    return _summary(counted, seed, time.perf_counter() - start)
+    return _summary(counted, seed, time.perf_counter() - start, stage)
 
 
 def quotas(episodes: int, num_envs: int) -> NDArray[np.int64]:
@@ -134,7 +141,9 @@ def _resolve(env: BaseEnv, policy: Any, deterministic: bool) -> Policy:
     return load(policy) if isinstance(policy, Path) else resolve_policy(policy, load_file=load)
 
 
-def _summary(counted: EpisodeStatistics, seed: int, seconds: float) -> Evaluation:
+def _summary(
+    counted: EpisodeStatistics, seed: int, seconds: float, stage: dict[str, Any] | None
+) -> Evaluation:
     order = np.lexsort((counted.column("episode"), counted.column("env")))
 
     def column(name: str) -> NDArray[Any]:
@@ -160,6 +169,7 @@ def _summary(counted: EpisodeStatistics, seed: int, seconds: float) -> Evaluatio
         diverged=int(counted.column("diverged").sum()),
         rewards=_means(counted, "rewards/"),
         metrics=_means(counted, "metrics/"),
+        curriculum=stage,
         per_episode=listed,
     )
 

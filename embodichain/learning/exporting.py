@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from embodichain import __version__
 from embodichain.learning.asymmetric import actor_space
 from embodichain.learning.chunk_policy import ChunkPolicy
+from embodichain.learning.curriculum_stage import stage_path
 from embodichain.learning.exported import (
     INPUT,
     METADATA,
@@ -32,6 +33,7 @@ from embodichain.learning.exported import (
     script_bytes,
 )
 from embodichain.learning.normalization import number_keys
+from embodichain.learning.plain_state import write_tree
 from embodichain.learning.policy import LearnedPolicy
 from embodichain.learning.spaces import observation_columns
 from embodichain.utils.atomic import atomic_file
@@ -113,6 +115,8 @@ def export_policy(
         with atomic_file(path, new=True) as temporary:
             _WRITERS[form](network.written, observations[:2], temporary, metadata)
             worst = _compare(load_exported(temporary), observations, wanted, network)
+        if policy.stage is not None:
+            write_tree(stage_path(path), policy.stage)
     except FileExistsError as error:
         raise _taken(path) from error
     except OSError as error:

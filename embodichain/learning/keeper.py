@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, read_note
+from embodichain.learning.curriculum_stage import stage_path
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.normalization import statistics_path
 from embodichain.learning.plain_state import read_tree
@@ -152,8 +153,8 @@ def state_path(checkpoint: Path) -> Path:
 
 
 def _remove(checkpoint: Path) -> None:
-    beside = (state_path(checkpoint), statistics_path(checkpoint), buffer_path(checkpoint))
-    for path in (checkpoint, *beside):
+    beside = (state_path, statistics_path, buffer_path, stage_path)
+    for path in (checkpoint, *(of(checkpoint) for of in beside)):
         path.unlink(missing_ok=True)
 
 

@@ -20,6 +20,7 @@ from embodichain.learning.algorithms import algorithm_class
 from embodichain.learning.asymmetric import actor_space
 from embodichain.learning.checkpoint import find_checkpoint, read_digest, read_note
 from embodichain.learning.chunk_policy import ChunkPolicy
+from embodichain.learning.curriculum_stage import read_stage
 from embodichain.learning.exported import SUFFIXES, ExportedPolicy, load_exported
 from embodichain.learning.normalization import (
     NormalizeStatistics,
@@ -83,6 +84,7 @@ def load_policy(
     else:
         policy = load_checkpoint(file, deterministic=deterministic)
     policy.allow_changed = allow_changed
+    policy.stage = read_stage(file)
     if policy.trained_in is None:
         _log.warning("%s does not say what it was trained in: the task is not compared", file)
     if env is not None:

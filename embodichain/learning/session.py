@@ -20,6 +20,7 @@ from stable_baselines3.common.logger import KVWriter
 
 from embodichain.learning.checkpoint import save_checkpoint
 from embodichain.learning.cloning import BehaviorCloning
+from embodichain.learning.curriculum_stage import save_stage
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.keeper import state_path
 from embodichain.learning.normalization import load_statistics, save_statistics, statistics_path
@@ -136,6 +137,8 @@ class Session:
             on_boundary()
 
         judged = isinstance(model, BehaviorCloning)
+        if judged:  # its environments do not train: they judge at the first stage
+            self.vec_env.base.hold_curriculum()
         watch = _Watch(self.vec_env, self.statistics, progress, boundary, judged=judged)
         logger = make_logger(self.run_dir, self.writers, model.num_timesteps)
         model.set_logger(logger)
@@ -167,6 +170,7 @@ class Session:
             state["training"] = capture(model, self.vec_env, rolling=rolling)
             state["statistics"] = self.statistics.state_dict()
             write_tree(state_path(path), state)
+        save_stage(path, self.vec_env.base)
         save_checkpoint(model, path, note)
 
     def _restore_exploration(self) -> None:

@@ -28,7 +28,7 @@ __all__ = ["GROUP", "EpisodeRecorder", "Groups", "TensorEnv", "TensorStep", "to_
 
 GROUP = "policy"
 """The observation group of the actor."""
-_FLAGS = ("success", "fail", "diverged")
+_FLAGS = ("success", *filter(None, ENDS.values()))
 
 Groups = dict[str, Tensor]
 
@@ -185,12 +185,12 @@ class EpisodeRecorder:
         self._rows.clear()
         ended = table[:, 0] > 0
         found = {name: table[:, i][ended] for i, name in enumerate(self._names)}
-        flags = [found.pop(name) > 0 for name in ("diverged", "success", "fail")]
-        if self._base.judges_success:
-            found["success"] = found.get("Episode_Metrics/success", flags[1].astype(np.float32))
-        kinds = np.select(flags, ENDS[:3], ENDS[3])
+        flags = {name: found.pop(key) > 0 for name, key in ENDS.items() if key}
+        if not self._base.judges_success:
+            del found["success"]
+        kinds = np.select(list(flags.values()), list(flags), "time_out")
         for name in [n for n in found if n.startswith("Episode_Termination/")]:
-            found[name] *= ~flags[0]
+            found[name] *= ~flags["diverged"]
         causes = {f"Episode_Termination/{k}": (kinds == k).astype(np.float32) for k in ENDS}
         del found["done"]
         return found | causes

@@ -22,6 +22,7 @@ from torch import Tensor
 from embodichain import __version__
 from embodichain.config.tensor_algorithms import TENSOR_ALGORITHMS, TensorAlgoCfg
 from embodichain.learning.checkpoint import DIGEST, save_script
+from embodichain.learning.curriculum_stage import save_stage
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.exported import PolicyMetadata, script_bytes
 from embodichain.learning.keeper import state_path
@@ -276,6 +277,7 @@ class TensorSession:
             }
             state = {"env_steps": self.env_steps, "replay_buffer": False, "training": training}
             write_tree(state_path(path), {**state, "statistics": self.statistics.state_dict()})
+        save_stage(path, self.vec_env.base)
         low, high = self.vec_env.low.cpu(), self.vec_env.high.cpu()
         about = PolicyMetadata(
             task=note["task"],

@@ -36,6 +36,7 @@ class TrainedPolicy(ABC):
     Attributes:
         allow_changed: Whether to accept a task that has changed since training.
         changed: Differences between the task last checked and that of training.
+        stage: The stage of the curriculum in training (`BaseEnv.curriculum_stage`), if known.
     """
 
     def __init__(self, name: str, group: str, trained_in: TaskDigest | None = None) -> None:
@@ -44,6 +45,7 @@ class TrainedPolicy(ABC):
         self.trained_in = trained_in
         self.allow_changed = False
         self.changed: tuple[Change, ...] = ()
+        self.stage: dict[str, Any] | None = None
         self._env: BaseEnv | None = None
 
     def check(self, env: BaseEnv) -> None:

@@ -33,8 +33,14 @@ if TYPE_CHECKING:
 
 __all__ = ["ENDS", "SB3VecEnv"]
 
-ENDS = ("diverged", "success", "fail", "time_out")
-"""Causes of the end of an episode; the first that applies is reported."""
+ENDS = {
+    "diverged": "diverged",
+    "success": "success_terminated",
+    "fail": "fail",
+    "time_out": "",
+}
+"""Causes of the end of an episode, and the entry of ``info`` that says so; the first that applies
+is reported, the last if no entry does."""
 
 F32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -181,7 +187,7 @@ class SB3VecEnv(VecEnv):
     ) -> None:
         """Fill the infos of environments whose episode ended, and begin the next one's counts."""
         final = _rows(self._observed(info["final_obs"]), ids)
-        success = _success(info["final_info"]) if self._has_success else None
+        success = as_array(info["final_info"]["success"]) if self._has_success else None
         lengths = as_array(info["final_info"]["elapsed_steps"])
         seconds = round(time.time() - self._start, 6)
         kinds = _ended_by(info["final_info"], ids)
@@ -353,12 +359,6 @@ def _rows(observed: Observed, ids: NDArray[np.int64]) -> Iterable[Any]:
     return [{name: part[k] for name, part in parts.items()} for k in range(len(ids))]
 
 
-def _success(info: dict[str, Any]) -> Bool:
-    """(N,) whether each episode was a success: the metric of that name, else the termination."""
-    value = info["metrics"].get("success", info["success"])
-    return as_array(value).astype(np.bool_)
-
-
 def _by_name(values: Mapping[str, torch.Tensor], ids: NDArray[np.int64]) -> list[dict[str, Any]]:
     """Convert name -> (N,) values to one dict of plain values for each environment of `ids`."""
     found = {name: as_array(value)[ids].tolist() for name, value in values.items()}
@@ -367,6 +367,6 @@ def _by_name(values: Mapping[str, torch.Tensor], ids: NDArray[np.int64]) -> list
 
 def _ended_by(info: dict[str, Any], ids: NDArray[np.int64]) -> list[str]:
     """The cause of the end for each environment of `ids`; ``time_out`` if no flag is set."""
-    flags = {name: as_array(info[name])[ids] for name in ENDS[:-1]}
-    kinds: list[str] = np.select(list(flags.values()), list(flags), ENDS[-1]).tolist()
+    flags = {name: as_array(info[key])[ids] for name, key in ENDS.items() if key}
+    kinds: list[str] = np.select(list(flags.values()), list(flags), "time_out").tolist()
     return kinds

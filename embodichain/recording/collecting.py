@@ -248,7 +248,5 @@ class Collector:
 
 def _success(info: dict[str, Any]) -> Mask:
     """(N,) whether this step is a success of the task."""
-    metrics = info["metrics"]
-    found = metrics["success"] if "success" in metrics else info["success"]
-    mask: Mask = found.numpy(force=True) > 0
+    mask: Mask = info["success"].numpy(force=True)
     return mask

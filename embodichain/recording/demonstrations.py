@@ -54,7 +54,7 @@ class Episode:
             of each step, controls included.
         terminated: As in Gymnasium.
         truncated: As in Gymnasium; both are False if the log ended first.
-        success: Whether it succeeded at its end, see `LogEpisode.succeeded`; None if the log ended
+        success: Whether it succeeded at its end, see `LogEpisode.success`; None if the log ended
             first.
         path: The log.
         env: The environment in it.
@@ -214,9 +214,9 @@ def _wanted(log: RecordedLog, source: Source, failures: bool) -> list[LogEpisode
                 "collection lists"
             )
         found = [known[one.env, one.episode] for one in source.listed]
-    wanted = [e for e in found if failures or e.succeeded]
+    wanted = [e for e in found if failures or e.success]
     if not wanted:
-        if any(e.succeeded is not None for e in found):
+        if any(e.success is not None for e in found):
             why = f"none of its {len(found)} episodes succeeded"
         else:
             why = "no episode ended"
@@ -289,7 +289,7 @@ def _made(
         states=np.array([step.row[found.env] for step in steps]),
         terminated=found.terminated,
         truncated=found.truncated,
-        success=found.succeeded,
+        success=found.success,
         path=log.path,
         env=found.env,
         episode=found.episode,

@@ -32,7 +32,8 @@ __all__ = [
 ]
 
 EPISODE_TOPIC = "/episode"
-_OUTCOMES = ("success", "fail", "diverged")
+_OUTCOMES = {"success": "success_terminated", "fail": "fail", "diverged": "diverged"}
+"""Reason of an end -> the entry of ``info`` that says so."""
 
 Table = tuple[list[str], NDArray[Any]]
 """Names, and a column for each: (n, K)."""
@@ -61,19 +62,20 @@ class Ends:
     metrics: Table
 
     @classmethod
-    def of(cls, step: StepRecord, terms: Mapping[str, Any]) -> Ends | None:
+    def of(cls, step: StepRecord, terms: Mapping[str, Any], *, judged: bool) -> Ends | None:
         """The ends of a step; None if no episode ends in it.
 
         Args:
             step: The step.
             terms: Termination term to its (N,) values in this step.
+            judged: Whether the task defines success.
         """
         # Searching the bytes is 10 times faster than `any`, and this runs in every step.
         if 1 not in step.terminated.tobytes() and 1 not in step.truncated.tobytes():
             return None
         ids, info = np.flatnonzero(step.terminated | step.truncated), step.info
-        success = info.get("success")
-        reasons = {**terms, **{name: info[name] for name in _OUTCOMES if name in info}}
+        success = info.get("success") if judged else None
+        reasons = {**terms, **{name: info[key] for name, key in _OUTCOMES.items() if key in info}}
         return cls(
             ids,
             step.terminated[ids],
@@ -172,8 +174,9 @@ class LogEpisode:
         total_reward: Undiscounted sum of rewards over these steps.
         terminated: As in Gymnasium.
         truncated: As in Gymnasium. Both are False if the log ended first.
-        success: Whether its last step was a success; None if the task does not define it, or the
-            log ended first.
+        success: Whether its last step was a success: by the metric `success` (above 0) of a task
+            that has one, else by a termination of kind success; None if the task does not define
+            it, or the log ended first.
         reasons: What ended it: termination terms that fired, `success`, `fail`, `diverged`; empty
             if it reached the time limit or the log ended first.
         rewards: Term to its weighted sum over the episode; empty if the log ended first.
@@ -191,14 +194,6 @@ class LogEpisode:
     reasons: tuple[str, ...] = ()
     rewards: Mapping[str, float] = field(default_factory=dict)
     metrics: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def succeeded(self) -> bool | None:
-        """Whether it was a success by the task's metric `success` if it has one, else `success`.
-
-        None if the task does not define success, or the log ended first.
-        """
-        return self.metrics["success"] > 0 if "success" in self.metrics else self.success
 
     @property
     def steps(self) -> int:
@@ -220,6 +215,9 @@ def decode_ends(data: bytes | memoryview) -> list[LogEpisode]:
     n, last = len(message.env_ids), message.step
     success: list[bool | None] = [*_flags(message.success)] or [None] * n
     fired = _rows(message.reason, _flags(message.reasons), n)
+    metrics = _rows(message.metric, message.metrics, n)
+    if "success" in message.metric:  # logs of older versions have the termination in `success`
+        success = [row["success"] > 0 for row in metrics]
     columns = (
         message.env_ids,
         message.episode_id,
@@ -231,7 +229,7 @@ def decode_ends(data: bytes | memoryview) -> list[LogEpisode]:
         success,
         [tuple(name for name, value in row.items() if value) for row in fired],
         _rows(message.reward_term, message.reward_sums, n),
-        _rows(message.metric, message.metrics, n),
+        metrics,
     )
     if any(len(column) != n for column in columns):
         raise DamageError("an end of episodes lacks some of them")

@@ -270,7 +270,7 @@ class McapRecorder(StepObserver):
         """
         self._writing.check()
         number = self._step
-        ends = Ends.of(step, env.termination_manager.values)
+        ends = Ends.of(step, env.termination_manager.values, judged=env.judges_success)
         if ends is not None:
             self._log.end_episodes(number, ends)
         was_open = self._gate.open

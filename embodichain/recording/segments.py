@@ -121,7 +121,7 @@ def _chosen(
     """Each log with the episodes to read, and the numbers of its random streams."""
     if not (path.is_dir() and is_collection(path)):
         log = RecordedLog(path)
-        won = sorted((e for e in log.episodes if e.succeeded), key=lambda e: e.last_step)[:most]
+        won = sorted((e for e in log.episodes if e.success), key=lambda e: e.last_step)[:most]
         yield log, {(e.env, e.episode): range(e.first_step, e.last_step + 1) for e in won}, None
         return
     listed = read_collection(path)[:most]

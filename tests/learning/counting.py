@@ -43,7 +43,7 @@ class CountingEnv(gym.Env):
         )
         self.judges_success = has_success
         self.curriculum_manager = SimpleNamespace(values={})
-        self.cfg = {"counts": True}
+        self.cfg = SimpleNamespace(counts=True, curriculum={})
         self.termination_manager = SimpleNamespace(values={})
         self.weights = np.arange(float(self.num_envs))
         self.level = 3
@@ -77,7 +77,7 @@ class CountingEnv(gym.Env):
         terminated = self.count == self.ends
         truncated = self.count >= self.limit
         success = torch.from_numpy(terminated & (np.arange(self.num_envs) % 2 == 0))
-        info = {"success": success, "metrics": {}}
+        info = {"success": success, "success_terminated": success, "metrics": {}}
         info["fail"] = torch.from_numpy(terminated) & ~success
         info["diverged"] = torch.zeros(self.num_envs, dtype=torch.bool)
         info["elapsed_steps"] = torch.from_numpy(self.count.astype(np.int32))

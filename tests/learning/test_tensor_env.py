@@ -157,7 +157,7 @@ class Prepared(gym.Env):
         self.results = self.obs, torch.rand(num_envs), true, true, self.info(true)
 
     def info(self, true):
-        flags = dict.fromkeys(("success", "fail", "diverged"), true)
+        flags = dict.fromkeys(("success", "success_terminated", "fail", "diverged"), true)
         values = {"metrics": {"error": torch.rand(len(true))}, "episode_sums": {}, "rewards": {}}
         return {**flags, **values, "elapsed_steps": true.int(), "final_obs": self.obs}
 

@@ -70,6 +70,7 @@ class SmallEnv:
         engine.listeners.append(self)
         self.observers = []
         self.termination_manager = SimpleNamespace(values={})
+        self.judges_success = True
         self.rngs = [np.random.default_rng((seed, i)) for i in range(num_envs)]
         self.elapsed = np.zeros(num_envs, np.int64)
         self.episodes = np.full(num_envs, -1, np.int64)

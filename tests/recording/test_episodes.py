@@ -60,7 +60,8 @@ def test_every_ended_episode_is_told_of(played):
         for name, value in expected.items():
             assert getattr(episode, name) == value, (key, name)
         assert episode.first_step == episode.last_step - episode.steps + 1
-        assert ("success" in episode.reasons) == episode.success
+        assert episode.success == (episode.metrics["success"] > 0)
+        assert "success" not in episode.reasons  # a metric ends nothing
     rest = found.keys() - told.keys()
     assert rest == ({(0, 3), (1, 3), (2, 3)} if everything else set())
     assert all(found[key].success is None and not found[key].rewards for key in rest)
@@ -94,7 +95,7 @@ def test_an_explicit_reset_begins_a_new_sum():
     ):
         record = step_of(reward, episodes, terminated)
         sums.add(record.reward, record.episode_ids)
-    data = encode_ends(1, Ends.of(record, {}), sums, record.episode_ids)
+    data = encode_ends(1, Ends.of(record, {}, judged=True), sums, record.episode_ids)
     first, second = decode_ends(data)
     assert (first.total_reward, first.steps, first.episode) == (2.0, 1, 1)
     assert (second.total_reward, second.steps, second.episode) == (3.0, 2, 0)
@@ -105,7 +106,7 @@ def test_damaged_messages_are_read_or_refused():
     record = step_of([1.0, 1.0], [0, 0], [True, True])
     sums = EpisodeSums(2)
     sums.add(record.reward, record.episode_ids)
-    data = encode_ends(3, Ends.of(record, {"fell": [1, 0]}), sums, record.episode_ids)
+    data = encode_ends(3, Ends.of(record, {"fell": [1, 0]}, judged=True), sums, record.episode_ids)
     assert [e.reasons for e in decode_ends(data)] == [("fell",), ()]
     for cut in range(1, len(data)):
         try:

@@ -169,9 +169,7 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         obs, reward, terminated, truncated, info = self._batch.step(actions)
         if "final_info" in info:
             final = info["final_info"]
-            metrics = final.get("metrics") or {}
-            reached = np.asarray(metrics.get("success", final["success"])) != 0
-            final["is_success"] = reached & info["_final_info"]
+            final["is_success"] = final["success"] & info["_final_info"]
             del info["final_obs"], info["_final_obs"]  # LeRobot reads none
         return self._observed(obs), reward, terminated, truncated, info
 

@@ -60,13 +60,19 @@ class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by one control step; see `BaseEnv.step`.
 
+        Of a task with success, info has ``is_success`` too: ``success`` by the name that
+        Stable-Baselines3 and Gymnasium-Robotics read.
+
         Args:
             action: (A,) finite numbers.
         """
         batched = np.asarray(action, np.float32)[None]
         obs, reward, terminated, truncated, info = self.env.step(batched)  # type: ignore[arg-type]
         flags = bool(terminated[0]), bool(truncated[0])
-        return self._first(obs), float(reward[0]), *flags, _first_info(info)
+        found = _first_info(info)
+        if self.env.judges_success:
+            found["is_success"] = found["success"]
+        return self._first(obs), float(reward[0]), *flags, found
 
     def _first(self, obs: EnvObs) -> Any:
         return _row(self._seen(obs))

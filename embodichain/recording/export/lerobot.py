@@ -148,7 +148,7 @@ def _read(
             found = {name: data[name][rows, column] for name in names}
             found["done"] = found["terminated"] | found["truncated"]
             found["success"] = np.zeros(len(steps), np.bool_)
-            found["success"][-1] = bool(episode.succeeded) and steps[-1] == episode.last_step
+            found["success"][-1] = bool(episode.success) and steps[-1] == episode.last_step
             yield (
                 (episode, steps),
                 {name: v if v.ndim > 1 else v[:, None] for name, v in found.items()},

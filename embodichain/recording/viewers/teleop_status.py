@@ -56,8 +56,7 @@ class TeleopStatus:
 
     def note(self, step: StepRecord) -> None:
         """A step was taken."""
-        success = step.info["metrics"].get("success", step.info["success"])
-        succeeded = bool(success.numpy(force=True)[0] > 0)
+        succeeded = bool(step.info["success"].numpy(force=True)[0])
         if step.terminated[0] or step.truncated[0]:
             discarded = DISCARDED in self._teleop.failures
             end = "discarded" if discarded else "success" if succeeded else "no success"

@@ -43,7 +43,8 @@ METRICS = "Metrics"
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _COUNTS = ("elapsed_steps", "success", "fail")
 _GROUPS = (("rewards", "reward"), ("episode_sums", "sum"), ("metrics", "metric"))
-_REASONS = ("success", "fail", "diverged")
+_REASONS = {"success": "success_terminated", "fail": "fail", "diverged": "diverged"}
+"""Reason of an end -> the entry of ``info`` that says so."""
 _LISTED = 8
 """Maximum count of numbers or environments in a line of `/log`."""
 
@@ -247,7 +248,8 @@ def event_text(env_id: int, term: str, mode: str, drawn: Mapping[str, NDArray[An
 
 def ending_text(record: StepRecord, env_id: int) -> str:
     """``environment 0: episode 3 ended after 120 steps: success``."""
-    flags = [key for key in _REASONS if key in record.info and bool(record.info[key][env_id])]
+    known = {name: key for name, key in _REASONS.items() if key in record.info}
+    flags = [name for name, key in known.items() if bool(record.info[key][env_id])]
     if not flags:
         flags = ["terminated" if record.terminated[env_id] else "out of time"]
     steps = record.info.get("elapsed_steps")

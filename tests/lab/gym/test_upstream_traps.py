@@ -158,7 +158,8 @@ def test_15_success_is_not_assumed(make_env):
     env = make_env(cls=Watched, metrics={"success": second}, max_episode_steps=1)
     env.reset()
     info = env.step(home(env))[4]
-    assert env.seen[1] == [False, True, False] and not info["success"].any()
+    assert env.seen[1] == info["success"].tolist() == [False, True, False]
+    assert not info["success_terminated"].any()
 
 
 def test_an_action_hook_may_return_nothing(make_env):

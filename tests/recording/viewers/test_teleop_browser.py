@@ -215,7 +215,7 @@ def test_ten_demonstrations_with_the_keyboard(tmp_path, pace, visit):
     with LogReader(run.log) as reader:
         assert reader.header.policy == "teleop"
     with recording.open(run.log) as log:
-        assert [episode.succeeded for episode in log.episodes] == [True] * 10
+        assert [episode.success for episode in log.episodes] == [True] * 10
     assert verify(run.log).ok
 
 

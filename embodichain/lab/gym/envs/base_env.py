@@ -51,6 +51,7 @@ from embodichain.lab.gym.envs.observation import Observation, observation_space
 from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
+from embodichain.lab.gym.envs.startup import StartupChanges
 from embodichain.lab.gym.envs.step_graph import StepGraph
 from embodichain.lab.gym.envs.step_observation import StepObservation, observe
 from embodichain.lab.sim.sim_manager import SimulationManager
@@ -134,7 +135,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.sensors, self._detached_uids = {}, []
         self.overridden = overridden_hooks(self)
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool, device=self.device)
-        self._closed = self.arrays_moved = False
+        self._closed = self.arrays_moved = self._startup_due = False
         self.sim.physics_steps_per_control = cfg.sim_steps_per_control
         self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
@@ -205,7 +206,11 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.episodes.last_action = self.arrays.full(shape, 0.0)
         sim.reset_objects_state()
         self._init_sim_state(**kwargs)
+        has_startup = self.event_manager.has("startup")
+        self._startup = StartupChanges(sim) if has_startup else None
         self.event_manager.apply("startup", None)
+        if self._startup is not None:
+            self._startup.note()
         sim.engine.forward()
         self._dump = None if self.arrays.on_device else StateDump(sim.engine)
         self._judge = StepJudge(self, self.overridden)
@@ -237,7 +242,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         Args:
             seed: Reseeds the random streams of all N environments, Gymnasium's ``np_random`` and
-                torch's global generator.
+                torch's global generator. If all environments are reset, startup events run again
+                before it, on the values that they found.
             options: The environments to reset, as ``reset_ids`` or ``env_ids`` (sorted unique
                 indices, or a mask (N,)) or ``reset_mask`` (a mask); without them, all. All other
                 options are passed to `_initialize_episode`.
@@ -251,12 +257,31 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         options = dict(options or {})
         ids = self.arrays.environments(reset_ids(options, self.num_envs), self.num_envs)
         if seed is not None:
-            self.streams.reseed(seed)
-            seed_globals(self, self.streams.seed)
+            self.reseed(seed, startup=self.arrays.are_all(ids, self.num_envs))
         self.arrays_moved = True
         self._reset_rows(ids, options)
         self.episodes.settle(ids)
         return self._observe_reset(ids, options), dict(self.get_info(**options).items())
+
+    def reseed(self, seed: int, *, startup: bool) -> None:
+        """Begin all random numbers anew.
+
+        Args:
+            seed: The seed.
+            startup: Whether the next reset, of all environments, runs startup events again.
+        """
+        self.streams.reseed(seed)
+        seed_globals(self, self.streams.seed)
+        self._startup_due = startup and self._startup is not None
+
+    def _start_again(self) -> None:
+        """Run startup events again, from the values that they found."""
+        self._startup_due = False
+        if self._startup is not None:
+            self.sim.reset_objects_state(None, excluded_uids=self._detached_uids)
+            self._startup.undo()
+            self.event_manager.apply("startup", None, again=True)
+            self.sim.engine.forward()
 
     def _reset_rows(self, ids: EnvIndex, options: dict[str, Any]) -> None:
         if not len(ids):
@@ -264,6 +289,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         where = None if self.arrays.are_all(ids, self.num_envs) else ids
         self._task_success = self.is_task_success()
         self.curriculum_manager.compute(where)
+        if self._startup_due:
+            self._start_again()
         self.sim.reset_objects_state(where, excluded_uids=self._detached_uids)
         for manager in self.managers.values():
             manager.reset(where)
@@ -325,8 +352,10 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         Returns:
             Observation; reward (N,) float32; terminated (N,) bool; truncated (N,) bool; info: a
-            dict with ``elapsed_steps``, ``success``, ``fail``, ``diverged``, ``rewards``,
-            ``episode_sums``, ``metrics`` (all as before any reset) and the entries of `evaluate`.
+            dict with ``elapsed_steps``, ``success``, ``success_terminated``, ``fail``,
+            ``diverged``, ``rewards``, ``episode_sums``, ``metrics`` (all as before any reset) and
+            the entries of `evaluate`. ``success`` is the metric of that name above 0, in a task
+            that has one, and else ``success_terminated``, the success that ends episodes.
             If an environment was reset in place, also ``final_obs`` (``final_observation``) and
             ``final_info``, valid in the rows where ``_final_obs`` and ``_final_info`` are True.
 

@@ -108,6 +108,10 @@ class EditableTerms(Protocol):
         """Rebuild a term with other parameters; its state is carried over."""
         ...
 
+    def state_dict(self) -> dict[str, Any]:
+        """State of the terms, and under ``params`` what was changed of their parameters."""
+        ...
+
 
 class TermContext(ObservedEnv, Protocol):
     """The part of an environment that terms and managers use. N is the number of environments."""

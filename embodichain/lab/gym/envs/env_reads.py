@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.managers.action_manager import ActionManager
-    from embodichain.lab.gym.envs.managers.manager import Manager
+    from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.managers.value_managers import (
         MetricManager,
@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from embodichain.utils.random import RandomStreams
 
 __all__ = ["EnvReads"]
+
+_SUCCESS_HOOKS = frozenset({"compute_task_state", "evaluate", "get_info"})
+"""Hooks of a class that may say what success is."""
 
 
 class EnvReads:
@@ -66,6 +69,7 @@ class EnvReads:
     observation_space: gym.Space[Any]
     action_manager: ActionManager
     managers: dict[str, Manager[Any]]
+    curriculum_manager: CurriculumManager
     metric_manager: MetricManager
     reward_manager: RewardManager
     termination_manager: TerminationManager
@@ -254,11 +258,30 @@ class EnvReads:
         """Box of all N observations, each as one vector (N, W)."""
         return flat_space(self.observation_space, self.num_envs)
 
+    def curriculum_stage(self) -> dict[str, Any]:
+        """The stage that the curriculum has reached (copies), for `hold_curriculum` elsewhere."""
+        return self.curriculum_manager.stage_dict()
+
+    def hold_curriculum(self, stage: Mapping[str, Any] | None = None) -> None:
+        """Keep the curriculum at a stage: its terms are called no more.
+
+        Evaluations do this, so that what they judge depends neither on their length nor on the
+        number of environments. The next resets apply it to environments.
+
+        Args:
+            stage: Of `curriculum_stage`, of any number of environments; None is the present one.
+        """
+        self.curriculum_manager.hold(stage)
+
+    def release_curriculum(self) -> None:
+        """Let the curriculum go on."""
+        self.curriculum_manager.release()
+
     @property
     def judges_success(self) -> bool:
         """Whether the task defines success: by a metric, a termination, or its class."""
         declared = self.metric_manager.has_success or self.termination_manager.has_success
-        return declared or not self.overridden.isdisjoint(("compute_task_state", "evaluate"))
+        return declared or not self.overridden.isdisjoint(_SUCCESS_HOOKS)
 
     # -- observers -----------------------------------------------------------------------------
 

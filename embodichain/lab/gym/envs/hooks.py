@@ -99,7 +99,7 @@ class EnvHooks:
     def is_task_success(self, **kwargs: Any) -> torch.Tensor:
         """(N,) bool: whether the episode ended by a reset was a success.
 
-        The default is ``info["success"]`` (or the metric called ``success``) of the last step.
+        The default is ``info["success"]`` of the last step.
         """
         return tensor_of(self.episodes.success.copy())
 

@@ -255,6 +255,10 @@ class StepJudge:
     def info(self, obs: Any, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
         """Info of the step: from the class's hooks, then terminations, then metrics.
 
+        ``info["success"]`` is the metric `success` of a task that has one, above 0, and else what
+        ``info["success_terminated"]`` is: a termination of kind success, or the class's success.
+        Only the latter ends episodes.
+
         Args:
             obs: The observation, or None if nothing takes it (`takes_obs`).
             action: The action that rewards receive.
@@ -272,15 +276,16 @@ class StepJudge:
             success = success | masks["success"]
         if "fail" in masks:
             fail = fail | masks["fail"]
-        info["success"], info["fail"] = tensor_of(success), tensor_of(fail)
-        reached = env.metric_manager.compute(obs, action, info)
+        info["success"], info["fail"] = tensor_of(success.copy()), tensor_of(fail)
+        info["success_terminated"] = tensor_of(success)
+        env.metric_manager.compute(obs, action, info)
         if env.action_manager.has_metrics:
             env.action_manager.report(info["metrics"])
         if env.command_manager.has_metrics:
             env.command_manager.report(info["metrics"])
         if len(env.curriculum_manager):
             info["curriculum"] = dict(env.curriculum_manager.values)
-        env.episodes.success = success.copy() if reached is None else reached
+        env.episodes.success = env.arrays.of(info["success"]).copy()
         return info, Outcome(success, fail, masks.get("time_out"))
 
     def reward(self, obs: Any, action: Any, info: Info) -> F32:

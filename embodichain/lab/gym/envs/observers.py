@@ -109,6 +109,11 @@ class ObservedEnv(Protocol):
         ...
 
     @property
+    def judges_success(self) -> bool:
+        """Whether the task defines success."""
+        ...
+
+    @property
     def observers(self) -> Sequence[StepObserver]:
         """The observers, in the order in which they are called."""
         ...

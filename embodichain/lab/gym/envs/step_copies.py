@@ -34,7 +34,7 @@ _INPUTS = frozenset(
     {"ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat", "userdata"}
 )
 """State components that physics does not write."""
-_INFO = ("elapsed_steps", "success", "fail", "diverged")
+_INFO = ("elapsed_steps", "success", "success_terminated", "fail", "diverged")
 _GROUPS = ("rewards", "episode_sums", "metrics")
 Values = dict[str, Any]
 

@@ -55,11 +55,24 @@ class Shard:
         self._log = log
 
     def reset(
-        self, seed: int | None, ids: NDArray[np.int64] | None, options: Mapping[str, Any]
+        self,
+        seed: int | None,
+        ids: NDArray[np.int64] | None,
+        options: Mapping[str, Any],
+        everything: bool = True,
     ) -> StepTable:
-        """Reset environments (n,) of this shard, None for all; see `BaseEnv.reset`."""
+        """Reset environments (n,) of this shard, None for all; see `BaseEnv.reset`.
+
+        Args:
+            seed: The seed, or None.
+            ids: The environments.
+            options: Other options.
+            everything: Whether all environments of all shards are reset.
+        """
         chosen = {} if ids is None else {"reset_ids": ids.copy()}
-        obs, info = self.env.reset(seed=seed, options={**options, **chosen})
+        if seed is not None:
+            self.env.reseed(seed, startup=everything)
+        obs, info = self.env.reset(options={**options, **chosen})
         return self._table(obs, info, {})
 
     def step(self, action: NDArray[Any], others_reset: bool) -> StepTable:

@@ -127,7 +127,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         self.observation_manager.num_envs = self.num_envs
         self.observation_manager.use(self._layout)
         self.termination_manager = SimpleNamespace(values={})
-        self.curriculum_manager = SimpleNamespace(values={})
+        self.curriculum_manager = SimpleNamespace(values={}, held=False)
         self.managers = template.managers
         self.control_step = 0
         self._check = ActionCheck(template.single_action_space, self.num_envs, template.arrays)
@@ -179,7 +179,8 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
             mine = ids[(ids >= rows.start) & (ids < rows.stop)] - rows.start
             self._others_reset[k] |= bool(len(ids)) and not len(mine)
             whole = len(mine) == self.pool.counts[k]
-            args.append((seed, None if whole else mine, rest))
+            everything = len(ids) == self.num_envs
+            args.append((seed, None if whole else mine, rest, everything))
         tables = self.pool.call("reset", args)
         self._begun = True
         joined = self._joined(tables, range(len(tables)))
@@ -286,6 +287,25 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         self.control_step += steps
         self.pool.passed(steps)
 
+    # -- curriculum ------------------------------------------------------------------------------
+
+    def curriculum_stage(self) -> dict[str, Any]:
+        """The stage that the curriculum has reached, the same in all shards."""
+        stages = self.pool.call("advance", [(_stage,)] * len(self._rows))
+        stage: dict[str, Any] = stages[0]
+        return stage
+
+    def hold_curriculum(self, stage: Mapping[str, Any] | None = None) -> None:
+        """Keep the curriculum at a stage; see `BaseEnv.hold_curriculum`."""
+        self.pool.call("advance", [(_hold, stage)] * len(self._rows))
+        self.curriculum_manager.values = self.curriculum_stage()["values"]
+        self.curriculum_manager.held = True
+
+    def release_curriculum(self) -> None:
+        """Let the curriculum go on."""
+        self.pool.call("advance", [(_release,)] * len(self._rows))
+        self.curriculum_manager.held = False
+
     # -- random numbers --------------------------------------------------------------------------
 
     def rand(
@@ -355,3 +375,15 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
                 for callback in self.at_close:
                     stack.callback(callback)
                 self.pool.close()
+
+
+def _stage(env: BaseEnv) -> dict[str, Any]:
+    return env.curriculum_stage()
+
+
+def _hold(env: BaseEnv, stage: Mapping[str, Any] | None) -> None:
+    env.hold_curriculum(stage)
+
+
+def _release(env: BaseEnv) -> None:
+    env.release_curriculum()

@@ -188,6 +188,9 @@ class Articulation(FrameReads):
     ) -> None:
         """Set drive targets, or teleport the joints. Both are clamped to the joints' limits.
 
+        The default, EmbodiChain's, sets targets: physics moves the joints there, and `get_qpos`
+        returns where they are. `write_joint_state` puts them there at once.
+
         Args:
             qpos: (n, k) rad or m, or (k,) for all n environments.
             joint_ids: The k joints; None is all of them (with ``target``, all with a drive).
@@ -202,6 +205,41 @@ class Articulation(FrameReads):
         width = self.dof if joints is None else len(joints)
         values, ids = self._checked(qpos, width, env_ids, "qpos", shared=True)
         (self.write_target if target else self.write_qpos)(values, joints, ids)
+
+    def write_joint_state(
+        self,
+        qpos: Any,
+        qvel: Any = None,
+        joint_ids: Any = None,
+        env_ids: Any = None,
+        name: str | None = None,
+    ) -> None:
+        """Set joint positions and velocities at once; drive targets follow.
+
+        `get_qpos` and `get_qvel` then return what is given, also beyond the limits of joints; the
+        position targets, which are clamped to them, follow. `set_qpos` sets targets alone.
+
+        Args:
+            qpos: (n, k) rad or m, or (k,) for all n environments.
+            qvel: Likewise, rad/s or m/s; None is at rest.
+            joint_ids: The k joints; None is all of them, mimic joints too.
+            env_ids: The n environments; None is all N.
+            name: A control part, instead of ``joint_ids``.
+
+        Raises:
+            ValueError: If a shape, an index or a value is wrong; nothing is then written.
+        """
+        joints = self._joints(joint_ids, name)
+        values, ids = self._checked(qpos, len(joints), env_ids, "qpos", shared=True)
+        rates: Any = 0.0
+        if qvel is not None:
+            rates, _ = self._checked(qvel, len(joints), env_ids, "qvel", shared=True)
+        index = self.index
+        self.engine.write("qpos", values, ids, columns_of(index.qpos_adr[joints]))
+        self.engine.write("qvel", rates, ids, columns_of(index.dof_adr[joints]))
+        driven = np.flatnonzero(np.isin(joints, self.drives.joints))
+        if len(driven):
+            self.write_target(values[:, driven], joints[driven], ids)
 
     def write_target(
         self, values: F64, joints: Ids | None = None, ids: EnvIndex | None = None

@@ -219,15 +219,26 @@ class EventManager(DrawingManager[EventCfg]):
         for interval in self._intervals:
             interval.term = self.terms[interval.term.name]
 
-    def apply(self, mode: Literal["startup", "reset"], env_ids: EnvIndex | None = None) -> None:
+    def has(self, mode: Literal["startup", "reset", "interval"]) -> bool:
+        """Whether there is an event of a mode."""
+        return bool(self._by_mode[mode])
+
+    def apply(
+        self,
+        mode: Literal["startup", "reset"],
+        env_ids: EnvIndex | None = None,
+        *,
+        again: bool = False,
+    ) -> None:
         """Fire every event of a mode; `startup` events fire once, however often this is called.
 
         Args:
             mode: The mode of the events.
             env_ids: (n,) sorted unique int64 environments, or None for all.
+            again: Whether `startup` events fire once more.
         """
         if mode == "startup":
-            if self._started:
+            if self._started and not again:
                 return
             self._started = True
         for term in self._by_mode[mode]:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import copy
+import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ __all__ = [
     "checked_rows",
 ]
 
+_log = logging.getLogger(__name__)
 C = TypeVar("C", bound=TermCfg)
 Shape = Callable[[Any], Any]
 
@@ -415,13 +417,21 @@ class CurriculumManager(Manager[CurriculumCfg]):
         env: The environment, with all other managers.
         cfgs: Name -> curriculum.
 
+    A curriculum can be held at a stage, for an evaluation: `hold`. What a stage is, a term says by
+    ``stage_dict()`` and ``load_stage_dict(stage)``, which do not depend on the number of
+    environments; of terms without them it is all that curricula may set, weights and parameters,
+    and their state.
+
     Attributes:
         values: The last results of the terms, under ``TERM`` or ``TERM/NAME``.
+        held: Whether terms are called no more.
     """
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, CurriculumCfg]) -> None:
         super().__init__(env, "curriculum", "curriculum", cfgs)
         self.values: dict[str, float] = {}
+        self.held = False
+        self._begun = False
 
     def before_step(self) -> None:
         """Call the terms for all environments, with arrays on a device only; see `compute`."""
@@ -438,6 +448,9 @@ class CurriculumManager(Manager[CurriculumCfg]):
             self._compute(env_ids)
 
     def _compute(self, env_ids: EnvIndex | None) -> None:
+        if self.held:
+            return
+        self._begun = True
         for name, term in self.terms.items():
             value = term.call(self.env, env_ids)
             if isinstance(value, Mapping):
@@ -445,11 +458,80 @@ class CurriculumManager(Manager[CurriculumCfg]):
             elif value is not None:
                 self.values[name] = float(value)
 
+    def stage_dict(self) -> dict[str, Any]:
+        """The stage that was reached, for `hold` in any number of environments (copies)."""
+        own = {n: t for n, t in self.terms.items() if hasattr(t.instance, "stage_dict")}
+        stage: dict[str, Any] = {
+            "control_step": self.env.control_step,
+            "values": dict(self.values),
+            "names": list(self.terms),
+            "terms": {name: term.instance.stage_dict() for name, term in own.items()},
+        }
+        if len(own) == len(self.terms):
+            return stage
+        others = [name for name in self._stateful if name not in own]
+        managers = {name: m for name, m in self.env.managers.items() if m is not self}
+        return {
+            **stage,
+            "states": {name: self._stateful[name].state_dict() for name in others},
+            "params": {name: m.state_dict()["params"] for name, m in managers.items()},
+            "weights": dict(self.env.reward_manager.weights),
+        }
+
+    def hold(self, stage: Mapping[str, Any] | None = None) -> None:
+        """Stay at a stage: set what it has set, and call no term any more.
+
+        Args:
+            stage: Of `stage_dict`; None is the present one, in a new environment the first.
+        """
+        if stage is not None:
+            self._load_stage(stage)
+        elif not self._begun and self.env.control_step == 0:
+            self._compute(None)  # as the first reset does
+        self.held = True
+
+    def release(self) -> None:
+        """Go on from the present stage."""
+        self.held = False
+
+    def _load_stage(self, stage: Mapping[str, Any]) -> None:
+        for section, changed in stage.get("params", {}).items():
+            manager = self.env.managers[section]
+            for name, values in changed.items():
+                if name in manager.terms:
+                    manager.set_params(name, **copy.deepcopy(values))
+        for name, weight in stage.get("weights", {}).items():
+            if name in self.env.reward_manager.weights:
+                self.env.reward_manager.set_weight(name, weight)
+        for name, state in stage.get("states", {}).items():
+            term = self._stateful.get(name)
+            if term is not None and _alike(term.state_dict(), state):
+                term.load_state_dict(copy.deepcopy(state))
+            elif term is not None:
+                text = "curriculum.%s: its state in training is of other shapes; it begins anew"
+                _log.warning(text, name)
+        for name, state in stage["terms"].items():
+            if name in self.terms:
+                self.terms[name].instance.load_stage_dict(state)
+        values = stage["values"].items()
+        self.values = {key: v for key, v in values if key.partition("/")[0] in self.terms}
+        for name in self.terms:
+            if name not in stage["names"]:
+                _log.warning("curriculum.%s was not in training: it stays where it begins", name)
+
     def state_dict(self) -> dict[str, Any]:
         """The values that were set, and the state of terms that are classes (copies)."""
-        return {**super().state_dict(), "values": dict(self.values)}
+        return {**super().state_dict(), "values": dict(self.values), "held": self.held}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         super().load_state_dict(state)
         self.values = dict(state["values"])
+        self.held = state.get("held", False)  # of 0.1, which could not be held
+
+
+def _alike(here: Any, there: Any) -> bool:
+    """Whether two states have the same entries, and arrays of the same shapes."""
+    if isinstance(here, Mapping) and isinstance(there, Mapping):
+        return here.keys() == there.keys() and all(_alike(v, there[k]) for k, v in here.items())
+    return bool(np.shape(here) == np.shape(there))

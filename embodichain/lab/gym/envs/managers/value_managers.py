@@ -161,7 +161,7 @@ class MetricManager(Manager[MetricCfg]):
     """Reduces every metric over the episode so far.
 
     The values are float32, or bool where `reduce` is ``any`` or ``all``. The metric called
-    ``success`` is the task's success; it is evaluated before the others.
+    ``success`` is the task's success where it is above 0; it is evaluated before the others.
 
     Args:
         env: The environment; its scene is complete.
@@ -193,27 +193,26 @@ class MetricManager(Manager[MetricCfg]):
         """Whether the metric ``success`` exists."""
         return "success" in self.terms
 
-    def compute(self, obs: Any, action: Any, info: dict[str, Any]) -> NDArray[np.bool_] | None:
+    def compute(self, obs: Any, action: Any, info: dict[str, Any]) -> None:
         """Evaluate every term of this step.
 
         Args:
             obs: The step's observation.
             action: The step's action.
             info: Entries name -> (N,), this step included, are added to ``metrics`` in it, and do
-                not change afterwards; entries of the environment's class remain.
-
-        Returns:
-            (N,) bool, the metric ``success``; None if there is none.
+                not change afterwards; entries of the environment's class remain. The metric
+                ``success``, declared or of the class, replaces ``success`` in it, (N,) bool.
 
         Raises:
             ValueError: If a term's value has another shape than (N,); names the term.
         """
         metrics: dict[str, torch.Tensor] = dict(info.get("metrics", {}))
         info["metrics"] = metrics
+        if "success" in metrics and not self.has_success:
+            info["success"] = tensor_of(self._arrays.of(metrics["success"]) > 0)
         if not self._calls:
-            return None
+            return
         self._count = self._count + np.float32(1.0)
-        success: NDArray[np.bool_] | None = None
         for name, call, dtype, join, _, mean in self._calls:
             value = call(self.env, obs, action, info)
             if not self._checked:
@@ -222,10 +221,9 @@ class MetricManager(Manager[MetricCfg]):
             so_far = self._so_far[name] = join(self._so_far[name], array.astype(dtype))
             shown = so_far / self._count if mean else so_far.copy()
             metrics[name] = tensor_of(shown)
-            if name == "success":
-                success = shown.astype(np.bool_)
+            if name == "success":  # before the other metrics, which may read it
+                info["success"] = tensor_of(shown > 0)
         self._checked = True
-        return success
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Restart the episodes of these environments."""
@@ -405,6 +403,7 @@ def check_shapes(env: JudgedEnv, obs: EnvObs) -> None:
     info: dict[str, Any] = {
         "elapsed_steps": env.elapsed_steps,
         "success": none,
+        "success_terminated": none.clone(),
         "fail": none.clone(),
     }
     action = env.last_action

@@ -135,7 +135,8 @@ class ModifyRewardWeight(Term):
         start_step: Steps = 0,
     ) -> None:
         self._name, self._weight = term_name, weight
-        self._first = env.reward_manager.weights[term_name]
+        self._rewards = env.reward_manager
+        self._first = self._rewards.weights[term_name]
         self._when = start_step, num_steps, interpolate
 
     @classmethod
@@ -149,6 +150,14 @@ class ModifyRewardWeight(Term):
         if share > 0.0:
             env.reward_manager.set_weight(self._name, between(self._first, self._weight, share))
         return env.reward_manager.weights[self._name]
+
+    def stage_dict(self) -> dict[str, Any]:
+        """The weight in force."""
+        return {"weight": self._rewards.weights[self._name]}
+
+    def load_stage_dict(self, stage: Mapping[str, Any]) -> None:
+        """Set the weight."""
+        self._rewards.set_weight(self._name, stage["weight"])
 
 
 @register_term("curriculum", name="modify_term_param")
@@ -231,15 +240,28 @@ class ModifyTermParam(Term):
         share = progress(env.control_step, *self._when)
         value = between(self._first, self._value, share) if 0.0 < share < 1.0 else self._value
         if share != self._share:
-            term = self._manager.terms[self._name]
-            values = with_value(_values(term.spec, term.cfg), self._path, value)
-            params, shape = _divided(term.spec, values)
-            self._manager.set_params(self._name, params, shape)
+            self._set(value)
             self._share = share
         number = isinstance(self._first, (int, float)) and not isinstance(self._first, bool)
         if not number:
             return share
         return float(value if share > 0.0 else self._first)
+
+    def _set(self, value: Any) -> None:
+        term = self._manager.terms[self._name]
+        values = with_value(_values(term.spec, term.cfg), self._path, value)
+        self._manager.set_params(self._name, *_divided(term.spec, values))
+
+    def stage_dict(self) -> dict[str, Any]:
+        """The progress of the change, and the value in force."""
+        term = self._manager.terms[self._name]
+        return {"share": self._share, "value": get_at(_values(term.spec, term.cfg), self._path)}
+
+    def load_stage_dict(self, stage: Mapping[str, Any]) -> None:
+        """Set the value; one that was not changed yet stays what the task says."""
+        if stage["share"] > 0.0:
+            self._set(stage["value"])
+            self._share = stage["share"]
 
     def state_dict(self) -> dict[str, Any]:
         """The progress of the change; the manager has the values."""

@@ -63,7 +63,8 @@ class PlaceTerrain(Term):
     Of K columns, environment i is on column i mod K, at level floor(i / K) mod (most + 1) at first,
     where most is `max_init_level`: patches are shared evenly, and nothing depends on the number of
     environments. Levels change by the curriculum `terrain_levels` only. An environment that
-    rises above the highest continues at a random one.
+    rises above the highest continues at a random one. At a stage that is held for an evaluation,
+    each episode draws a level from those that environments of its column had in training.
 
     Args:
         max_init_level: The highest level at the start; None is the highest of the terrain.
@@ -92,14 +93,45 @@ class PlaceTerrain(Term):
         self.level: NDArray[np.int64] = number // kinds % (most + 1)
         self._any = Uniform("level", [0.0], [float(terrain.levels)])
         self._engine, self._columns = env.sim.engine, _heights(env).columns
+        # Levels of training by column, where an evaluation holds them, and where a column begins.
+        self._reached: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+
+    def draw_from(self, levels: NDArray[np.int64], columns: NDArray[np.int64]) -> None:
+        """Draw the level of each episode from (M,) levels of environments of the same column.
+
+        Args:
+            levels: Levels; one above the highest is a random one, as in training.
+            columns: Their columns. An environment of a column without a level draws from all.
+        """
+        count = self.terrain.levels
+        # (M, count) equally likely levels of each environment of the training.
+        likely = np.where((levels >= count)[:, None], np.arange(count), levels[:, None])
+        found = [likely[columns == k].ravel() for k in range(len(self.terrain.kinds))]
+        found = [part if len(part) else likely.ravel() for part in found]
+        self._reached = np.concatenate(found), np.cumsum([0, *map(len, found)])
+
+    def go_on(self) -> None:
+        """Keep levels from episode to episode again."""
+        self._reached = None
+
+    def _level(self, ids: Any, drawn: NDArray[np.float64]) -> NDArray[np.int64]:
+        """(n,) levels of episodes that begin, from draws (n,) of [0, number of levels)."""
+        if self._reached is not None:
+            levels, starts = self._reached
+            first = starts[self.column[ids]]
+            count = starts[self.column[ids] + 1] - first
+            chosen = np.minimum((drawn / self.terrain.levels * count).astype(np.int64), count - 1)
+            found: NDArray[np.int64] = levels[first + chosen]
+            return found
+        level = self.level[ids]
+        return np.where(level >= self.terrain.levels, drawn.astype(np.int64), level)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Write the pose of the terrain in these environments."""
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         # Always drawn, so that the numbers of an environment do not depend on its level.
-        drawn = self._any(env.event_manager, env_ids)[:, 0].astype(np.int64)
-        level = self.level[ids]
-        self.level[ids] = level = np.where(level >= self.terrain.levels, drawn, level)
+        drawn = self._any(env.event_manager, env_ids)[:, 0]
+        self.level[ids] = level = self._level(ids, drawn)
         places = 0.0 - self.terrain.origins[level, self.column[ids]]
         self._engine.write("mocap_pos", places, env_ids, self._columns)
 
@@ -166,6 +198,7 @@ class TerrainLevels(Term):
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> Mapping[str, float]:
         """Change the levels of environments whose episodes end."""
         place, far = self._place, self._far
+        place.go_on()
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         walked = norm(self._of.position()[ids, :2])
         if self._by_success:
@@ -179,9 +212,21 @@ class TerrainLevels(Term):
         began = env.arrays.of(env.elapsed_steps)[ids] > 0
         change = np.where(up, 1, np.where(down, -1, 0)) * began
         place.level[ids] = np.maximum(place.level[ids] + change, 0)
+        return self._means()
+
+    def _means(self) -> dict[str, float]:
+        place = self._place
         levels = np.minimum(place.level, place.terrain.levels - 1)
         means = {name: float(levels[mask].mean()) for name, mask in self._kinds.items()}
         return {"mean": float(levels.mean()), **means}
+
+    def stage_dict(self) -> dict[str, Any]:
+        """The levels and columns of all environments."""
+        return {"level": self._place.level.copy(), "column": self._place.column.copy()}
+
+    def load_stage_dict(self, stage: Mapping[str, Any]) -> None:
+        """Draw levels from those of a training."""
+        self._place.draw_from(stage["level"], stage["column"])
 
 
 @quantity(name="terrain_level")

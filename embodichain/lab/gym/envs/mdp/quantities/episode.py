@@ -76,19 +76,13 @@ def constant(env: TermContext, value: float = 1.0) -> F64:
 def success_reward(env: TermContext, info: Info) -> F64:
     """(N,) 1 where the task succeeds in this step, else 0. EmbodiChain's reward of the same name.
 
-    Success is the metric `success`; in a task without one, ``info["success"]`` from terminations of
-    kind success or the environment's `evaluate`.
+    Success is the metric `success` above 0; in a task without one, a termination of kind success or
+    the environment's `evaluate`.
 
     Example:
         ``{func: success_reward, weight: 10.0}``
     """
-    success = info.get("metrics", {}).get("success")
-    if success is None:
-        success = info.get("success")
-    if success is None:
-        none: F64 = env.arrays.full(env.num_envs, 0.0)
-        return none
-    found: F64 = (env.arrays.of(success) != 0).astype(np.float64)
+    found: F64 = env.arrays.of(info["success"]).astype(np.float64)
     return found
 
 
@@ -119,7 +113,7 @@ def _terminated(env: TermContext, info: Info) -> Mask:
     if env.cfg.ignore_terminations:
         none: Mask = env.arrays.full(env.num_envs, False, np.bool_)
         return none
-    ended: Mask = env.arrays.of(info["success"] | info["fail"])
+    ended: Mask = env.arrays.of(info["success_terminated"] | info["fail"])
     return ended
 
 
