@@ -22,12 +22,13 @@ PARTS = {
     "action terms, write targets": ("_act",),
     "physics": ("sim", "update"),
     "hook after physics": ("_update_sim_state",),
-    "events": ("event_manager", "step"),
-    "observation": ("_observe",),
     "terminations, metrics, info": ("_judge", "info"),
     "rewards": ("_judge", "reward"),
-    "divergence": ("_judge", "diverged"),
     "time limits": ("episodes", "over"),
+    "events": ("event_manager", "step"),
+    "commands": ("command_manager", "step"),
+    "observation": ("_step_observation", "_observe"),
+    "divergence": ("_judge", "diverged"),
     "automatic resets": ("_autoreset",),
 }
 """What is timed, in the order of a step, and where it hangs on the environment."""

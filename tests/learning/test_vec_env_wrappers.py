@@ -164,7 +164,7 @@ def test_check_nan_lets_finite_numbers_through():
 def breaks(env, obs, action, info):
     """In its third step the first environment's reward is not a number."""
     reward = torch.ones(env.num_envs)
-    if env.control_step == 2:
+    if env.control_step == 3:
         reward[0] = float("nan")
     return reward
 
@@ -172,7 +172,7 @@ def breaks(env, obs, action, info):
 def sees_nothing(env, obs):
     """An observation that is infinite in the fifth step of the second environment."""
     values = torch.ones(env.num_envs, 1)
-    if env.control_step == 4:
+    if env.elapsed_steps[1] == 5:
         values[1] = float("inf")
     return values
 

@@ -18,12 +18,12 @@ from tests.lab.gym.conftest import home, jumping
 def odd(env, obs, action, info):
     """1 in every second step, from the second: of environment 1, in no step."""
     count = torch.as_tensor(env.episodes.elapsed)
-    return ((count % 2 == 1) & (torch.arange(env.num_envs) != 1)).float()
+    return ((count % 2 == 0) & (torch.arange(env.num_envs) != 1)).float()
 
 
 def third(env, obs, action, info):
     """Whether it is the third step."""
-    return torch.as_tensor(env.episodes.elapsed) == 2
+    return torch.as_tensor(env.episodes.elapsed) == 3
 
 
 METRIC = {"success": MetricCfg(func=odd, reduce="mean")}
