@@ -292,7 +292,9 @@ class Efforts:
         drives = self._asset.drives
         most = drives.max_effort[:, self._joints]
         within: F64 = np.minimum(np.maximum(effort, -most), most)
-        applied = within * drives.strength[:, self._joints]
+        strength = drives.strength[:, self._joints]
+        applied = within * strength
+        drives.cut_effort[:, self._joints] = (effort - within) * strength
         self._asset.engine.write("qfrc_applied", applied, None, self._dofs)
         return within
 
