@@ -59,6 +59,7 @@ class Affine:
             from `limits`; without `limits` a map must have all names.
         centre: (A,) added to the offset.
         limits: Low and high of the value, (A,) each; None bounds the action by -1 and 1.
+        bounded: Whether the action has bounds; without them nothing is clamped.
         what: The kind of the names, for messages.
         named_by: The entries of the reference that name the columns; see `in_columns`.
 
@@ -77,6 +78,7 @@ class Affine:
         limits: tuple[Any, Any] | None = None,
         what: str = "joint",
         named_by: Sequence[NamedBy] = (),
+        bounded: bool = True,
     ) -> None:
         count, put = env.num_envs, env.arrays.put
         self._of = env.arrays.of
@@ -89,7 +91,10 @@ class Affine:
         if limits is not None:
             ends = (np.asarray(limits, np.float64) - self._centre) / self._scale
             rest = np.minimum(*ends), np.maximum(*ends)
-        if clip is not None:
+        if not bounded:
+            self._most = np.full(len(names), np.inf)
+            self._least = -self._most
+        elif clip is not None:
             self._least, self._most = joint_clip(clip, names, "clip", what, named_by, rest)
         else:
             self._most = np.ones(len(names))
@@ -330,6 +335,9 @@ class JointAction(JointTerm):
             None is (limits - offset) / scale with the joints' limits (+-2 pi without any) for
             positions about zero, the same with `range` for ``centre: limits``, else [-1, 1].
         range: [low, high] that ``centre: limits`` maps to the joints' limits.
+        bounds: ``clip``: those of `clip` are the bounds of the action. None: the action has no
+            bounds and is not clamped, as in Isaac Lab and mjlab; `clip` is then not to be given.
+            PPO learns such actions; SAC and others that need bounds refuse them.
 
     Raises:
         ConfigError: If a joint has no drive for this control.
@@ -348,6 +356,7 @@ class JointAction(JointTerm):
         offset: PerJoint = 0.0,
         clip: JointClip | None = None,
         range: Range = (-1.0, 1.0),
+        bounds: Literal["clip"] | None = "clip",
     ) -> None:
         super().__init__(env, entity_cfg, control != "effort", control == "position")
         self._entity, self._control = entity_cfg, control
@@ -355,6 +364,10 @@ class JointAction(JointTerm):
             raise ConfigError([Problem("centre", f"{centre} has a meaning for positions only")])
         if range[0] == range[1]:
             raise ConfigError([Problem("range", f"low equals high in {list(range)}")])
+        bounded = bounds is not None
+        if clip is not None and not bounded:
+            message = "bounds: null leaves the action without bounds: leave one of them out"
+            raise ConfigError([Problem("clip", message)])
         low, high = finite_limits(self._asset.parsed.qpos_limits, entity_cfg.joint_ids)
         ends = tuple(np.full(len(self._ids), float(end)) for end in range)
         limits: tuple[F64, F64] | None = None
@@ -362,10 +375,14 @@ class JointAction(JointTerm):
             limits = ends[0], ends[1]
         elif control == "position" and centre == "zero":
             limits = low, high
-        elif clip is None:
+        elif clip is None and bounded:
             clip = [-1.0, 1.0]
         home = self._default if centre == "home" else 0.0
-        affine = Affine(self.names, env, scale, offset, clip, home, limits, named_by=self._named_by)
+        affine = Affine(
+            *(self.names, env, scale, offset, clip, home, limits),
+            named_by=self._named_by,
+            bounded=bounded,
+        )
         self.low, self.high = affine.low, affine.high
         self.named_by = self._named_by
         self._centres, self._scales, self._from = affine.centre, affine.scale, centre

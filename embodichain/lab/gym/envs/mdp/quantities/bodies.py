@@ -229,9 +229,7 @@ def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
 
 
 @quantity()
-def tilt(
-    env: TermContext, of: Body, upwards: Literal["world", "against_gravity"] = "world"
-) -> F64:
+def tilt(env: TermContext, of: Body, upwards: Literal["world", "against_gravity"] = "world") -> F64:
     """(N,) angle of a body's z axis from the vertical, rad: 0 when upright, pi upside down.
 
     Args:
