@@ -46,21 +46,27 @@ VALUES: Final[Mapping[str, Alias]] = {
         "joint_velocity", ["norm", "negative"], of=joints_of, example="{robot_uid: ur10}"
     ),
     "joint_torques_l2": alias("joint_effort", "l2"),
-    "joint_deviation_l1": alias("joint_position", "l1", relative=True, periodic=False),
+    "joint_deviation_l1": alias(
+        "joint_position", "l1", relative=True, periodic=False, biased=False
+    ),
     "joint_pos_limits": alias("joint_position_excess", _EXCESS),
     "joint_vel_limits": alias(
         "joint_velocity_excess", [{"clip": [0.0, 1.0]}, "l1"], max_velocity=None
     ),
     "applied_torque_limits": alias("joint_effort_excess", _EXCESS),
-    "joint_within": alias("joint_position", {"within": P("bounds", hint=Bounds)}),
+    "joint_within": alias("joint_position", {"within": P("bounds", hint=Bounds)}, biased=False),
     "joint_vel_within": alias("joint_speed", _NEAR),
     "joint_pos_out_of_limit": alias("joint_position_excess", {"above": 0.0}),
     "joint_pos_outside": alias(
-        "joint_position", {"outside": P("bounds", hint=Bounds)}, relative=False, periodic=False
+        "joint_position",
+        {"outside": P("bounds", hint=Bounds)},
+        relative=False,
+        periodic=False,
+        biased=False,
     ),
     "joint_vel_out_of_limit": alias("joint_velocity_excess", {"above": 0.0}, soft_ratio=1.0),
     "joint_effort_out_of_limit": alias("joint_effort_excess", {"above": 0.0}),
-    "tolerance_joint_position": alias("joint_position", _TOLERANCE, relative=False),
+    "tolerance_joint_position": alias("joint_position", _TOLERANCE, relative=False, biased=False),
     "tolerance_joint_velocity": alias("joint_velocity", _TOLERANCE),
     # Actions
     "action_l2": alias("action", "l2"),

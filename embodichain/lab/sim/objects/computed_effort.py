@@ -1,7 +1,8 @@
 """`ComputedEfforts`: what actuators would apply to joints without limits of force.
 
-A drive's force is ``clip(gain ctrl + bias, -limit, limit)``. A joint's effort (`read_qf`) is what is
-left of it; a penalty on cut-off efforts needs what was asked for, Isaac Lab's ``computed_effort``.
+A drive's force is ``clip(gain ctrl + bias, -limit, limit)``. A joint's effort (`read_qf`) is what
+is left of it; a penalty on cut-off efforts needs what was asked for, Isaac Lab's
+``computed_effort``.
 """
 
 from __future__ import annotations

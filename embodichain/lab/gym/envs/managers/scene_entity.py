@@ -230,6 +230,10 @@ class ResolvedEntity:
         """(N, K) joint positions minus the initial ones, rad or m."""
         return self.qpos() - self._initial_rows
 
+    def encoder_bias(self) -> F64:
+        """(N, K) what encoders read minus joint positions, rad or m."""
+        return self._pick(self.asset.drives.encoder_bias)
+
     def qvel(self) -> F64:
         """(N, K) joint velocities, rad/s or m/s; do not write to it or store it."""
         return self._pick(self.asset.read_qvel())

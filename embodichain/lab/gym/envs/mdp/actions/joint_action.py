@@ -392,7 +392,7 @@ class JointAction(JointTerm):
         self._slope: F64 = (high - low) / (ends[1] - ends[0])
         self._moves = control != "position" or centre in ("qpos", "target")
         self._maps = centre == "limits"
-        self._write: Callable[[F64], Any] = self._write_targets
+        self._write: Callable[[F64], Any] = self._write_read
         self._reference = self._qpos if centre == "qpos" else self._targets
         if control == "velocity":
             self._write = VelocityTargets(self._asset, self._ids, env.step_dt).write
@@ -418,12 +418,16 @@ class JointAction(JointTerm):
             return words, scales.tolist()
         return centres.tolist(), scales.tolist()
 
+    def _write_read(self, value: F64) -> None:
+        """Write targets for what encoders read; the joints go there less their `encoder_bias`."""
+        self._write_targets(value - self._asset.drives.encoder_bias[:, self._ids])
+
     def _write_relative(self, value: F64) -> None:
         self._write_targets(self._reference() + value)
 
     def _write_mapped(self, value: F64) -> None:
         within = np.minimum(np.maximum(value, self._start), self._end)
-        self._write_targets(self._joint_low + (within - self._start) * self._slope)
+        self._write_read(self._joint_low + (within - self._start) * self._slope)
 
     def _action_at(self, position: F64) -> F64:
         """The action for position targets, clamped to the bounds."""

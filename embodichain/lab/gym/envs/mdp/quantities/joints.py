@@ -44,18 +44,25 @@ __all__ = [
 
 @quantity()
 def joint_position(
-    env: TermContext, of: Joints, relative: bool = False, periodic: bool = False
+    env: TermContext,
+    of: Joints,
+    relative: bool = False,
+    periodic: bool = False,
+    biased: bool = False,
 ) -> F64:
     """(N, K) positions of the picked joints, rad or m.
 
     Args:
         relative: Whether the initial positions are subtracted.
         periodic: Whether positions are angles, which are wrapped to [-pi, pi).
+        biased: Whether they are what encoders read, with the errors of the event `encoder_bias`.
 
     Example:
         ``{func: joint_position, params: {of: {uid: ur10}, relative: true}}``
     """
     qpos = of.displacement() if relative else of.qpos()
+    if biased:
+        qpos = qpos + of.encoder_bias()
     return wrapped(qpos) if periodic else qpos
 
 
