@@ -249,7 +249,8 @@ class LearnedPolicy(TrainedPolicy):
         self._state, self._starts = None, np.ones(env.num_envs, np.bool_)
 
     def _check_spaces(self) -> None:
-        seen, done = self.model.observation_space, self.model.action_space
+        seen: Any = self.model.observation_space
+        done: Any = self.model.action_space
         problems = []
         if not isinstance(seen, (spaces.Box, spaces.Dict)):
             problems.append(f"sees {seen}, not an array or a dict of arrays")
