@@ -187,7 +187,7 @@ class Algorithm:
             ConfigError: If the algorithm refuses its arguments.
         """
         arguments = dict(self.arguments)
-        squashes = arguments["policy_kwargs"].get("squash_output", False)
+        squashes = arguments.get("policy_kwargs", {}).get("squash_output", False)
         if squashes or not issubclass(algorithm_class(self.name), OnPolicyAlgorithm):
             require_bounds(vec_env.base, self.name)
         space: Any = vec_env.observation_space
