@@ -21,6 +21,7 @@ from stable_baselines3.common.noise import (
     VectorizedActionNoise,
 )
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
@@ -29,7 +30,7 @@ from embodichain.config.algorithms import ALGORITHMS, AlgoCfg
 from embodichain.learning.asymmetric import ASYMMETRIC
 from embodichain.learning.extractors import SmallCnn
 from embodichain.learning.normalization import number_keys
-from embodichain.learning.spaces import observation_columns
+from embodichain.learning.spaces import observation_columns, require_bounds
 from embodichain.learning.symmetry import Mirror, MirroredMeanStd, SymmetricActorCriticPolicy
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError, Problem
@@ -186,6 +187,9 @@ class Algorithm:
             ConfigError: If the algorithm refuses its arguments.
         """
         arguments = dict(self.arguments)
+        squashes = arguments.get("policy_kwargs", {}).get("squash_output", False)
+        if squashes or not issubclass(algorithm_class(self.name), OnPolicyAlgorithm):
+            require_bounds(vec_env.base, self.name)
         space: Any = vec_env.observation_space
         vector = isinstance(space, Box) and len(space.shape) == 1
         if str(arguments["policy"]).startswith("Mlp") and not vector:

@@ -36,6 +36,7 @@ from embodichain.learning.normalization import number_keys
 from embodichain.learning.plain_state import write_tree
 from embodichain.learning.policy import LearnedPolicy
 from embodichain.learning.spaces import observation_columns
+from embodichain.learning.tensor_env import to_bounds
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -235,10 +236,10 @@ class _Learned(_Network):
             obs = scaled.clamp(-self.clip, self.clip).float()
         seen, policy = self.split(obs), self.policy
         if isinstance(policy, ChunkPolicy) and self.chunking:
-            action = policy.chunks(seen).clamp(-1.0, 1.0)
+            action = policy.chunks(seen)
         else:
-            action = policy._predict(seen, deterministic=True).clamp(-1.0, 1.0)
-        return 0.5 * ((1.0 - action) * self.low + (1.0 + action) * self.high)
+            action = policy._predict(seen, deterministic=True)
+        return to_bounds(action, self.low, self.high)
 
 
 def _refuse(policy: LearnedPolicy) -> None:
@@ -271,6 +272,7 @@ def _compare(written: ExportedPolicy, observations: F32, wanted: F32, network: _
     found = written.network(observations)
     single = written.network(observations[-1:])
     half = np.maximum((network.high - network.low).numpy() / 2, 1.0)
+    half = np.where(np.isinf(half), 1.0, half)
     error = np.abs(np.concatenate([found - wanted, single - wanted[-1:]]))
     # `not <=`, so that NaN fails.
     if not (error <= TOLERANCE * half).all():

@@ -28,7 +28,7 @@ from embodichain.learning.normalization import (
     number_keys,
     statistics_path,
 )
-from embodichain.learning.spaces import ActionScale, LearnerView
+from embodichain.learning.spaces import UNBOUNDED, ActionScale, LearnerView
 from embodichain.learning.trained_policy import TrainedPolicy
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -240,13 +240,17 @@ class LearnedPolicy(TrainedPolicy):
             for what, have, want in pairs
             if _shape(have) != _shape(want)
         ]
+        learned: Any = self.model.action_space
+        if not differences and not np.array_equal(learned.high, scale.space.high):
+            differences = ["has other columns with bounds of actions than this task"]
         if differences:
             raise ConfigError([Problem("policy", f"{self.name} {'; '.join(differences)}")])
         self._scale = scale
         self._state, self._starts = None, np.ones(env.num_envs, np.bool_)
 
     def _check_spaces(self) -> None:
-        seen, done = self.model.observation_space, self.model.action_space
+        seen: Any = self.model.observation_space
+        done: Any = self.model.action_space
         problems = []
         if not isinstance(seen, (spaces.Box, spaces.Dict)):
             problems.append(f"sees {seen}, not an array or a dict of arrays")
@@ -255,8 +259,8 @@ class LearnedPolicy(TrainedPolicy):
         elif self.statistics is not None and self.statistics.shape != _numbers(seen):
             have, want = self.statistics.shape, _numbers(seen)
             problems.append(f"sees observations {want}, its statistics are of {have}")
-        whole = isinstance(done, spaces.Box) and (done.low == -1).all() and (done.high == 1).all()
-        if not whole:
+        whole = isinstance(done, spaces.Box) and np.isin(done.high, (1.0, UNBOUNDED)).all()
+        if not whole or not (done.low == -done.high).all():
             problems.append(f"acts in {done}, not in [-1, 1] as on an SB3VecEnv")
         if problems:
             raise ConfigError([Problem("policy", f"{self.name} {what}") for what in problems])

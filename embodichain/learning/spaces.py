@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.managers.observation_manager import no_vector
 from embodichain.lab.gym.envs.observation import entry_spaces, named_obs
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.vector import NumpyVectorEnv
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     import torch
@@ -25,16 +25,20 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
 __all__ = [
+    "UNBOUNDED",
     "ActionScale",
     "LearnerView",
     "flat_observation",
     "observation_box",
     "observation_columns",
     "observation_dict",
+    "require_bounds",
     "require_torch_batch",
 ]
 
 F32 = NDArray[np.float32]
+UNBOUNDED = 1e6
+"""Bound that a learner's Box has where the task's action has none."""
 
 
 class ActionScale:
@@ -42,15 +46,18 @@ class ActionScale:
 
     Learners need bounds that are finite, symmetric and of the size of their noise. -1 maps exactly
     to `low` and 1 exactly to `high`. If the bounds are [-1, 1] already, nothing is computed.
+    Columns without bounds stay as they are; `require_bounds` refuses them.
 
     Args:
         space: Action space of one environment.
 
     Attributes:
-        space: The learner's Box, (A,) in [-1, 1].
+        space: The learner's Box, (A,) in [-1, 1]; +-`UNBOUNDED` in columns without bounds, because
+            Stable-Baselines3 takes finite numbers only.
+        unbounded: (A,) columns without bounds.
 
     Raises:
-        ConfigError: If the space is not a Box (A,) with finite bounds, or is empty.
+        ConfigError: If the space is not a Box (A,), or is empty, or a column has one bound.
     """
 
     def __init__(self, space: Any) -> None:
@@ -63,12 +70,17 @@ class ActionScale:
             )
         self._low = np.asarray(space.low, np.float32)
         self._high = np.asarray(space.high, np.float32)
+        self.unbounded: NDArray[np.bool_] = np.isneginf(self._low) & np.isposinf(self._high)
         finite = np.isfinite(self._low) & np.isfinite(self._high)
-        if not finite.all():
-            columns = np.flatnonzero(~finite).tolist()
+        if not (finite | self.unbounded).all():
+            columns = np.flatnonzero(~(finite | self.unbounded)).tolist()
             raise ConfigError(f"learning needs finite action bounds; columns {columns} have none")
+        # Without bounds as with [-1, 1]: the action itself.
+        self._low = np.where(self.unbounded, np.float32(-1), self._low)
+        self._high = np.where(self.unbounded, np.float32(1), self._high)
         self._identity = bool((self._low == -1).all() and (self._high == 1).all())
-        self.space = spaces.Box(-1.0, 1.0, space.shape, np.float32)
+        most = np.where(self.unbounded, np.float32(UNBOUNDED), np.float32(1))
+        self.space = spaces.Box(-most, most, dtype=np.float32)
 
     def __call__(self, actions: ArrayLike) -> F32:
         """Return (N, A) actions of the environment, as a new array.
@@ -87,10 +99,10 @@ class ActionScale:
         # low + (a + 1) * (high - low) / 2 would miss `high` by a rounding error.
         half = np.float32(0.5)
         result: F32 = half * ((1 - scaled) * self._low + (1 + scaled) * self._high)
-        return result
+        return np.where(self.unbounded, scaled, result)
 
     def inverse(self, actions: ArrayLike) -> F32:
-        """Return (N, A) learner's actions of actions of the environment, clipped to [-1, 1].
+        """Return (N, A) learner's actions of actions of the environment, clipped to its space.
 
         Raises:
             ValueError: If the shape is wrong.
@@ -101,8 +113,28 @@ class ActionScale:
         width = self._high - self._low
         middle = self._low + self._high
         scaled = given if self._identity else (2 * given - middle) / np.where(width > 0, width, 1)
-        result: F32 = np.clip(scaled, -1.0, 1.0)
+        result: F32 = np.clip(scaled, self.space.low, self.space.high)
         return result
+
+
+def require_bounds(env: BaseEnv, learner: str) -> None:
+    """Check that every column of the actions has bounds.
+
+    Args:
+        env: The environment.
+        learner: The name of what needs them, for the message.
+
+    Raises:
+        ConfigError: If a column has none; names the keys to write.
+    """
+    unbounded = ActionScale(env.single_action_space).unbounded
+    terms = [n for n, columns in env.action_manager.slices.items() if unbounded[columns].any()]
+    if not unbounded.any():
+        return
+    keys = ", ".join(f"task.actions.{name}.params: {{clip: [-1, 1]}}" for name in terms)
+    message = f"{learner} needs bounds of the actions, and there are none (bounds: null)"
+    hint = f"Write {keys or 'an action space with bounds'} instead, or take algo=ppo"
+    raise ConfigError([Problem("algo.name", message, hint)])
 
 
 def observation_box(env: BaseEnv, group: str) -> spaces.Box:

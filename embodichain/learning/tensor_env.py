@@ -141,9 +141,15 @@ class TensorEnv:
 
 
 def to_bounds(actions: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Return actions (N, A), clipped to [-1, 1] and scaled to bounds (A,)."""
-    clipped = actions.clamp(-1.0, 1.0)
-    return 0.5 * ((1.0 - clipped) * low + (1.0 + clipped) * high)
+    """Return actions (N, A), clipped to [-1, 1] and scaled to bounds (A,).
+
+    Columns with infinite bounds stay as they are.
+    """
+    free = torch.isinf(low)
+    clipped = torch.where(free, 0.0, actions).clamp(-1.0, 1.0)
+    low, high = torch.where(free, -1.0, low), torch.where(free, 1.0, high)
+    scaled = 0.5 * ((1.0 - clipped) * low + (1.0 + clipped) * high)
+    return torch.where(free, actions, scaled)
 
 
 class EpisodeRecorder:

@@ -30,6 +30,7 @@ __all__ = [
     "rotate",
     "rotate_back",
     "rotvec_to_quat",
+    "rpy_to_quat",
     "wrapped",
 ]
 
@@ -190,6 +191,11 @@ def euler_xyz_to_quat(angles: F64) -> F64:
         ],
         axis=-1,
     )
+
+
+def rpy_to_quat(angles: F64) -> F64:
+    """Wxyz quaternions of roll, pitch, yaw in rad about fixed axes, R = Rz Ry Rx, (..., 3)."""
+    return quat_conjugate(euler_xyz_to_quat(-angles))
 
 
 def rotvec_to_quat(vectors: F64) -> F64:

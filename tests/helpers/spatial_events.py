@@ -34,6 +34,7 @@ EVENTS = {
         "startup", "set_rigid_object_visual_material", **CUBE, mat_cfg={"base_color": [1, 0, 0, 1]}
     ),
     "base": _at("reset", "randomize_articulation_root_pose", **ARM, position_range=SMALL),
+    "encoders": _at("reset", "encoder_bias", **ARM, bias_range=[-0.01, 0.01]),
     "scale": _at(
         "reset",
         "reset_joints_by_scale",

@@ -1,8 +1,14 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 
-from embodichain.learning.spaces import ActionScale, observation_box
+from embodichain.config import resolve
+from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.learning.algorithms import Algorithm
+from embodichain.learning.spaces import UNBOUNDED, ActionScale, observation_box
+from embodichain.learning.tensor_env import to_bounds
+from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 
@@ -52,6 +58,37 @@ def test_wrong_shape_is_not_broadcast(shape):
 def test_spaces_nobody_can_learn_in(space, message):
     with pytest.raises(ConfigError, match=message):
         ActionScale(space)
+
+
+def test_columns_without_bounds_stay_as_they_are():
+    scale = ActionScale(box([-np.inf, 0], [np.inf, 0.5]))
+    assert scale.unbounded.tolist() == [True, False]
+    assert scale.space.high.tolist() == [UNBOUNDED, 1.0]
+    assert scale([[2.5, 1.0]]).tolist() == [[2.5, 0.5]]
+    assert scale.inverse([[2.5, 0.25]]).tolist() == [[2.5, 0.0]]
+    low, high = torch.tensor([-np.inf, 0.0]), torch.tensor([np.inf, 0.5])
+    assert to_bounds(torch.tensor([[2.5, 3.0]]), low, high).tolist() == [[2.5, 0.5]]
+
+
+@pytest.mark.parametrize("name", ["sac", "td3", "ppo"])
+def test_learners_that_need_bounds_name_the_key(name):
+    overrides = ["task=reach", "~task.actions.arm.params.clip", "num_envs=2", f"algo={name}"]
+    resolved = resolve([*overrides, "++task.actions.arm.params.bounds=null"], "train")
+    env = BaseEnv(resolved.env_cfg, autoreset_mode="SAME_STEP")
+    try:
+        vec_env = SB3VecEnv(env)
+        algorithm = Algorithm.of(resolved.root.algo)
+        if name == "ppo":
+            model = algorithm.build(vec_env, 0)
+            assert (model.action_space.high == UNBOUNDED).all()
+            return
+        wanted = (
+            rf"algo.name: {name} needs bounds .*Write task.actions.arm.params: {{clip: \[-1, 1\]}}"
+        )
+        with pytest.raises(ConfigError, match=wanted):
+            algorithm.build(vec_env, 0)
+    finally:
+        env.close()
 
 
 def test_observation_is_the_group_and_nothing_else():

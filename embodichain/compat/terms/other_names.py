@@ -46,28 +46,34 @@ VALUES: Final[Mapping[str, Alias]] = {
         "joint_velocity", ["norm", "negative"], of=joints_of, example="{robot_uid: ur10}"
     ),
     "joint_torques_l2": alias("joint_effort", "l2"),
-    "joint_deviation_l1": alias("joint_position", "l1", relative=True, periodic=False),
+    "joint_deviation_l1": alias(
+        "joint_position", "l1", relative=True, periodic=False, biased=False
+    ),
     "joint_pos_limits": alias("joint_position_excess", _EXCESS),
     "joint_vel_limits": alias(
         "joint_velocity_excess", [{"clip": [0.0, 1.0]}, "l1"], max_velocity=None
     ),
     "applied_torque_limits": alias("joint_effort_excess", _EXCESS),
-    "joint_within": alias("joint_position", {"within": P("bounds", hint=Bounds)}),
+    "joint_within": alias("joint_position", {"within": P("bounds", hint=Bounds)}, biased=False),
     "joint_vel_within": alias("joint_speed", _NEAR),
     "joint_pos_out_of_limit": alias("joint_position_excess", {"above": 0.0}),
     "joint_pos_outside": alias(
-        "joint_position", {"outside": P("bounds", hint=Bounds)}, relative=False, periodic=False
+        "joint_position",
+        {"outside": P("bounds", hint=Bounds)},
+        relative=False,
+        periodic=False,
+        biased=False,
     ),
     "joint_vel_out_of_limit": alias("joint_velocity_excess", {"above": 0.0}, soft_ratio=1.0),
-    "joint_effort_out_of_limit": alias(
-        "joint_effort_excess", {"above": {"threshold": 0.0, "inclusive": True}}
-    ),
-    "tolerance_joint_position": alias("joint_position", _TOLERANCE, relative=False),
+    "joint_effort_out_of_limit": alias("joint_effort_excess", {"above": 0.0}),
+    "tolerance_joint_position": alias("joint_position", _TOLERANCE, relative=False, biased=False),
     "tolerance_joint_velocity": alias("joint_velocity", _TOLERANCE),
     # Actions
     "action_l2": alias("action", "l2"),
-    "action_rate_l2": alias("action", [{"rate": "step"}, "l2"]),
-    "action_acc_l2": alias("action", [{"rate": {"per": "step", "order": 2}}, "l2"]),
+    "action_rate_l2": alias("action", [{"rate": {"per": "step", "before": "zeros"}}, "l2"]),
+    "action_acc_l2": alias(
+        "action", [{"rate": {"per": "step", "order": 2, "before": "zeros"}}, "l2"]
+    ),
     "action_smoothness_penalty": alias("action", [{"rate": "step"}, "norm", "negative"]),
     "tolerance_action": alias("action", _TOLERANCE),
     # Distances and angles of two entities
@@ -90,11 +96,13 @@ VALUES: Final[Mapping[str, Alias]] = {
     ),
     "tolerance_height": alias("height", _TOLERANCE, above=0.0),
     "out_of_bounds": alias("position", {"outside": P("bounds")}, axes="xyz"),
-    "bad_orientation": alias("tilt", {"above": P("limit_angle", hint=Angle)}),
+    "bad_orientation": alias(
+        "tilt", {"above": P("limit_angle", hint=Angle)}, upwards="against_gravity"
+    ),
     "flat_orientation_l2": alias("projected_gravity", "l2", axes="xy"),
     "lin_vel_z_l2": alias("linear_velocity", "l2", frame="body", axes="z"),
     "ang_vel_xy_l2": alias("angular_velocity", "l2", frame="body", axes="xy"),
-    "body_lin_acc_l2": alias("linear_velocity", ["rate", "l2"], frame="world", axes="xyz"),
+    "body_lin_acc_l2": alias("link_acceleration", "l1"),
     "tolerance_velocity": alias("speed", _TOLERANCE),
     # Commands
     "track_lin_vel_xy_exp": alias("linear_velocity_error", {"gaussian": P("std")}),
@@ -349,10 +357,10 @@ EVENTS: Final[Mapping[str, Alias]] = {
     ),
     "reset_joints_by_scale": alias(
         "reset_joints",
-        only=("entity_cfg",),
+        only=("entity_cfg", "velocity_range"),
         position_range=P("position_range", hint=Range),
         operation="scale",
-        example="{entity_cfg: {uid: ur10}, position_range: [0.9, 1.1]}",
+        example="{entity_cfg: {uid: ur10}, position_range: [0.9, 1.1], velocity_range: [0, 0]}",
     ),
     "randomize_robot_qpos": alias(
         "reset_joints",

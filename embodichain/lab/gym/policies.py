@@ -228,7 +228,7 @@ class _Plain:
 
 
 def _bounds(env: BaseEnv) -> tuple[F64, F64]:
-    """(A,) bounds of one environment's actions.
+    """(A,) bounds of one environment's actions; -1 and 1 where an action has none.
 
     Raises:
         ConfigError: If the action space is not a Box.
@@ -237,7 +237,8 @@ def _bounds(env: BaseEnv) -> tuple[F64, F64]:
     if not hasattr(space, "low"):
         message = f"the built-in policies need a Box as action space, got {space}"
         raise ConfigError([Problem("policy", message)])
-    return np.asarray(space.low, np.float64), np.asarray(space.high, np.float64)
+    low, high = np.asarray(space.low, np.float64), np.asarray(space.high, np.float64)
+    return np.where(np.isinf(low), -1.0, low), np.where(np.isinf(high), 1.0, high)
 
 
 def _home(env: BaseEnv) -> F64:

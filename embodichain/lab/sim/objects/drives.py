@@ -39,7 +39,7 @@ _JOINT_FIELDS = {
     "friction": "dof_frictionloss",
     "armature": "dof_armature",
 }
-_SAVED = (*GAINS, "joint_damping", "strength", "target_qvel")
+_SAVED = (*GAINS, "joint_damping", "strength", "target_qvel", "cut_effort", "encoder_bias")
 
 
 class JointLimits:
@@ -96,6 +96,8 @@ class Drives:
         strength: (N, D) factors of the drives' gains and effort limits.
         limits: Joint position limits.
         target_qvel: (N, D) velocity targets.
+        encoder_bias: (N, D) what the joints' encoders read minus their positions, rad or m.
+        cut_effort: (N, D) what `max_effort` cuts off the efforts that actions ask for, N m or N.
         joints: (k,) joints with a drive; empty before the scene is compiled.
         control_columns: Their columns in ``ctrl``.
     """
@@ -116,6 +118,8 @@ class Drives:
             setattr(self, name, self._arrays.put(np.tile(getattr(parsed, name), (count, 1))))
         self.strength: F64 = np.ones_like(self.stiffness)
         self.target_qvel: F64 = np.zeros_like(self.stiffness)
+        self.cut_effort: F64 = np.zeros_like(self.stiffness)
+        self.encoder_bias: F64 = np.zeros_like(self.stiffness)
         self.limits = JointLimits(parsed.qpos_limits, count, self._arrays)
         self.has_velocity_target = False
         self.joints: Joints = np.arange(0)
@@ -267,6 +271,7 @@ class Drives:
     def clear(self, ids: EnvIndex | None) -> None:
         """Clear velocity targets after a reset, which has set the compiled controls."""
         self._forget_velocities(ids)
+        self.cut_effort[slice(None) if ids is None else ids] = 0.0
         changed = self._switched
         if len(changed):
             where, columns = _at(ids, changed), self.columns(changed)

@@ -121,6 +121,24 @@ def test_a_pose_error_of_a_link(make) -> None:
     assert position[0] == pytest.approx([0.3, 0.4, 1.0])  # the robot stands at z = 1
 
 
+def test_angles_are_roll_pitch_and_yaw_about_fixed_axes(make) -> None:
+    """Isaac Lab's UniformPoseCommand: R = Rz Ry Rx; (0.5, 0.7, 0.9) has w = 0.8565."""
+    angles = [[0.5, 0.7, 0.9]] * 2
+    params = {**CUBE, "position_range": [[0, 0, 0]] * 2, "euler_range": angles}
+    env = make(commands={"p": CommandCfg(func="uniform_pose", params=params)})
+    env.reset()
+    half = 0.5 * np.array(angles[0])
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
+    expected = [
+        cy * cr * cp + sy * sr * sp,
+        cy * sr * cp - sy * cr * sp,
+        cy * cr * sp + sy * sr * cp,
+        sy * cr * cp - cy * sr * sp,
+    ]
+    assert expected[0] == pytest.approx(0.8565, abs=1e-4)
+    assert env.command_manager.values("p")[0, 3:] == pytest.approx(expected, abs=1e-9)
+
+
 def test_unique_quaternions_have_a_positive_real_part(make) -> None:
     params = {
         **CUBE,

@@ -52,6 +52,24 @@ def test_scale_and_offset_of_absolute_positions(make) -> None:
     assert np.allclose(env.action_manager.hold(), env.action_manager.home(), atol=1e-6)
 
 
+def test_actions_without_bounds_are_not_clamped(make) -> None:
+    """2.5 times 0.1 is 0.25 from home, where [-1, 1] would leave 0.1."""
+    free = act("joint_action", centre="home", scale=0.1, bounds=None)
+    env = make(actions={"arm": free})
+    assert (env.single_action_space.low == -np.inf).all()
+    assert (env.single_action_space.high == np.inf).all()
+    env.reset()
+    step(env, [2.5, -2.5, 0, 0, 0, 0])
+    assert np.allclose(targets(env) - HOME, [0.25, -0.25, 0, 0, 0, 0], atol=1e-7)
+    bounded = make(actions={"arm": act("joint_action", centre="home", scale=0.1)})
+    bounded.reset()
+    step(bounded, [2.5, -2.5, 0, 0, 0, 0])
+    assert np.allclose(targets(bounded) - HOME, [0.1, -0.1, 0, 0, 0, 0], atol=1e-7)
+    both = act("joint_action", clip=[-1, 1], bounds=None)
+    with pytest.raises(ConfigError, match=r"clip: bounds: null leaves the action without bounds"):
+        make(actions={"arm": both})
+
+
 def test_a_negative_scale_keeps_bounds_in_order(make) -> None:
     env = make(actions={"arm": act("joint_position", scale=-2.0, offset=1.0)})
     limits = np.asarray(env.robot.parsed.qpos_limits)

@@ -70,6 +70,25 @@ def test_wrong_joints(make, params, part) -> None:
         make(rewards={"r": RewardCfg(func="joint_velocity_penalty", params=params)})
 
 
+SERVO_AND_MOTOR = """
+<mujoco>
+  <option gravity="0 0 0"/>
+  <worldbody>
+    <body name="base"><geom size="0.1" contype="0" conaffinity="0"/>
+      <body name="arm" pos="0.5 0 0"><joint name="bend" axis="0 0 1" range="-3 3"/>
+        <geom size="0.1"/></body>
+      <body name="wheel" pos="-0.5 0 0"><joint name="spin" axis="0 0 1" range="-9 9"/>
+        <geom size="0.1"/></body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="bend" joint="bend" kp="50" forcerange="-5 5"/>
+    <motor name="spin" joint="spin" gear="2" ctrlrange="-3 3" forcerange="-2 2"/>
+  </actuator>
+</mujoco>
+"""
+
+
 def test_joint_deviation(scene) -> None:
     bend(scene, np.add(HOME, [0.1, -0.2, 0, 0, 0, 0.3]))
     assert reward(scene, "joint_deviation_l1", **ARM) == pytest.approx([0.6] * 3)
@@ -126,10 +145,45 @@ def test_efforts_applied_beside_the_drives_count(make) -> None:
         terminations={"t": TerminationCfg(func="joint_effort_out_of_limit", params=ARM)},
     )
     env.reset()
-    efforts = torch.tensor([[3.0, 4, 0, 0, 0, 0], [0, 0, 0, 0, 0, 56], [0] * 6])
+    efforts = torch.tensor([[3.0, 4, 0, 0, 0, 0], [0, 0, 0, 0, 0, 56], [0, 0, 0, 0, 0, 60]])
     _, paid, terminated, _, _ = env.step(efforts / 64)
-    assert paid.tolist() == [25.0, 3136.0, 0.0]
-    assert terminated.tolist() == [False, True, False]  # the wrist's limit is 56 N m
+    assert paid[:2].tolist() == [25.0, 3136.0]
+    assert terminated.tolist() == [False, False, True]  # the wrist's limit is 56 N m
+
+
+def test_what_a_limit_cuts_off_an_effort_action_counts(make) -> None:
+    """Of 30 N m asked, a drive of at most 20 gives 20: 10 are cut off."""
+    drives = JointDrivePropertiesCfg(stiffness=0.0, damping=0.0, max_effort=20.0)
+    env = make(
+        robot=RobotCfg(uid="ur10", fpath=UR10, drive_pros=drives),
+        actions={"push": ActionTermCfg(func="joint_effort", params={**ARM, "scale": 64.0})},
+        rewards={
+            "cut": RewardCfg(func="applied_torque_limits", params=ARM),
+            "given": RewardCfg(func="joint_torques_l2", params=ARM),
+        },
+        terminations={"t": TerminationCfg(func="joint_effort_out_of_limit", params=ARM)},
+    )
+    env.reset()
+    efforts = torch.tensor([[30.0, -15, 0, 0, 0, 0], [20.0, 0, 0, 0, 0, 0], [-26, 0, 0, 0, 0, 32]])
+    _, _, terminated, _, info = env.step(efforts / 64)
+    assert info["rewards"]["cut"].tolist() == [10.0, 0.0, 18.0]
+    assert info["rewards"]["given"].tolist() == [625.0, 400.0, 800.0]
+    assert terminated.tolist() == [True, False, True]
+    env.reset()
+    assert not env.robot.drives.cut_effort.any()
+
+
+def test_a_saturated_servo_of_a_file_counts(make, tmp_path) -> None:
+    """The servo asks 50 (1.0 - 0) = 50 N m and gives 5; the motor asks 2 x 3 = 6 and gives 4."""
+    (tmp_path / "two.xml").write_text(SERVO_AND_MOTOR)
+    env = make(
+        robot=RobotCfg(uid="two", fpath=str(tmp_path / "two.xml")),
+        sim_steps_per_control=1,
+        rewards={"cut": RewardCfg(func="applied_torque_limits", params={"of": {"uid": "two"}})},
+    )
+    env.reset()
+    paid = env.step(torch.tensor([[1.0, 3.0], [0.05, 1.5], [-1.0, -3.0]]))[1]
+    assert paid.tolist() == pytest.approx([45.0 + 2.0, 0.0, 45.0 + 2.0], abs=1e-5)
 
 
 def test_joint_acceleration_is_the_change_over_a_step(make) -> None:
@@ -273,17 +327,18 @@ def stepped(make, func: str, *actions: float) -> list[list[float]]:
 def test_actions(make) -> None:
     assert stepped(make, "action_l2", 0.5) == [[1.5, 1.5, 0.0]]
     rate = stepped(make, "action_rate_l2", 0.5, 1.0, 0.5, 0.5)
-    assert rate == [[0.0] * 3, [1.5, 1.5, 0.0], [1.5, 1.5, 0.0], [0.0] * 3]
+    assert rate == [[1.5, 1.5, 0.0], [1.5, 1.5, 0.0], [1.5, 1.5, 0.0], [0.0] * 3]
     smooth = stepped(make, "action_smoothness_penalty", 0.5, 1.0)
     assert smooth[0] == [0.0] * 3
     assert smooth[1] == pytest.approx([-math.sqrt(1.5), -math.sqrt(1.5), 0.0])
 
 
-def test_action_acceleration_needs_three_actions(make) -> None:
+def test_action_acceleration_counts_from_zero(make) -> None:
     found = stepped(make, "action_acc_l2", 0.5, 1.0, 0.5, 0.0, 0.0)
     nothing = [0.0] * 3
-    # Changes +0.5, -0.5, -0.5, 0: bends -1, 0, 0.5.
-    assert found == [nothing, nothing, [6.0, 6.0, 0.0], nothing, [1.5, 1.5, 0.0]]
+    # Changes from 0: +0.5, +0.5, -0.5, -0.5, 0: bends 0.5, 0, -1, 0, 0.5.
+    bent = [1.5, 1.5, 0.0]
+    assert found == [bent, nothing, [6.0, 6.0, 0.0], nothing, bent]
 
 
 @pytest.mark.parametrize("func", ["action_rate_l2", "action_smoothness_penalty", "action_acc_l2"])
@@ -300,7 +355,8 @@ def test_what_a_term_remembers_of_actions_is_reset_and_restored(make, func) -> N
     assert torch.equal(env.step(actions[2])[1], first)
     env.reset(options={"reset_ids": [1]})
     found = env.step(actions[4])[1]
-    assert found[1] == 0.0 and (found[[0, 2]] != 0).all()
+    from_zero = 0.0 if func == "action_smoothness_penalty" else 6.0
+    assert found[1] == from_zero and (found[[0, 2]] != 0).all()
 
 
 def test_actions_without_an_order_are_refused() -> None:

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from embodichain.lab.gym.envs.cfg import EventCfg
+from embodichain.lab.sim.cfg import RobotCfg
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import quat_rotate
 from tests.helpers.ur10_task import CUBE_POS, HOME
@@ -112,6 +113,35 @@ def test_joints_near_their_default(make, scale: bool) -> None:
     else:
         assert np.array_equal(qvel, drawn.last["velocity"])
         assert qvel.min() >= -0.3 and qvel.max() <= 0.2 and np.ptp(qvel) > 0.45
+
+
+SPINNING = """
+<mujoco>
+  <worldbody>
+    <body name="base"><geom size="0.1"/>
+      <body name="wheel" pos="0 0 1"><joint name="spin" axis="0 0 1" range="-90 90"/>
+        <geom size="0.1"/></body>
+      <body name="fan" pos="0 0 2"><joint name="turn" axis="0 0 1" range="-90 90"/>
+        <geom size="0.1"/></body>
+    </body>
+  </worldbody>
+  <keyframe><key name="home" qpos="0.2 -0.1" qvel="3 -2"/></keyframe>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(("how", "expected"), [("scale", [1.5, -1.0]), ("offset", [3.5, -1.5])])
+def test_velocities_are_about_those_of_the_keyframe(make, tmp_path, how, expected) -> None:
+    """Isaac Lab's and mjlab's default velocities: times 0.5, or plus 0.5."""
+    (tmp_path / "spin.xml").write_text(SPINNING)
+    robot = RobotCfg(uid="two", fpath=str(tmp_path / "spin.xml"))
+    params = {"entity_cfg": {"uid": "two"}, "velocity_range": [0.5, 0.5]}
+    position = [1.0, 1.0] if how == "scale" else [0.0, 0.0]
+    what = event(f"reset_joints_by_{how}", **params, position_range=position)
+    env = make(robot=robot, events={"joints": what})
+    env.reset()
+    assert env.robot.read_qpos() == pytest.approx(np.tile([0.2, -0.1], (3, 1)))
+    assert env.robot.read_qvel() == pytest.approx(np.tile(expected, (3, 1)))
 
 
 def test_joints_stop_at_their_limits(make) -> None:

@@ -375,7 +375,7 @@ def _bounds_of(
     """(A,) low and high of a term.
 
     Raises:
-        ConfigError: If there are none, or they are not finite and ordered.
+        ConfigError: If there are none, or they are neither finite and ordered nor infinite.
     """
     instance = term.instance
     if not hasattr(instance, "low") or not hasattr(instance, "high"):
@@ -383,7 +383,8 @@ def _bounds_of(
         raise ConfigError([Problem(f"actions.{name}.func", message)])
     low, high = (np.asarray(bound, np.float32) for bound in (instance.low, instance.high))
     width = int(instance.action_dim)
-    finite = np.isfinite(low).all() and np.isfinite(high).all()
+    both = (np.isfinite(low) & np.isfinite(high)) | (np.isneginf(low) & np.isposinf(high))
+    finite = both.all()
     if low.shape != (width,) or high.shape != (width,) or not finite or not (low < high).all():
         message = f"needs finite bounds low < high of shape ({width},), got {low}, {high}"
         raise ConfigError([Problem(f"actions.{name}", message)])

@@ -21,6 +21,7 @@ from importlib.metadata import entry_points
 from types import SimpleNamespace
 from typing import Any, Literal, TypeVar, cast, get_args
 
+from embodichain.lab.gym.envs.managers.other_projects import translation_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.plugins import TERM_MODULES
 from embodichain.utils.suggest import did_you_mean, listing
@@ -393,6 +394,9 @@ def resolve_term(
     elsewhere = [other for other in KINDS if func in TERMS[other]]
     if elsewhere:
         raise ConfigError(f"{func!r} is a term of kind {', '.join(elsewhere)}, not {kind}")
+    translation = translation_of(func)
+    if translation:
+        raise ConfigError(f"unknown {kind} term {func!r}.{translation}")
     names = listing(sorted(TERMS[kind]), func, "embodichain list terms")
     missing = "".join(f" Besides, {reason}." for reason in TERMS.broken)
     raise ConfigError(

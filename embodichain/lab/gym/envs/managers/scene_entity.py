@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.compiler.names import FrameKind, NamedBy
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.objects.computed_effort import ComputedEfforts
     from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = ["ResolvedEntity", "references_in", "resolve_entity"]
@@ -229,6 +230,10 @@ class ResolvedEntity:
         """(N, K) joint positions minus the initial ones, rad or m."""
         return self.qpos() - self._initial_rows
 
+    def encoder_bias(self) -> F64:
+        """(N, K) what encoders read minus joint positions, rad or m."""
+        return self._pick(self.asset.drives.encoder_bias)
+
     def qvel(self) -> F64:
         """(N, K) joint velocities, rad/s or m/s; do not write to it or store it."""
         return self._pick(self.asset.read_qvel())
@@ -243,6 +248,16 @@ class ResolvedEntity:
         applied = self.asset.engine.state("qfrc_applied")[:, self._dofs]
         found: F64 = self._pick(self.asset.read_qf()) + applied
         return found
+
+    @cached_property
+    def _computed(self) -> ComputedEfforts:
+        from embodichain.lab.sim.objects.computed_effort import ComputedEfforts  # needs MuJoCo
+
+        return ComputedEfforts(self.asset, self._columns)
+
+    def computed_effort(self) -> F64:
+        """(N, K) efforts of the last physics step before limits of force cut them, N m or N."""
+        return self._computed.read()
 
     def hinges(self) -> NDArray[np.bool_]:
         """(K,) whether a joint is a hinge, not a slide."""

@@ -83,8 +83,8 @@ class ActionTerm(Term):
     """Base of action terms; subclasses take ``(env, **params)``.
 
     Attributes:
-        low: (A,) float32 lower bounds of its slice, finite.
-        high: (A,) float32 upper bounds, finite.
+        low: (A,) float32 lower bounds of its slice, finite, or -inf where there are none.
+        high: (A,) float32 upper bounds, finite, or inf.
         names: Name of each column, for tables and logs.
         named_by: The entries of the config that name the columns' joints or controls, as written.
     """

@@ -23,7 +23,7 @@ from embodichain.lab.gym.envs.mdp.quantities.bodies import heading, unique_quat
 from embodichain.lab.sim.compiler.names import match_every
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.math import euler_xyz_to_quat, quat_multiply, quat_rotate, wrapped
+from embodichain.utils.math import quat_multiply, quat_rotate, rpy_to_quat, wrapped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -137,7 +137,7 @@ class UniformVelocityCommand(CommandTerm):
 class UniformPoseCommand(CommandTerm):
     """(N, 7) pose x, y, z, qw, qx, qy, qz in the frame of an entity's root, drawn uniformly.
 
-    After Isaac Lab's ``UniformPoseCommand``. If a link, site or geom is picked, the metrics
+    Isaac Lab's ``UniformPoseCommand``. If a link, site or geom is picked, the metrics
     ``position_error`` (m) and ``orientation_error`` (rad) are its distances from the command.
 
     Example:
@@ -147,8 +147,8 @@ class UniformPoseCommand(CommandTerm):
         entity_cfg: The entity whose root is the frame, and the link, site or geom that should go
             there.
         position_range: [[x, y, z] low, [x, y, z] high], m.
-        euler_range: The same for Euler angles in rad, intrinsic XYZ (R = Rx Ry Rz); None is the
-            frame's own orientation.
+        euler_range: The same for roll, pitch, yaw in rad, about the fixed axes x, y, z
+            (R = Rz Ry Rx); None is the frame's own orientation.
         make_quat_unique: Whether to choose qw >= 0 of the two quaternions of a rotation.
     """
 
@@ -181,7 +181,7 @@ class UniformPoseCommand(CommandTerm):
         self.values[where, :3] = drawn[:, :3]
         if not self._turns:
             return
-        quat = euler_xyz_to_quat(drawn[:, 3:])
+        quat = rpy_to_quat(drawn[:, 3:])
         if self._unique:
             quat = unique_quat(quat)
         self.values[where, 3:] = quat

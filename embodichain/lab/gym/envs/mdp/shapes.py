@@ -421,6 +421,8 @@ class Rate(Term):
     Args:
         per: ``second`` divides by the control step's duration; ``step`` does not.
         order: 2 is the change of the change: x - 2 x' + x'', 0 in the first two steps.
+        before: What there was before an episode: ``nothing``, so that there is no change yet, or
+            ``zeros``, so that the first step changes from 0, as Isaac Lab and mjlab count actions.
 
     Example:
         ``{func: action, shape: [{rate: step}, l2], weight: -0.01}``
@@ -431,7 +433,9 @@ class Rate(Term):
         env: TermContext,
         per: Literal["second", "step"] = "second",
         order: Literal[1, 2] = 1,
+        before: Literal["nothing", "zeros"] = "nothing",
     ) -> None:
+        self._from_zeros = before == "zeros"
         self._unit = env.step_dt**order if per == "second" else 1.0
         self._order = order
         # Steps without a rate yet.
@@ -443,11 +447,16 @@ class Rate(Term):
         """Changes of the shape of ``values``."""
         rows = values.astype(np.float64)
         past = self._past or [rows] * self._order
+        if self._from_zeros and not self._all_known:
+            first = self._left == self._order
+            first = first if rows.ndim == 1 else first[:, None]
+            past = [np.where(first, 0.0, kept) for kept in past]
         self._past = [rows, *past[: self._order - 1]]
         change = rows - past[0] if self._order == 1 else rows - 2.0 * past[0] + past[1]
         change /= self._unit
         if not self._all_known:
-            change[self._left > 0] = 0.0
+            if not self._from_zeros:
+                change[self._left > 0] = 0.0
             self._left = np.maximum(self._left - 1, 0)
             self._all_known = not may_be_set(self._left)
         return change

@@ -59,6 +59,7 @@ class Affine:
             from `limits`; without `limits` a map must have all names.
         centre: (A,) added to the offset.
         limits: Low and high of the value, (A,) each; None bounds the action by -1 and 1.
+        bounded: Whether the action has bounds; without them nothing is clamped.
         what: The kind of the names, for messages.
         named_by: The entries of the reference that name the columns; see `in_columns`.
 
@@ -77,6 +78,7 @@ class Affine:
         limits: tuple[Any, Any] | None = None,
         what: str = "joint",
         named_by: Sequence[NamedBy] = (),
+        bounded: bool = True,
     ) -> None:
         count, put = env.num_envs, env.arrays.put
         self._of = env.arrays.of
@@ -89,7 +91,10 @@ class Affine:
         if limits is not None:
             ends = (np.asarray(limits, np.float64) - self._centre) / self._scale
             rest = np.minimum(*ends), np.maximum(*ends)
-        if clip is not None:
+        if not bounded:
+            self._most = np.full(len(names), np.inf)
+            self._least = -self._most
+        elif clip is not None:
             self._least, self._most = joint_clip(clip, names, "clip", what, named_by, rest)
         else:
             self._most = np.ones(len(names))
@@ -292,7 +297,9 @@ class Efforts:
         drives = self._asset.drives
         most = drives.max_effort[:, self._joints]
         within: F64 = np.minimum(np.maximum(effort, -most), most)
-        applied = within * drives.strength[:, self._joints]
+        strength = drives.strength[:, self._joints]
+        applied = within * strength
+        drives.cut_effort[:, self._joints] = (effort - within) * strength
         self._asset.engine.write("qfrc_applied", applied, None, self._dofs)
         return within
 
@@ -328,6 +335,9 @@ class JointAction(JointTerm):
             None is (limits - offset) / scale with the joints' limits (+-2 pi without any) for
             positions about zero, the same with `range` for ``centre: limits``, else [-1, 1].
         range: [low, high] that ``centre: limits`` maps to the joints' limits.
+        bounds: ``clip``: those of `clip` are the bounds of the action. None: the action has no
+            bounds and is not clamped, as in Isaac Lab and mjlab; `clip` is then not to be given.
+            PPO learns such actions; SAC and others that need bounds refuse them.
 
     Raises:
         ConfigError: If a joint has no drive for this control.
@@ -346,6 +356,7 @@ class JointAction(JointTerm):
         offset: PerJoint = 0.0,
         clip: JointClip | None = None,
         range: Range = (-1.0, 1.0),
+        bounds: Literal["clip"] | None = "clip",
     ) -> None:
         super().__init__(env, entity_cfg, control != "effort", control == "position")
         self._entity, self._control = entity_cfg, control
@@ -353,6 +364,10 @@ class JointAction(JointTerm):
             raise ConfigError([Problem("centre", f"{centre} has a meaning for positions only")])
         if range[0] == range[1]:
             raise ConfigError([Problem("range", f"low equals high in {list(range)}")])
+        bounded = bounds is not None
+        if clip is not None and not bounded:
+            message = "bounds: null leaves the action without bounds: leave one of them out"
+            raise ConfigError([Problem("clip", message)])
         low, high = finite_limits(self._asset.parsed.qpos_limits, entity_cfg.joint_ids)
         ends = tuple(np.full(len(self._ids), float(end)) for end in range)
         limits: tuple[F64, F64] | None = None
@@ -360,10 +375,14 @@ class JointAction(JointTerm):
             limits = ends[0], ends[1]
         elif control == "position" and centre == "zero":
             limits = low, high
-        elif clip is None:
+        elif clip is None and bounded:
             clip = [-1.0, 1.0]
         home = self._default if centre == "home" else 0.0
-        affine = Affine(self.names, env, scale, offset, clip, home, limits, named_by=self._named_by)
+        affine = Affine(
+            *(self.names, env, scale, offset, clip, home, limits),
+            named_by=self._named_by,
+            bounded=bounded,
+        )
         self.low, self.high = affine.low, affine.high
         self.named_by = self._named_by
         self._centres, self._scales, self._from = affine.centre, affine.scale, centre
@@ -373,7 +392,7 @@ class JointAction(JointTerm):
         self._slope: F64 = (high - low) / (ends[1] - ends[0])
         self._moves = control != "position" or centre in ("qpos", "target")
         self._maps = centre == "limits"
-        self._write: Callable[[F64], Any] = self._write_targets
+        self._write: Callable[[F64], Any] = self._write_read
         self._reference = self._qpos if centre == "qpos" else self._targets
         if control == "velocity":
             self._write = VelocityTargets(self._asset, self._ids, env.step_dt).write
@@ -399,12 +418,16 @@ class JointAction(JointTerm):
             return words, scales.tolist()
         return centres.tolist(), scales.tolist()
 
+    def _write_read(self, value: F64) -> None:
+        """Write targets for what encoders read; the joints go there less their `encoder_bias`."""
+        self._write_targets(value - self._asset.drives.encoder_bias[:, self._ids])
+
     def _write_relative(self, value: F64) -> None:
         self._write_targets(self._reference() + value)
 
     def _write_mapped(self, value: F64) -> None:
         within = np.minimum(np.maximum(value, self._start), self._end)
-        self._write_targets(self._joint_low + (within - self._start) * self._slope)
+        self._write_read(self._joint_low + (within - self._start) * self._slope)
 
     def _action_at(self, position: F64) -> F64:
         """The action for position targets, clamped to the bounds."""

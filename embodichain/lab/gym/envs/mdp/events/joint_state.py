@@ -25,16 +25,17 @@ __all__ = ["ResetJoints"]
 class ResetJoints(Term):
     """Sets joints to random positions about their initial ones, with random velocities.
 
-    qpos = clip(qpos0 + U(position_range), limits), qvel = U(velocity_range), one draw per joint.
-    Drive targets are set to the positions.
+    qpos = clip(qpos0 + U(position_range), limits), qvel = qvel0 + U(velocity_range), one draw per
+    joint. qpos0 and qvel0 are the initial ones; qvel0 is 0 unless a keyframe has velocities. Drive
+    targets are set to the positions.
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
         position_range: [low, high] in rad or m for all picked joints, [[low, ...], [high, ...]]
             with one value per joint, or {joint regex: [low, high]}, which must name all of them.
-        velocity_range: [low, high] in rad/s or m/s; [0, 0] draws nothing.
-        operation: Whether a drawn position is added to the initial one (``add``), multiplies it
-            (``scale``) or replaces it (``abs``).
+        velocity_range: [low, high] in rad/s or m/s, or factors; [0, 0] draws nothing.
+        operation: Whether a drawn position and velocity is added to the initial one (``add``),
+            multiplies it (``scale``) or replaces it (``abs``).
 
     Example:
         ``{func: reset_joints, mode: reset, params: {of: {uid: ur10}, position_range: [-0.1, 0.1], velocity_range: [-0.2, 0.2]}}``
@@ -55,6 +56,8 @@ class ResetJoints(Term):
         count = len(self._joints)
         self._dofs = np.asarray(asset.entity.dof_adr, np.int64)[self._joints]
         self._home = entity_cfg.initial_qpos
+        start: F64 = np.asarray(asset.parsed.init_qvel, np.float64)[self._joints]
+        self._start: Any = start if start.any() else 0.0
         self._limits: F64 = np.asarray(asset.parsed.qpos_limits, np.float64)[self._joints]
         driven = np.asarray(asset.entity.actuator_ids)[self._joints] >= 0
         self._driven: NDArray[np.int64] = np.flatnonzero(driven)
@@ -78,7 +81,11 @@ class ResetJoints(Term):
         if self._operation != "abs":
             qpos = self._home + qpos if self._operation == "add" else self._home * qpos
         qpos = np.clip(qpos, self._limits[:, 0], self._limits[:, 1])
-        qvel = 0.0 if self._velocity is None else self._velocity(env.event_manager, env_ids)
+        qvel: Any = 0.0
+        if self._velocity is not None:
+            qvel = self._velocity(env.event_manager, env_ids)
+        if self._operation != "abs":
+            qvel = self._start + qvel if self._operation == "add" else self._start * qvel
         asset.write_qpos(qpos, self._joints, env_ids)
         asset.engine.write("qvel", qvel, env_ids, self._dofs)
         if len(self._driven):

@@ -19,7 +19,13 @@ from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.utils.arrays import contiguous, is_host
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.math import euler_xyz_to_quat, quat_conjugate, quat_multiply, quat_rotate
+from embodichain.utils.math import (
+    euler_xyz_to_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_rotate,
+    rpy_to_quat,
+)
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
@@ -34,7 +40,6 @@ __all__ = [
     "need_free_root",
     "read_root_velocity",
     "reset_scene_to_default",
-    "rpy_to_quat",
     "six_axes",
     "write_root_velocity",
 ]
@@ -51,11 +56,6 @@ def six_axes(name: str, ranges: Mapping[Any, Sequence[float]] | None) -> Uniform
         return None
     low, high = np.array([ranges.get(axis, (0.0, 0.0)) for axis in AXES], np.float64).T
     return Uniform(name, low, high)
-
-
-def rpy_to_quat(angles: F64) -> F64:
-    """Wxyz quaternions of roll, pitch, yaw in rad about fixed axes, R = Rz Ry Rx, (..., 3)."""
-    return quat_conjugate(euler_xyz_to_quat(-angles))
 
 
 def need_free_root(entity: ResolvedEntity) -> None:

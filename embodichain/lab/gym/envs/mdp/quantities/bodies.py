@@ -5,15 +5,16 @@ Robots' bases above all. Axes are the environment's unless `frame` says otherwis
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.param_types import Body, Frames, Positive, Vec3, Whole
 from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import norm, squares, total
-from embodichain.lab.gym.envs.mdp.shapes import gaussian_kernel
+from embodichain.lab.gym.envs.mdp.shapes import Rate, gaussian_kernel
 from embodichain.lab.sim.body_motion import Frame
 from embodichain.lab.sim.gravity import gravity_direction
 from embodichain.utils.arrays import contiguous, rows_at, zeros
@@ -24,10 +25,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [
     "Heading",
+    "LinkAcceleration",
     "Rotation",
     "angular_velocity",
     "as_rotation",
@@ -227,12 +229,20 @@ def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
 
 
 @quantity()
-def tilt(env: TermContext, of: Body) -> F64:
+def tilt(env: TermContext, of: Body, upwards: Literal["world", "against_gravity"] = "world") -> F64:
     """(N,) angle of a body's z axis from the vertical, rad: 0 when upright, pi upside down.
+
+    Args:
+        upwards: The vertical: the ``world``'s z axis, or ``against_gravity``, the arc cosine of
+            minus the z column of `projected_gravity`; pi / 2 where there is no gravity.
 
     Example:
         ``{func: tilt, params: {of: {uid: go}}}``
     """
+    if upwards == "against_gravity":
+        down = projected_gravity(env, of)[:, 2]
+        angle: F64 = np.arccos(contiguous(np.minimum(np.maximum(-down, -1.0), 1.0)))
+        return angle
     up = of.axes()[:, 2]
     # Exact at both ends, unlike an arc cosine. With the copy, rounding does not depend on N.
     found: F64 = np.arctan2(norm(up[:, :2]), contiguous(up[:, 2]))
@@ -283,6 +293,47 @@ def angular_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: A
         ``{func: angular_velocity, params: {of: {uid: go}, frame: body}}``
     """
     return _of_axes(of.angular_velocity(frame), axes)
+
+
+@quantity("reward", "metric", name="link_acceleration")
+class LinkAcceleration(Term):
+    """(N, L) lengths of the linear accelerations of picked links' origins, m/s^2.
+
+    The change of velocity since the last control step, by its duration; 0 in the first step of an
+    episode.
+
+    Args:
+        of: The robot or object; without links, sites or geoms all of its links.
+
+    Example:
+        ``{func: link_acceleration, shape: l1, weight: -0.001, params: {of: {uid: go}}}``
+    """
+
+    def __init__(self, env: TermContext, of: Frames) -> None:
+        if not of.frame_names and hasattr(of.asset, "parsed"):
+            of = env.scene_entity({"uid": of.uid, "link_names": ".*"})
+        self._engine, self._frames = env.sim.engine, of.frames
+        self._rate = Rate(env)
+
+    def __call__(self) -> F64:
+        """(N, L) m/s^2."""
+        linear = self._frames.velocities(self._engine)[0]
+        change = self._rate(linear.reshape(len(linear), -1)).reshape(linear.shape)
+        x, y, z = change[..., 0], change[..., 1], change[..., 2]
+        found: F64 = np.sqrt(x * x + y * y + z * z)
+        return found
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Forget the velocities of these environments."""
+        self._rate.reset(env_ids)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The velocities of the last step (copies)."""
+        return self._rate.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._rate.load_state_dict(state)
 
 
 @quantity()

@@ -44,18 +44,25 @@ __all__ = [
 
 @quantity()
 def joint_position(
-    env: TermContext, of: Joints, relative: bool = False, periodic: bool = False
+    env: TermContext,
+    of: Joints,
+    relative: bool = False,
+    periodic: bool = False,
+    biased: bool = False,
 ) -> F64:
     """(N, K) positions of the picked joints, rad or m.
 
     Args:
         relative: Whether the initial positions are subtracted.
         periodic: Whether positions are angles, which are wrapped to [-pi, pi).
+        biased: Whether they are what encoders read, with the errors of the event `encoder_bias`.
 
     Example:
         ``{func: joint_position, params: {of: {uid: ur10}, relative: true}}``
     """
     qpos = of.displacement() if relative else of.qpos()
+    if biased:
+        qpos = qpos + of.encoder_bias()
     return wrapped(qpos) if periodic else qpos
 
 
@@ -157,10 +164,11 @@ def joint_velocity_excess(
 
 @quantity()
 def joint_effort_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0) -> F64:
-    """(N, K) excess of efforts over a limit, N m or N; negative where they are smaller.
+    """(N, K) excess of asked efforts over a limit, N m or N; negative where they are smaller.
 
-    Effort as in `joint_effort`. The limit is the smaller of the drive's `max_effort` and the
-    file's. A drive with a finite `max_effort` saturates there: use a `soft_ratio` below 1.
+    The effort is that which a drive, servo, motor or effort action asks for in the last physics
+    step, before the limit cuts it: Isaac Lab's computed effort. The limit is the smaller of the
+    drive's `max_effort` and the file's.
 
     Args:
         soft_ratio: Allowed fraction of the limit.
@@ -168,7 +176,7 @@ def joint_effort_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0
     Example:
         ``{func: joint_effort_excess, params: {of: {uid: ur10}, soft_ratio: 0.8}}``
     """
-    return np.abs(of.effort()) - of.effort_limits() * soft_ratio
+    return np.abs(of.computed_effort()) - of.effort_limits() * soft_ratio
 
 
 @quantity("reward", "metric")

@@ -1,0 +1,111 @@
+"""`ComputedEfforts`: what actuators would apply to joints without limits of force.
+
+A drive's force is ``clip(gain ctrl + bias, -limit, limit)``. A joint's effort (`read_qf`) is what
+is left of it; a penalty on cut-off efforts needs what was asked for, Isaac Lab's
+``computed_effort``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from embodichain.utils.arrays import columns_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.objects.articulation import Articulation
+
+__all__ = ["ComputedEfforts"]
+
+_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_FIXED = int(mujoco.mjtGain.mjGAIN_FIXED)
+_LINEAR = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+_STATELESS = int(mujoco.mjtDyn.mjDYN_NONE)
+
+
+class ComputedEfforts:
+    """Efforts that picked joints would have had in the last physics step without limits of force.
+
+    Of actuators on the joint itself with a force ``gain ctrl + bias``, without activation state:
+    drives, servos and motors. Others count with the force that they apply.
+
+    Args:
+        asset: The articulation, in a compiled scene.
+        joints: (K,) indices of its joints.
+    """
+
+    def __init__(self, asset: Articulation, joints: NDArray[np.int64]) -> None:
+        self._asset, self._joints = asset, joints
+        self._engine = asset.engine
+        model = self._engine.model
+        self._dofs = columns_of(np.asarray(asset.entity.dof_adr, np.int64)[joints])
+        of_joint = model.dof_jntid[np.asarray(asset.entity.dof_adr, np.int64)[joints]]
+        self._limited: NDArray[np.bool_] = model.jnt_actfrclimited[of_joint] != 0
+        self._actuators: list[list[int]] = [
+            [a for a in range(model.nu) if _is_linear(model, a) and model.actuator_trnid[a, 0] == j]
+            for j in of_joint
+        ]
+        # The first request of an acceleration field computes it, so make it here.
+        for field in ("actuator_length", "actuator_velocity", "actuator_force"):
+            self._engine.acceleration(field)
+
+    def read(self) -> F64:
+        """(N, K) N m or N; efforts applied from outside (`set_qf`, effort actions) included."""
+        engine = self._engine
+        actual = engine.acceleration("qfrc_actuator")[:, self._dofs]
+        asked = [
+            self._of_joint(actual[:, i], found, bool(self._limited[i]))
+            for i, found in enumerate(self._actuators)
+        ]
+        applied = engine.state("qfrc_applied")[:, self._dofs]
+        cut: F64 = self._asset.drives.cut_effort[:, self._joints]
+        total: F64 = np.stack(asked, axis=1) + applied + cut
+        return total
+
+    def _of_joint(self, actual: F64, actuators: list[int], limited: bool) -> F64:
+        """(N,) of actuators of one joint; other forces count as they are, unless cut together."""
+        if not actuators:
+            return actual
+        gears = self._engine.model.actuator_gear[:, 0]
+        forces = self._engine.acceleration("actuator_force")
+        total = actual
+        if limited:  # the joint's own limit cuts the sum: start from nothing
+            total = np.zeros_like(actual)
+        for actuator in actuators:
+            gear = float(gears[actuator])
+            total = total + gear * self._wanted(actuator)
+            if not limited:
+                total = total - gear * forces[:, actuator]
+        return total
+
+    def _wanted(self, actuator: int) -> F64:
+        """(N,) force of an actuator before its limit, N m or N."""
+        engine, model = self._engine, self._engine.model
+        control: Any = engine.state("ctrl")[:, actuator]
+        if model.actuator_ctrllimited[actuator]:
+            low, high = model.actuator_ctrlrange[actuator]
+            control = np.minimum(np.maximum(control, low), high)
+        gain = engine.model_values("actuator_gainprm")[:, actuator, 0]
+        force: F64 = gain * control
+        if model.actuator_biastype[actuator] == _LINEAR[0]:
+            return force
+        bias = engine.model_values("actuator_biasprm")[:, actuator]
+        length = engine.acceleration("actuator_length")[:, actuator]
+        velocity = engine.acceleration("actuator_velocity")[:, actuator]
+        force = force + bias[:, 0] + bias[:, 1] * length + bias[:, 2] * velocity
+        return force
+
+
+def _is_linear(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator acts on one joint with a force linear in control, length and velocity."""
+    return (
+        model.actuator_trntype[actuator] in _JOINT
+        and model.actuator_gaintype[actuator] == _FIXED
+        and model.actuator_biastype[actuator] in _LINEAR
+        and model.actuator_dyntype[actuator] == _STATELESS
+    )
