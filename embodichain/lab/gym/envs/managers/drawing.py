@@ -103,8 +103,9 @@ class DrawingManager(Manager[C]):
 
         Args:
             columns: Name -> its columns of the draw.
-            low: (k,) lower bounds.
-            high: (k,) upper bounds.
+            low: (k,) bounds at one end.
+            high: (k,) bounds at the other end; smaller ones where a factor multiplies a negative
+                number.
             env_ids: (n,) environments that draw, or None for all.
             normal: Whether to draw normal numbers: mean in the middle, clipped to the bounds at
                 three standard deviations.
@@ -119,7 +120,8 @@ class DrawingManager(Manager[C]):
             values = np.concatenate(known, axis=1)
         elif normal:
             values = self.env.streams.normal(self._stream, (len(low),), env_ids)
-            values = np.clip(0.5 * (low + high) + (high - low) / 6.0 * values, low, high)
+            values = 0.5 * (low + high) + (high - low) / 6.0 * values
+            values = np.clip(values, np.minimum(low, high), np.maximum(low, high))
         else:
             values = self.env.streams.uniform(self._stream, (len(low),), low, high, env_ids)
         for name, where in columns.items():
