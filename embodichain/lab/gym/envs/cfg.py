@@ -200,7 +200,16 @@ class RewardCfg(ValueCfg):
 class TerminationCfg(ValueCfg):
     """``f(env, obs, action, info, **params) -> (N,) bool``."""
 
-    kind: Literal["success", "fail", "time_out"] = "fail"
+    kind: Literal["success", "fail", "time_out"] | None = None
+    """None is ``time_out`` for a function of that name, and ``fail`` for any other."""
+
+    @property
+    def ends_by(self) -> Literal["success", "fail", "time_out"]:
+        """The kind that is meant."""
+        if self.kind is not None:
+            return self.kind
+        func = self.func if isinstance(self.func, str) else getattr(self.func, "__name__", "")
+        return "time_out" if func.rpartition(":")[2] == "time_out" else "fail"
 
 
 @configclass

@@ -25,6 +25,7 @@ from embodichain.lab.gym.envs.cfg import (
     EventCfg,
     NoiseCfg,
     ObservationCfg,
+    RewardCfg,
     SceneEntityCfg,
     TermCfg,
 )
@@ -50,6 +51,7 @@ __all__ = [
     "check_shape",
     "check_term",
     "check_terms",
+    "check_weight",
 ]
 
 _ENTITIES = (
@@ -58,6 +60,7 @@ _ENTITIES = (
 )
 """Parameters that EmbodiChain reads as references to entities because of their names;
 `entity_cfgs` is a list of them."""
+_LARGEST_WEIGHT = float(np.finfo(np.float32).max)
 _REFERENCES = {"command_name": "commands", "sensor": "sensors"}
 """Parameters whose value is the name of an entry of another section."""
 
@@ -348,7 +351,21 @@ def check_fields(path: str, term: TermCfg) -> list[Problem]:
         return _check_times(f"{path}.resampling_time_s", term.resampling_time_s)
     if isinstance(term, ObservationCfg):
         return _check_observation(path, term)
+    if isinstance(term, RewardCfg):
+        return check_weight(f"{path}.weight", term.weight)
     return _check_disturbance(path, term) if isinstance(term, ActionTermCfg) else []
+
+
+def check_weight(path: str, weight: float) -> list[Problem]:
+    """Return the mistake of a weight: that it is not finite, as float32.
+
+    Args:
+        path: Its key path.
+        weight: The weight.
+    """
+    if abs(weight) <= _LARGEST_WEIGHT:  # not so for NaN
+        return []
+    return [Problem(path, f"must be a finite number (of float32), got {weight}")]
 
 
 def _check_times(path: str, seconds: Sequence[float] | None) -> list[Problem]:

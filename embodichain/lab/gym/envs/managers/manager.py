@@ -20,11 +20,12 @@ from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.check import CheckedTerm, check_in_task, check_term
 from embodichain.lab.gym.envs.managers.param_types import references
 from embodichain.lab.gym.envs.managers.per_name import ranges_in_columns
-from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec
+from embodichain.lab.gym.envs.managers.registry import REDUCERS, Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.managers.term_columns import TermColumns, columns_of_term
 from embodichain.utils.arrays import is_host
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -118,7 +119,9 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     lead = source.lead
     if lead is None:  # a function or class with the signature of its kind
         lead = ("obs",) if kind == "observation" else ("obs", "action", "info")
-    call = _call(source.name, read, lead, shapes, kind, where)
+    given = source.params["axes"].default if "axes" in source.params else ""
+    axes = str(parts[0][1].get("axes", given))
+    call = _call(source.name, read, lead, shapes, kind, where, axes or columns)
     kept = [part for part in (instance, *shapes) if hasattr(part, "state_dict")]
     if len(kept) > 1:
         return BuiltTerm(name, cfg, spec, call, _Several(kept), columns)
@@ -126,8 +129,18 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
 
 
 def _in_columns_of_term(given: Mapping[str, Any], columns: TermColumns) -> dict[str, Any]:
-    """Parameters of a shape, with bounds of each column in the order of the columns."""
+    """Parameters of a shape, in the order of the columns: bounds of each, the number of one."""
     found = dict(given)
+    which = found.get("which")
+    if isinstance(which, str):
+        if which not in columns.names:
+            known = ", ".join(columns.names) or "none"
+            message = (
+                f"no column is called {which!r}; names of columns: {known}; or give its number"
+            )
+            hint = did_you_mean(which, columns.names).strip()
+            raise ConfigError([Problem("which", message, hint)])
+        found["which"] = columns.names.index(which)
     bounds = found.get("bounds")
     by_name = isinstance(bounds, Mapping)
     by_column = isinstance(bounds, (list, tuple)) and any(isinstance(b, list) for b in bounds)
@@ -169,8 +182,11 @@ def _call(
     shapes: list[Shape],
     kind: Kind,
     where: str,
+    columns: str | TermColumns,
 ) -> Callable[..., NDArray[Any]]:
     """Return the function that a manager calls: it reads the quantity and applies the shapes.
+
+    For other kinds than an observation, a value of one column is that column, with its sign.
 
     Args:
         name: The quantity's name, for messages.
@@ -179,6 +195,7 @@ def _call(
         shapes: Applied in order.
         kind: The manager; an observation of (N,) becomes (N, 1).
         where: Key path of the parameters.
+        columns: The names of the quantity's columns, or the letters of its axes.
     """
     at = [("obs", "action", "info").index(name) for name in lead]
     column = kind == "observation"
@@ -192,17 +209,37 @@ def _call(
         if type(value) is not np.ndarray and is_host(value):
             value = env.arrays.of(value)
             value = value if value.dtype == np.bool_ else value.astype(np.float64)
-        for shape in shapes:
-            value = shape(value)
+        try:
+            for shape in shapes:
+                value = shape(value)
+        except ConfigError as error:
+            raise _moved(error, shape_path) from error
         if column and value.ndim == 1:
             value = value[:, None]
         elif value.ndim > 1 and not column:
-            message = f"{name} has {value.shape[1]} columns; a {kind} is one number: try shape: l2"
-            raise ConfigError([Problem(shape_path, message)])
+            if value.shape[1:] != (1,):
+                raise ConfigError([_several_columns(name, value, kind, shape_path, columns)])
+            value = value[:, 0]
         shaped: NDArray[Any] = value
         return shaped
 
     return call
+
+
+def _several_columns(
+    name: str, value: Any, kind: Kind, path: str, columns: str | TermColumns
+) -> Problem:
+    """The mistake that a quantity has several columns where one number is needed."""
+    count = value[0].size if is_host(value) else int(np.prod(value.shape[1:]))
+    labels = list(columns) if isinstance(columns, str) else columns.labels(count)
+    named = len(labels) == count and len(set(labels)) > 1
+    which = f"They are {', '.join(labels)}. " if named else ""
+    message = f"{name} has {count} columns; a {kind} is one number"
+    one = "params: {axes: x}, y or z" if isinstance(columns, str) else "shape: {column: 0}"
+    hint = (
+        f"{which}Reduce them by a shape ({', '.join(REDUCERS)}), or take one with its sign: {one}"
+    )
+    return Problem(path, message, hint)
 
 
 class _Several:
@@ -315,6 +352,15 @@ class Manager(Generic[C]):
                 problems += error.problems
         if problems:
             raise ConfigError(problems)
+        self._collect()
+
+    def _renew(self, name: str) -> None:
+        """Build a term anew: without a state, as at the start of an episode."""
+        old = self.terms[name]
+        term = build_term(self.env, self._kind, name, old.cfg, f"{self.section}.{name}")
+        if hasattr(term.instance, "reset"):
+            term.instance.reset(None)
+        self.terms[name] = term
         self._collect()
 
     def _collect(self) -> None:
