@@ -340,6 +340,15 @@ class EnvCfg:
     """Values that become attributes of the environment, by name."""
     suggested: SuggestedCfg = dataclasses.field(default_factory=SuggestedCfg, kw_only=True)
 
+    @property
+    def key_sources(self) -> Any:
+        """A `KeySources`: where keys were set, or None; not part of the config's values."""
+        return vars(self).get("_key_sources")
+
+    @key_sources.setter
+    def key_sources(self, sources: Any) -> None:
+        vars(self)["_key_sources"] = sources
+
     def complete(self) -> None:
         """Set fields that follow from others, in place, before an environment is built.
 

@@ -243,7 +243,7 @@ class ActionManager(Manager[ActionTermCfg]):
         self.action_dim = start
         self.low: NDArray[np.float32] = low
         self.high: NDArray[np.float32] = high
-        self._calls = [(self._receiver(n, t), self.slices[n]) for n, t in self.terms.items()]
+        self._calls = [(n, self._receiver(n, t), self.slices[n]) for n, t in self.terms.items()]
         self._measured = [
             (name, term.instance.metrics)
             for name, term in self.terms.items()
@@ -315,11 +315,12 @@ class ActionManager(Manager[ActionTermCfg]):
         Args:
             action: (N, A) float32, finite (checked by the environment).
         """
-        if len(self._calls) == 1:
-            self._calls[0][0](action)
-            return
-        for call, columns in self._calls:
-            call(action[:, columns])
+        alone = len(self._calls) == 1
+        for name, call, columns in self._calls:
+            try:
+                call(action if alone else action[:, columns])
+            except (Exception, SystemExit) as error:
+                raise self.failed(name, error) from error
 
     @property
     def acts_in_physics(self) -> bool:

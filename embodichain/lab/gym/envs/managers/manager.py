@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import logging
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,7 +24,15 @@ from embodichain.lab.gym.envs.managers.per_name import ranges_in_columns
 from embodichain.lab.gym.envs.managers.registry import REDUCERS, Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.managers.term_columns import TermColumns, columns_of_term
-from embodichain.utils.arrays import is_host
+from embodichain.lab.gym.envs.managers.term_errors import (
+    declared_at,
+    failed_term,
+    finite_physics,
+    kind_of_values,
+    present_step,
+    warn_not_finite,
+)
+from embodichain.utils.arrays import all_finite, is_host
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -119,8 +128,8 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     lead = source.lead
     if lead is None:  # a function or class with the signature of its kind
         lead = ("obs",) if kind == "observation" else ("obs", "action", "info")
-    given = source.params["axes"].default if "axes" in source.params else ""
-    axes = str(parts[0][1].get("axes", given))
+    usual = source.params["axes"].default if "axes" in source.params else ""
+    axes = str(values.get("axes", usual))
     call = _call(source.name, read, lead, shapes, kind, where, axes or columns)
     kept = [part for part in (instance, *shapes) if hasattr(part, "state_dict")]
     if len(kept) > 1:
@@ -343,6 +352,7 @@ class Manager(Generic[C]):
         self.revision = 0
         self._declared = dict(cfgs)
         self._changed: dict[str, dict[str, Any]] = {}
+        self._warned: set[str] = set()
         problems: list[Problem] = []
         self.terms: dict[str, BuiltTerm[C]] = {}
         for name, cfg in cfgs.items():
@@ -367,7 +377,7 @@ class Manager(Generic[C]):
         """Collect the calls and states of the terms; repeated when a term is rebuilt."""
         instances = {n: t.instance for n, t in self.terms.items() if t.instance is not None}
         self.takes_obs = any(term.takes_obs for term in self.terms.values())
-        self._resets = [i.reset for i in instances.values() if hasattr(i, "reset")]
+        self._resets = [(n, i.reset) for n, i in instances.items() if hasattr(i, "reset")]
         self._stateful = {n: i for n, i in instances.items() if hasattr(i, "state_dict")}
         self._bind()
 
@@ -408,10 +418,45 @@ class Manager(Generic[C]):
     def __len__(self) -> int:
         return len(self.terms)
 
+    @contextmanager
+    def _failing(self, name: str, env_ids: Any = None) -> Iterator[None]:
+        """Name the term in what is raised inside the context; see `failed`."""
+        try:
+            yield
+        except (Exception, SystemExit) as error:
+            raise self.failed(name, error, env_ids) from error
+
+    def failed(self, name: str, error: BaseException, env_ids: Any = None) -> Exception:
+        """The error to raise, from this one, where a term raised an exception.
+
+        Args:
+            name: The term.
+            error: What it raised.
+            env_ids: (n,) environments for which it was called, or None for all.
+        """
+        place = self.terms[name].spec.place
+        return failed_term(self.env, f"{self.section}.{name}", place, error, env_ids)
+
+    def _warn_not_finite(self, name: str, values: Any, what: str) -> None:
+        """Log once for each term that its values (N,) are not finite.
+
+        Those of an environment whose physics has diverged are not the term's mistake.
+        """
+        if not is_host(values) or name in self._warned or all_finite(values):
+            return
+        path = f"{self.section}.{name}"
+        bad = ~np.isfinite(values) & finite_physics(self.env)
+        if bad.any():
+            self._warned.add(name)
+            warn_not_finite(self.env, {path: (kind_of_values(values[bad]), bad)}, what)
+
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Reset the terms that are classes; (n,) environments, or None for all."""
-        for reset in self._resets:
-            reset(env_ids)
+        for name, reset in self._resets:
+            try:
+                reset(env_ids)
+            except (Exception, SystemExit) as error:
+                raise self.failed(name, error, env_ids) from error
 
     def term_states(self) -> dict[str, Any]:
         """State of the terms that have one (copies), by name."""
@@ -439,15 +484,15 @@ def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> None:
     """Check that a term's value is a tensor or an array of shape (N,).
 
     Raises:
-        ValueError: If not; names the term. (N, 1) is refused too, because it would broadcast.
+        ConfigError: If not; names the term. (N, 1) is refused too, because it would broadcast.
     """
     if not hasattr(value, "shape") or not hasattr(value, "dtype"):
-        raise ValueError(
+        raise ConfigError(
             f"{kind} term {name!r} must return a tensor of shape ({num_envs},), "
             f"got {type(value).__name__}"
         )
     if tuple(value.shape) != (num_envs,):
-        raise ValueError(
+        raise ConfigError(
             f"{kind} term {name!r} must return shape ({num_envs},), got {tuple(value.shape)}"
         )
 
@@ -498,11 +543,17 @@ class CurriculumManager(Manager[CurriculumCfg]):
             return
         self._begun = True
         for name, term in self.terms.items():
-            value = term.call(self.env, env_ids)
-            if isinstance(value, Mapping):
-                self.values |= {f"{name}/{key}": float(v) for key, v in value.items()}
-            elif value is not None:
-                self.values[name] = float(value)
+            with self._failing(name, env_ids):
+                value = term.call(self.env, env_ids)
+                if isinstance(value, Mapping):
+                    found = {f"{name}/{key}": float(v) for key, v in value.items()}
+                else:
+                    found = {} if value is None else {name: float(value)}
+            self.values |= found
+            for key, number in found.items():
+                if not math.isfinite(number):
+                    place, step = declared_at(self.env, f"curriculum.{key}"), present_step(self.env)
+                    _log.warning("%s: %s is %s", step, place, number)
 
     def stage_dict(self) -> dict[str, Any]:
         """The stage that was reached, for `hold` in any number of environments (copies)."""

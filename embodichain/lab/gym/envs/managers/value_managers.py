@@ -16,6 +16,7 @@ from embodichain.lab.gym.envs.cfg import MetricCfg, RewardCfg, TerminationCfg
 from embodichain.lab.gym.envs.context import TermContext
 from embodichain.lab.gym.envs.managers.check import check_weight
 from embodichain.lab.gym.envs.managers.manager import Manager, checked_rows
+from embodichain.lab.gym.envs.managers.term_errors import kind_of_values
 from embodichain.utils.arrays import is_host, tensor_of
 from embodichain.utils.errors import ConfigError
 
@@ -135,10 +136,15 @@ class TerminationManager(Manager[TerminationCfg]):
             return masks
         values: list[NDArray[np.bool_]] = []
         for name, call, kind in self._calls:
-            value = call(self.env, obs, action, info)
-            if not self._checked:
-                checked_rows(value, self.num_envs, "termination", name)
-            flags = value if type(value) is np.ndarray else self._arrays.of(value)
+            try:
+                value = call(self.env, obs, action, info)
+                if not self._checked:
+                    checked_rows(value, self.num_envs, "termination", name)
+                flags = value if type(value) is np.ndarray else self._arrays.of(value)
+            except (Exception, SystemExit) as error:
+                raise self.failed(name, error) from error
+            if flags.dtype != np.bool_:
+                self._warn_not_finite(name, flags, "which counts as true")
             flags = flags.astype(np.bool_)  # a copy: the term may reuse its array
             values.append(flags)
             masks[kind] = masks[kind] | flags if kind in masks else flags
@@ -216,10 +222,15 @@ class MetricManager(Manager[MetricCfg]):
             return
         self._count = self._count + np.float32(1.0)
         for name, call, dtype, join, _, mean in self._calls:
-            value = call(self.env, obs, action, info)
-            if not self._checked:
-                checked_rows(value, self.num_envs, "metric", name)
-            array = value if type(value) is np.ndarray else self._arrays.of(value)
+            try:
+                value = call(self.env, obs, action, info)
+                if not self._checked:
+                    checked_rows(value, self.num_envs, "metric", name)
+                array = value if type(value) is np.ndarray else self._arrays.of(value)
+            except (Exception, SystemExit) as error:
+                raise self.failed(name, error) from error
+            if array.dtype != np.bool_:
+                self._warn_not_finite(name, array, "the metric keeps it")
             so_far = self._so_far[name] = join(self._so_far[name], array.astype(dtype))
             shown = so_far / self._count if mean else so_far.copy()
             metrics[name] = tensor_of(shown)
@@ -334,10 +345,13 @@ class RewardManager(Manager[RewardCfg]):
         every = len(self._calls) == len(self.terms)
         values = np.empty_like(self._sums) if every else np.zeros_like(self._sums)
         for row, name, call in self._calls:
-            value = call(self.env, obs, action, info)
-            if not self._checked:
-                checked_rows(value, self.num_envs, "reward", name)
-            values[row] = value if type(value) is np.ndarray else self._arrays.of(value)
+            try:
+                value = call(self.env, obs, action, info)
+                if not self._checked:
+                    checked_rows(value, self.num_envs, "reward", name)
+                values[row] = value if type(value) is np.ndarray else self._arrays.of(value)
+            except (Exception, SystemExit) as error:
+                raise self.failed(name, error) from error
         self._checked = True
         parts: F32 = self._arrays.full((len(values) + 1, self.num_envs), 0.0, np.float32)
         if rewards is not None:
@@ -352,6 +366,27 @@ class RewardManager(Manager[RewardCfg]):
             return total
         # A sum that is not finite stays so: it is a mistake, which a floor must not hide.
         return np.where(total > -np.inf, np.maximum(total, self._floor), total)
+
+    def not_finite(
+        self, info: Mapping[str, Any], rows: NDArray[np.bool_]
+    ) -> dict[str, tuple[str, NDArray[np.bool_]]]:
+        """Terms whose value, or value x weight, is not finite, in some environments.
+
+        Args:
+            info: That of `compute`.
+            rows: (N,) the environments.
+
+        Returns:
+            ``rewards.NAME`` -> what its values are, and in which environments, (N,).
+        """
+        values: Any = getattr(info["rewards"], "rows", ())
+        found = {}
+        for name, row, factor in zip(self._names, values, self._factors, strict=True):
+            weighted = row * factor
+            bad = rows & ~np.isfinite(weighted)
+            if bad.any():
+                found[f"{self.section}.{name}"] = kind_of_values(weighted[bad]), bad
+        return found
 
     def take_back(self, rows: NDArray[np.bool_]) -> None:
         """Undo the last step in the sums of environments, (N,) bool."""
