@@ -66,6 +66,14 @@ def nan_curriculum(env, env_ids):
     return float("nan")
 
 
+class Unbuilt:
+    def __init__(self, env):
+        raise ArithmeticError("no such thing")
+
+    def __call__(self, env, obs, action, info):
+        return torch.ones(env.num_envs)
+
+
 class Command(CommandTerm):
     names = ("x",)
 
@@ -234,3 +242,9 @@ def test_a_config_error_of_a_term_keeps_its_type_and_gets_its_place(make) -> Non
     with pytest.raises(ConfigError) as caught:
         make("rewards:\n  bad: {func: position, params: {of: {uid: ur10}}}\n")
     assert "mine.yaml:3: task.rewards.bad" in str(caught.value)
+
+
+def test_a_class_that_cannot_be_built_is_named(make) -> None:
+    said = r"mine.yaml:3: task.metrics.bad: .*:Unbuilt raised ArithmeticError: no such thing"
+    with pytest.raises(TermError, match=said):
+        make("metrics:\n  bad: {func: 'faulty_terms:Unbuilt'}\n")

@@ -19,6 +19,7 @@ from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import ActionPipeline
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
 from embodichain.lab.gym.envs.managers.term_columns import TermColumns
+from embodichain.lab.gym.envs.managers.term_errors import FAILURES
 from embodichain.utils.arrays import all_finite, is_host, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.tensor_mapping import leaves_of
@@ -319,8 +320,8 @@ class ActionManager(Manager[ActionTermCfg]):
         for name, call, columns in self._calls:
             try:
                 call(action if alone else action[:, columns])
-            except (Exception, SystemExit) as error:
-                raise self.failed(name, error) from error
+            except FAILURES as error:
+                self.fail(name, error)
 
     @property
     def acts_in_physics(self) -> bool:

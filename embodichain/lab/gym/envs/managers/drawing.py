@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import CommandCfg, EventCfg, TermCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.term import CommandTerm
-from embodichain.lab.gym.envs.managers.term_errors import kind_of_values
+from embodichain.lab.gym.envs.managers.term_errors import FAILURES, kind_of_values
 from embodichain.utils.arrays import may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
@@ -69,8 +69,8 @@ class DrawingManager(Manager[C]):
                 Problem(f"{where}.{p.path}".rstrip("."), p.message, p.hint) for p in error.problems
             )
             raise self.failed(term.name, ConfigError(problems), env_ids) from error
-        except (Exception, SystemExit) as error:
-            raise self.failed(term.name, error, env_ids) from error
+        except FAILURES as error:
+            self.fail(term.name, error, env_ids)
         if self.env.observers:
             self.env.log_event(term.name, mode, env_ids, self._drawn)
 
@@ -518,8 +518,8 @@ class CommandManager(DrawingManager[CommandCfg]):
         for name, update in self._updates:
             try:
                 update(env_ids)
-            except (Exception, SystemExit) as error:
-                raise self.failed(name, error, env_ids) from error
+            except FAILURES as error:
+                self.fail(name, error, env_ids)
 
     def not_finite(self, rows: NDArray[np.bool_]) -> dict[str, tuple[str, NDArray[np.bool_]]]:
         """Commands that are not finite in some environments.

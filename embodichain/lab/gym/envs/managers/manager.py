@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from embodichain.lab.gym.envs.managers.registry import REDUCERS, Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.managers.term_columns import TermColumns, columns_of_term
 from embodichain.lab.gym.envs.managers.term_errors import (
+    FAILURES,
+    TermError,
     declared_at,
     failed_term,
     finite_physics,
@@ -33,7 +35,7 @@ from embodichain.lab.gym.envs.managers.term_errors import (
     warn_not_finite,
 )
 from embodichain.utils.arrays import all_finite, is_host
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -360,6 +362,8 @@ class Manager(Generic[C]):
                 self.terms[name] = build_term(env, kind, name, cfg, f"{section}.{name}")
             except ConfigError as error:
                 problems += error.problems
+            except FAILURES as error:
+                self.fail(name, error)
         if problems:
             raise ConfigError(problems)
         self._collect()
@@ -420,11 +424,22 @@ class Manager(Generic[C]):
 
     @contextmanager
     def _failing(self, name: str, env_ids: Any = None) -> Iterator[None]:
-        """Name the term in what is raised inside the context; see `failed`."""
+        """Name the term in what is raised inside the context; see `fail`."""
         try:
             yield
-        except (Exception, SystemExit) as error:
-            raise self.failed(name, error, env_ids) from error
+        except FAILURES as error:
+            self.fail(name, error, env_ids)
+
+    def fail(self, name: str, error: BaseException, env_ids: Any = None) -> NoReturn:
+        """Raise the error of a term that raised an exception; see `failed`.
+
+        What this package raises for another reason than a wrong config, such as that nothing can be
+        drawn here, stays what it is.
+        """
+        if isinstance(error, EmbodichainError) and not isinstance(error, (ConfigError, TermError)):
+            error.add_note(f"in {declared_at(self.env, f'{self.section}.{name}')}")
+            raise error
+        raise self.failed(name, error, env_ids) from error
 
     def failed(self, name: str, error: BaseException, env_ids: Any = None) -> Exception:
         """The error to raise, from this one, where a term raised an exception.
@@ -434,7 +449,8 @@ class Manager(Generic[C]):
             error: What it raised.
             env_ids: (n,) environments for which it was called, or None for all.
         """
-        place = self.terms[name].spec.place
+        built = self.terms.get(name)
+        place = str(self._declared[name].func) if built is None else built.spec.place
         return failed_term(self.env, f"{self.section}.{name}", place, error, env_ids)
 
     def _warn_not_finite(self, name: str, values: Any, what: str) -> None:
@@ -455,8 +471,8 @@ class Manager(Generic[C]):
         for name, reset in self._resets:
             try:
                 reset(env_ids)
-            except (Exception, SystemExit) as error:
-                raise self.failed(name, error, env_ids) from error
+            except FAILURES as error:
+                self.fail(name, error, env_ids)
 
     def term_states(self) -> dict[str, Any]:
         """State of the terms that have one (copies), by name."""

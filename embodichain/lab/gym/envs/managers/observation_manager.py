@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import Delay, Noise, Past, Rows
 from embodichain.lab.gym.envs.managers.term_columns import TermColumns
-from embodichain.lab.gym.envs.managers.term_errors import kind_of_values
+from embodichain.lab.gym.envs.managers.term_errors import FAILURES, kind_of_values
 from embodichain.lab.gym.envs.observation import Observation, new_tensor
 from embodichain.utils.arrays import contiguous, may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
@@ -332,8 +332,8 @@ class ObservationManager(Manager[ObservationCfg]):
     def _value(self, entry: ObservationEntry, obs: Any, rows: Rows) -> NDArray[Any]:
         try:
             return entry.value(obs, rows)
-        except (Exception, SystemExit) as error:
-            raise self.failed(entry.term.name, error) from error
+        except FAILURES as error:
+            self.fail(entry.term.name, error)
 
     def not_finite(
         self, obs: Observation, rows: NDArray[np.bool_]

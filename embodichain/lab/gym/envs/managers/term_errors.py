@@ -24,6 +24,7 @@ else:
     mujoco = lazy_loader.load("mujoco")
 
 __all__ = [
+    "FAILURES",
     "KeySources",
     "TermError",
     "declared_at",
@@ -36,6 +37,8 @@ __all__ = [
 ]
 
 logger = logging.getLogger(__name__)
+FAILURES = (Exception, SystemExit)
+"""What a term may raise by mistake; a SystemExit would end a run as if it had finished."""
 _SHOWN = 8
 """Most environments that a message lists."""
 

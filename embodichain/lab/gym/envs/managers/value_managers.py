@@ -16,7 +16,7 @@ from embodichain.lab.gym.envs.cfg import MetricCfg, RewardCfg, TerminationCfg
 from embodichain.lab.gym.envs.context import TermContext
 from embodichain.lab.gym.envs.managers.check import check_weight
 from embodichain.lab.gym.envs.managers.manager import Manager, checked_rows
-from embodichain.lab.gym.envs.managers.term_errors import kind_of_values
+from embodichain.lab.gym.envs.managers.term_errors import FAILURES, kind_of_values
 from embodichain.utils.arrays import is_host, tensor_of
 from embodichain.utils.errors import ConfigError
 
@@ -141,8 +141,8 @@ class TerminationManager(Manager[TerminationCfg]):
                 if not self._checked:
                     checked_rows(value, self.num_envs, "termination", name)
                 flags = value if type(value) is np.ndarray else self._arrays.of(value)
-            except (Exception, SystemExit) as error:
-                raise self.failed(name, error) from error
+            except FAILURES as error:
+                self.fail(name, error)
             if flags.dtype != np.bool_:
                 self._warn_not_finite(name, flags, "which counts as true")
             flags = flags.astype(np.bool_)  # a copy: the term may reuse its array
@@ -227,8 +227,8 @@ class MetricManager(Manager[MetricCfg]):
                 if not self._checked:
                     checked_rows(value, self.num_envs, "metric", name)
                 array = value if type(value) is np.ndarray else self._arrays.of(value)
-            except (Exception, SystemExit) as error:
-                raise self.failed(name, error) from error
+            except FAILURES as error:
+                self.fail(name, error)
             if array.dtype != np.bool_:
                 self._warn_not_finite(name, array, "the metric keeps it")
             so_far = self._so_far[name] = join(self._so_far[name], array.astype(dtype))
@@ -350,8 +350,8 @@ class RewardManager(Manager[RewardCfg]):
                 if not self._checked:
                     checked_rows(value, self.num_envs, "reward", name)
                 values[row] = value if type(value) is np.ndarray else self._arrays.of(value)
-            except (Exception, SystemExit) as error:
-                raise self.failed(name, error) from error
+            except FAILURES as error:
+                self.fail(name, error)
         self._checked = True
         parts: F32 = self._arrays.full((len(values) + 1, self.num_envs), 0.0, np.float32)
         if rewards is not None:
