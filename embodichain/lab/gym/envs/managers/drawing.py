@@ -219,7 +219,10 @@ class EventManager(DrawingManager[EventCfg]):
 
     def _bind(self) -> None:
         self._by_mode: dict[str, list[BuiltTerm[EventCfg]]] = {
-            mode: [t for t in self.terms.values() if t.cfg.mode == mode]
+            mode: sorted(
+                (t for t in self.terms.values() if t.cfg.mode == mode),
+                key=lambda term: not getattr(term.instance, "comes_first", False),
+            )
             for mode in ("startup", "reset", "interval")
         }
         for interval in self._intervals:
