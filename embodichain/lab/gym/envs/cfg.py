@@ -41,6 +41,7 @@ __all__ = [
     "RewardCfg",
     "SceneEntityCfg",
     "SuggestedCfg",
+    "SummandCfg",
     "SymmetryCfg",
     "TermCfg",
     "TerminationCfg",
@@ -111,6 +112,13 @@ class ValueCfg(TermCfg):
 
     shape: ValueShape = dataclasses.field(default=None, kw_only=True)
     """Applied to the value of `func`; the shapes of a list are applied in order."""
+
+
+@configclass
+class SummandCfg(ValueCfg):
+    """A term of a sum of terms (`sum_of`); adds value x weight."""
+
+    weight: float = 1.0
 
 
 @configclass
