@@ -248,3 +248,12 @@ def test_a_class_that_cannot_be_built_is_named(make) -> None:
     said = r"mine.yaml:3: task.metrics.bad: .*:Unbuilt raised ArithmeticError: no such thing"
     with pytest.raises(TermError, match=said):
         make("metrics:\n  bad: {func: 'faulty_terms:Unbuilt'}\n")
+
+
+def test_it_is_said_in_the_first_the_tenth_and_the_hundredth_step(make, caplog) -> None:
+    env = make("rewards:\n  bad: {func: 'faulty_terms:nan_value'}\n")
+    with caplog.at_level(logging.WARNING):
+        steps(env, 25)
+    lines = [r.getMessage() for r in caplog.records if "task.rewards.bad" in r.getMessage()]
+    assert [line.split(":")[0] for line in lines] == ["control step 2", "control step 11"]
+    assert lines[1].endswith("such steps so far: 10")

@@ -236,6 +236,7 @@ class StepJudge:
     def __init__(self, env: _JudgedByHooks, overridden: frozenset[str]) -> None:
         self._env = env
         self._physics: Mask | None = None
+        self._told: dict[str, int] = {}
         # The hooks of a class may put entries into info that terms read.
         self._checks = overridden.isdisjoint(("compute_task_state", "evaluate", "get_info"))
         self._get_reward = env.get_reward if "get_reward" in overridden else None
@@ -367,7 +368,7 @@ class StepJudge:
             rest = rest & ~rows
         if rest.any():
             found["the sum of the rewards"] = kind_of_values(reward[rest]), rest
-        warn_not_finite(env, found, "their physics is finite; they end and are reset")
+        warn_not_finite(env, found, "their physics is finite; they end and are reset", self._told)
 
     def exclude(self, mask: Mask, info: Info) -> Info:
         """Remove environments (N,) that diverged from ``info`` and sums."""

@@ -73,6 +73,7 @@ class ObservationBuffer:
         self._plain = plain
         self._episodes = episodes
         self._cameras = {u for u, s in sensors.items() if getattr(s, "reads_images", False)}
+        self._told: dict[str, int] = {}
         self._built = False
         self._has_terms = False
 
@@ -197,4 +198,5 @@ class ObservationBuffer:
             )
         if rest.any():
             found = managers["commands"].not_finite(rest) | self._manager.not_finite(obs, rest)
-            warn_not_finite(env, found, "not finite after a reset, zeros are observed")
+            what = "not finite after a reset, zeros are observed"
+            warn_not_finite(env, found, what, self._told)

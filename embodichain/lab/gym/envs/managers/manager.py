@@ -27,6 +27,7 @@ from embodichain.lab.gym.envs.managers.term_columns import TermColumns, columns_
 from embodichain.lab.gym.envs.managers.term_errors import (
     FAILURES,
     TermError,
+    counted,
     declared_at,
     failed_term,
     finite_physics,
@@ -354,7 +355,7 @@ class Manager(Generic[C]):
         self.revision = 0
         self._declared = dict(cfgs)
         self._changed: dict[str, dict[str, Any]] = {}
-        self._warned: set[str] = set()
+        self._told: dict[str, int] = {}
         problems: list[Problem] = []
         self.terms: dict[str, BuiltTerm[C]] = {}
         for name, cfg in cfgs.items():
@@ -454,17 +455,17 @@ class Manager(Generic[C]):
         return failed_term(self.env, f"{self.section}.{name}", place, error, env_ids)
 
     def _warn_not_finite(self, name: str, values: Any, what: str) -> None:
-        """Log once for each term that its values (N,) are not finite.
+        """Log that a term's values (N,) are not finite; see `warn_not_finite`.
 
         Those of an environment whose physics has diverged are not the term's mistake.
         """
-        if not is_host(values) or name in self._warned or all_finite(values):
+        if not is_host(values) or all_finite(values):
             return
         path = f"{self.section}.{name}"
         bad = ~np.isfinite(values) & finite_physics(self.env)
         if bad.any():
-            self._warned.add(name)
-            warn_not_finite(self.env, {path: (kind_of_values(values[bad]), bad)}, what)
+            found = {path: (kind_of_values(values[bad]), bad)}
+            warn_not_finite(self.env, found, what, self._told)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Reset the terms that are classes; (n,) environments, or None for all."""
@@ -567,7 +568,7 @@ class CurriculumManager(Manager[CurriculumCfg]):
                     found = {} if value is None else {name: float(value)}
             self.values |= found
             for key, number in found.items():
-                if not math.isfinite(number):
+                if not math.isfinite(number) and counted(key, self._told):
                     place, step = declared_at(self.env, f"curriculum.{key}"), present_step(self.env)
                     _log.warning("%s: %s is %s", step, place, number)
 

@@ -27,6 +27,7 @@ __all__ = [
     "FAILURES",
     "KeySources",
     "TermError",
+    "counted",
     "declared_at",
     "failed_term",
     "finite_physics",
@@ -147,8 +148,17 @@ def kind_of_values(values: NDArray[Any]) -> str:
     return "NaN or infinite" if lost and endless else "NaN" if lost else "infinite"
 
 
+def counted(path: str, told: dict[str, int]) -> int:
+    """Count a step of a term; return the count if it is 1, 10, 100..., and else 0."""
+    told[path] = count = told.get(path, 0) + 1
+    return count if count == 10 ** (len(str(count)) - 1) else 0
+
+
 def warn_not_finite(
-    env: TermContext, found: Mapping[str, tuple[str, NDArray[np.bool_]]], what: str
+    env: TermContext,
+    found: Mapping[str, tuple[str, NDArray[np.bool_]]],
+    what: str,
+    told: dict[str, int],
 ) -> None:
     """Log which terms gave values that are not finite, and in which environments.
 
@@ -157,11 +167,15 @@ def warn_not_finite(
         found: ``SECTION.NAME`` -> what its values are (`kind_of_values`), and in which
             environments, (N,).
         what: What happens to these environments.
+        told: Counts the steps of each term; it is named in the first, the tenth, the hundredth...
     """
     for path, (kind, rows) in found.items():
+        count = counted(path, told)
+        if not count:
+            continue
         ids = np.flatnonzero(rows)
         logger.warning(
-            "%s: %s is %s in %d of %d environments (%s); %s",
+            "%s: %s is %s in %d of %d environments (%s); %s%s",
             present_step(env),
             declared_at(env, path),
             kind,
@@ -169,4 +183,5 @@ def warn_not_finite(
             len(rows),
             listed(ids),
             what,
+            f"; such steps so far: {count}" if count > 1 else "",
         )
