@@ -116,7 +116,7 @@ def target_position(env: TermContext, key: str) -> F64:
 
     Raises:
         ConfigError: If the environment has no such poses.
-        ValueError: If they have another shape.
+        ConfigError: If they have another shape.
     """
     poses: Any = getattr(env, key, None)
     if poses is None:
@@ -134,7 +134,7 @@ def target_position(env: TermContext, key: str) -> F64:
         return array.astype(np.float64)
     if array.shape != (count, 4, 4):
         message = f"env.{key} must have shape ({count}, 4, 4) or ({count}, 3), got {array.shape}"
-        raise ValueError(message)
+        raise ConfigError([Problem("target_pose_key", message)])
     return array[:, :3, 3].astype(np.float64)
 
 
