@@ -115,8 +115,7 @@ def target_position(env: TermContext, key: str) -> F64:
     Before the first reset, when no event can have written them, it is the world's origin.
 
     Raises:
-        ConfigError: If the environment has no such poses.
-        ConfigError: If they have another shape.
+        ConfigError: If the environment has no such poses, or they have another shape.
     """
     poses: Any = getattr(env, key, None)
     if poses is None:
