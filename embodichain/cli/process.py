@@ -246,8 +246,8 @@ def report(error: BaseException, *, full: bool = False) -> int:
 
 
 def _line(error: BaseException) -> str:
-    """The exception in one line, with its type unless it is one of this package's."""
-    text = " ".join(str(error).split())
+    """The exception and its notes in one line, with its type unless it is of this package."""
+    text = " ".join(" ".join([str(error), *getattr(error, "__notes__", ())]).split())
     name = type(error).__name__
     if type(error).__module__.startswith("embodichain."):
         return text or name

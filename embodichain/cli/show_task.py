@@ -366,6 +366,8 @@ def _terms(env: BaseEnv, section: str) -> Rows:
     rows = []
     for name, cfg in getattr(env.cfg, section).items():
         values = {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
+        if section == "terminations":
+            values["kind"] = cfg.ends_by
         func, params = values.pop("func"), values.pop("params")
         row = {"term": name}
         row["func"] = func if isinstance(func, str) else f"{func.__module__}:{func.__qualname__}"

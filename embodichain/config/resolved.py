@@ -29,6 +29,7 @@ from embodichain.config.run_folder import (
 from embodichain.config.schema import RootCfg, Verb
 from embodichain.config.validation import Check, check, check_tree
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.managers.term_errors import KeySources
 from embodichain.lab.gym.policies import PRETRAINED
 from embodichain.lab.sim.cfg import SimulationManagerCfg, choose_engine
 from embodichain.lab.sim.compiler.names import exact_pattern
@@ -112,6 +113,7 @@ class Resolved:
             persistent=root.sim.persistent,
         )
         cfg.sim_cfg.prepared_scene = self.prepared
+        cfg.key_sources = KeySources(self.source)
         return cfg
 
     def changed(self, **values: Any) -> Resolved:

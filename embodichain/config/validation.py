@@ -356,7 +356,7 @@ def _check_collecting(root: RootCfg) -> list[Problem]:
     if record.every != 1:
         message = f"a collection has every episode: must be 1, got {record.every}"
         problems.append(Problem("record.every", message))
-    ends = [term.kind for term in task.terminations.values()]
+    ends = [term.ends_by for term in task.terminations.values()]
     if task.id is None and "success" not in task.metrics and "success" not in ends:
         message = "collect needs a task that says what success is: the metric `success`"
         problems.append(Problem("task.metrics", message))

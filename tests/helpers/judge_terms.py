@@ -115,6 +115,12 @@ REWARDS: dict[str, dict[str, Any]] = {
     "tolerance_joint_position": {**ARM, "margin": 2.0, "sigmoid": "long_tail"},
     "tolerance_joint_velocity": {**ARM, "margin": 2.0, "sigmoid": "reciprocal"},
     "tolerance_action": {"margin": 5.0, "sigmoid": "quadratic", "value_at_margin": 0.0},
+    "sum_of": {
+        "terms": {
+            "high": {"func": "object_height", "weight": -0.5, "params": LINK},
+            "near": {"func": "distance_tanh", "weight": 2.0, "params": {**PAIR, "std": 1.0}},
+        }
+    },
     "product_of": {
         "terms": {
             "high": {"func": "object_height", "params": LINK},

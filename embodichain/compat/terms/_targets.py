@@ -115,8 +115,7 @@ def target_position(env: TermContext, key: str) -> F64:
     Before the first reset, when no event can have written them, it is the world's origin.
 
     Raises:
-        ConfigError: If the environment has no such poses.
-        ValueError: If they have another shape.
+        ConfigError: If the environment has no such poses, or they have another shape.
     """
     poses: Any = getattr(env, key, None)
     if poses is None:
@@ -134,7 +133,7 @@ def target_position(env: TermContext, key: str) -> F64:
         return array.astype(np.float64)
     if array.shape != (count, 4, 4):
         message = f"env.{key} must have shape ({count}, 4, 4) or ({count}, 3), got {array.shape}"
-        raise ValueError(message)
+        raise ConfigError([Problem("target_pose_key", message)])
     return array[:, :3, 3].astype(np.float64)
 
 

@@ -20,6 +20,7 @@ from embodichain.lab.gym.envs.managers.param_types import (
 )
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.mdp._ground import above_ground, ground_of
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.lab.gym.envs.mdp.events.pushes import EpisodeTimer, PushBySettingVelocity
 from embodichain.utils.arrays import rows_at, tensor_of
@@ -137,7 +138,7 @@ class PlannerGridCellSampler(Term):
 
     Args:
         position_range: [[x, y] low, [x, y] high] in metres, environment's frame.
-        reference_height: Height of the objects' origins in metres.
+        reference_height: Height of the objects' origins in metres; on a terrain above the ground.
         object_uid_list: Rigid objects; at most as many as there are cells.
         grid_size: [rows, columns].
         physics_update_step: Physics steps that these environments take afterwards; -1 or 0 takes
@@ -168,6 +169,7 @@ class PlannerGridCellSampler(Term):
         ]
         self._quats = [_initial_quats(env, asset) for asset in self._assets]
         self._centres = _centres(position_range, rows, columns, reference_height)
+        self._ground = ground_of(env)
         self._keys = Uniform("cells", np.zeros(rows * columns), np.ones(rows * columns))
         self._steps = physics_update_step
         if physics_update_step > 0:
@@ -178,7 +180,7 @@ class PlannerGridCellSampler(Term):
         keys = self._keys(env.event_manager, env_ids)
         order = np.argsort(keys, axis=1, kind="stable")
         for number, asset in enumerate(self._assets):
-            pos = rows_at(self._centres, order[:, number])
+            pos = above_ground(self._ground, rows_at(self._centres, order[:, number]), env_ids)
             asset.write_pose(pos, self._quats[number][: len(pos)], env_ids)
             asset.stop(env_ids)
         if self._steps > 0:
@@ -198,7 +200,7 @@ def _centres(box: Box2, rows: int, columns: int, height: float) -> F64:
 class RandomizeAnchorHeight(Term):
     """Raises an anchor (a table) by a random height, and every dynamic object with it.
 
-    The anchor's height is its initial one plus the draw; dynamic objects move by as much as the
+    The anchor's height is its initial one, on a terrain above the ground, plus the draw; dynamic objects move by as much as the
     anchor does.
 
     Args:
@@ -225,6 +227,7 @@ class RandomizeAnchorHeight(Term):
             message = "give either height_delta_range or height_delta_candidates"
             raise ConfigError([Problem("height_delta_range", message)])
         self._env, self._key = env, store_key
+        self._ground = ground_of(env)
         self._anchor = asset_of(env, anchor_uid, "anchor_uid")
         excluded = {anchor_uid}
         for number, uid in enumerate(exclude_uids or ()):
@@ -256,7 +259,7 @@ class RandomizeAnchorHeight(Term):
             height = rows_at(self._candidates, height.astype(np.int64))
         pos = self._anchor.read_pose()[0][where].copy()
         pos[:, 2] = float(self._anchor.entity.pos0[2]) + height
-        self._anchor.write_pose(pos, None, env_ids)
+        self._anchor.write_pose(above_ground(self._ground, pos, env_ids), None, env_ids)
         for handle in self._carried:
             pos = handle.read_pose()[0][where].copy()
             pos[:, 2] += height - self._delta[where]

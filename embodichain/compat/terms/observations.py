@@ -256,7 +256,7 @@ class NormalizeRobotJointData(Term):
     def __call__(self, env: TermContext, data: torch.Tensor) -> torch.Tensor:
         """(N, A) the data with the picked columns mapped."""
         if data.ndim != 2 or data.shape[1] != self._width:
-            raise ValueError(
+            raise ConfigError(
                 f"normalize_robot_joint_data needs ({env.num_envs}, {self._width}), one column for "
                 f"each active joint, got {tuple(data.shape)}"
             )

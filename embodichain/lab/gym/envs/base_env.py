@@ -343,7 +343,8 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         An environment that diverges (a MuJoCo warning counter rises, or its observation or reward
         is not finite) is terminated with ``info["diverged"]``, reward 0 and its last finite
-        observation as the final one. The other environments are not affected.
+        observation as the final one. The other environments are not affected. A warning says
+        whether its physics diverged, or names the terms that are not finite although physics is.
 
         Args:
             action: (N, A) finite floating tensor on the environment's device, or a numpy array, or
@@ -363,6 +364,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             TypeError: If the action has the wrong type.
             ValueError: If its shape or device is wrong or it is not finite; no state has changed.
             gymnasium.error.ResetNeeded: If `reset` has not been called.
+            TermError: If a term raised an exception; names the term and where it is declared.
         """
         if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
@@ -407,6 +409,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         obs = self._step_observation.to_return(seen, changed, kwargs, stepped)
         mask = judge.diverged(obs, reward)
         if mask is not None:
+            judge.explain(mask, obs, reward, info)
             info = judge.exclude(mask, info)
             obs, reward = self.observation_buffer.without(obs, mask), np.where(mask, _ZERO, reward)
             terminated, truncated = terminated | mask, truncated & ~mask

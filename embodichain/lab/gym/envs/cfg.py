@@ -41,6 +41,7 @@ __all__ = [
     "RewardCfg",
     "SceneEntityCfg",
     "SuggestedCfg",
+    "SummandCfg",
     "SymmetryCfg",
     "TermCfg",
     "TerminationCfg",
@@ -111,6 +112,13 @@ class ValueCfg(TermCfg):
 
     shape: ValueShape = dataclasses.field(default=None, kw_only=True)
     """Applied to the value of `func`; the shapes of a list are applied in order."""
+
+
+@configclass
+class SummandCfg(ValueCfg):
+    """A term of a sum of terms (`sum_of`); adds value x weight."""
+
+    weight: float = 1.0
 
 
 @configclass
@@ -200,7 +208,16 @@ class RewardCfg(ValueCfg):
 class TerminationCfg(ValueCfg):
     """``f(env, obs, action, info, **params) -> (N,) bool``."""
 
-    kind: Literal["success", "fail", "time_out"] = "fail"
+    kind: Literal["success", "fail", "time_out"] | None = None
+    """None is ``time_out`` for a function of that name, and ``fail`` for any other."""
+
+    @property
+    def ends_by(self) -> Literal["success", "fail", "time_out"]:
+        """The kind that is meant."""
+        if self.kind is not None:
+            return self.kind
+        func = self.func if isinstance(self.func, str) else getattr(self.func, "__name__", "")
+        return "time_out" if func.rpartition(":")[2] == "time_out" else "fail"
 
 
 @configclass
@@ -330,6 +347,15 @@ class EnvCfg:
     extensions: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
     """Values that become attributes of the environment, by name."""
     suggested: SuggestedCfg = dataclasses.field(default_factory=SuggestedCfg, kw_only=True)
+
+    @property
+    def key_sources(self) -> Any:
+        """A `KeySources`: where keys were set, or None; not part of the config's values."""
+        return vars(self).get("_key_sources")
+
+    @key_sources.setter
+    def key_sources(self, sources: Any) -> None:
+        vars(self)["_key_sources"] = sources
 
     def complete(self) -> None:
         """Set fields that follow from others, in place, before an environment is built.

@@ -17,6 +17,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.envs.managers.term_errors import (
+    finite_physics,
+    kind_of_values,
+    listed,
+    present_step,
+    warn_not_finite,
+)
 from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, TermRows, check_shapes
 from embodichain.utils.arrays import all_finite, as_env_ids, is_host, tensor_of
 from embodichain.utils.atomic import atomic_file
@@ -26,6 +33,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.action_manager import ActionManager
     from embodichain.lab.gym.envs.managers.drawing import CommandManager
     from embodichain.lab.gym.envs.managers.manager import CurriculumManager
+    from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
     from embodichain.lab.gym.envs.observation import Observation
     from embodichain.lab.sim.engine.api import F64, Engine
     from embodichain.lab.sim.types import EnvObs
@@ -203,6 +211,9 @@ class _JudgedByHooks(JudgedEnv, Protocol):
     def command_manager(self) -> CommandManager: ...
 
     @property
+    def observation_manager(self) -> ObservationManager: ...
+
+    @property
     def curriculum_manager(self) -> CurriculumManager: ...
 
     def get_info(self, **kwargs: Any) -> dict[str, Any]: ...
@@ -224,6 +235,8 @@ class StepJudge:
 
     def __init__(self, env: _JudgedByHooks, overridden: frozenset[str]) -> None:
         self._env = env
+        self._physics: Mask | None = None
+        self._told: dict[str, int] = {}
         # The hooks of a class may put entries into info that terms read.
         self._checks = overridden.isdisjoint(("compute_task_state", "evaluate", "get_info"))
         self._get_reward = env.get_reward if "get_reward" in overridden else None
@@ -319,7 +332,7 @@ class StepJudge:
 
     def diverged(self, obs: Observation, reward: F32) -> Mask | None:
         """(N,) environments that diverged in this step, or None; without those pending a reset."""
-        mask = self._env.sim.engine.take_diverged()
+        mask = self._physics = self._env.sim.engine.take_diverged()
         for bad in (bad_rows(obs.rows), bad_rows(reward)):
             if bad is not None:
                 mask = bad if mask is None else mask | bad
@@ -328,6 +341,34 @@ class StepJudge:
         if self._env.episodes.pending is not None:
             mask = mask & ~self._env.episodes.pending
         return None if none_set(mask) else mask
+
+    def explain(self, mask: Mask, obs: Observation, reward: F32, info: Info) -> None:
+        """Log why environments (N,) of `diverged` are: their physics, or which terms.
+
+        A term is only named where the physics is finite. With arrays on a device nothing is logged:
+        it is not known there whether an environment is in the mask.
+        """
+        env = self._env
+        if not is_host(mask):
+            return
+        sound = finite_physics(env)
+        if self._physics is not None:
+            sound = sound & ~self._physics
+        sick, rest = mask & ~sound, mask & sound
+        if sick.any():
+            ids = np.flatnonzero(sick)
+            text = "%s: %d of %d environments diverged (%s); they end and are reset"
+            logger.warning(text, present_step(env), len(ids), len(mask), listed(ids))
+        if not rest.any():
+            return
+        found = env.command_manager.not_finite(rest)
+        found |= env.observation_manager.not_finite(obs, rest)
+        found |= env.reward_manager.not_finite(info, rest)
+        for _, rows in found.values():
+            rest = rest & ~rows
+        if rest.any():
+            found["the sum of the rewards"] = kind_of_values(reward[rest]), rest
+        warn_not_finite(env, found, "their physics is finite; they end and are reset", self._told)
 
     def exclude(self, mask: Mask, info: Info) -> Info:
         """Remove environments (N,) that diverged from ``info`` and sums."""
@@ -364,7 +405,7 @@ class StateDump:
     def write(
         self, folder: Path | None, rows: NDArray[np.bool_], control_step: int, action: F64
     ) -> None:
-        """Log which environments diverged, and write the first `MAX_DUMPS` of them to files.
+        """Write the first `MAX_DUMPS` environments that diverged to files.
 
         A file ``diverged/step_S_env_I.npz`` contains the integration state ``before`` and ``after``
         the physics of that control step, the ``action`` (A,) as given, and the ``model.FIELD``
@@ -377,14 +418,6 @@ class StateDump:
             action: (N, A).
         """
         ids = np.flatnonzero(rows)
-        logger.warning(
-            "control step %d: %d of %d environments diverged (%s%s); they end and are reset",
-            control_step,
-            len(ids),
-            len(rows),
-            ", ".join(map(str, ids[:8])),
-            ", ..." if len(ids) > 8 else "",
-        )
         if folder is None or self._written >= MAX_DUMPS:
             return
         fields = self._engine.state_dict()["model"]

@@ -12,6 +12,12 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.judging import bad_rows, none_set
+from embodichain.lab.gym.envs.managers.term_errors import (
+    declared_at,
+    finite_physics,
+    listed,
+    warn_not_finite,
+)
 from embodichain.lab.gym.envs.observation import Observation, ObservationLayout
 from embodichain.utils.arrays import is_host, to_tensor
 from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
@@ -67,6 +73,7 @@ class ObservationBuffer:
         self._plain = plain
         self._episodes = episodes
         self._cameras = {u for u, s in sensors.items() if getattr(s, "reads_images", False)}
+        self._told: dict[str, int] = {}
         self._built = False
         self._has_terms = False
 
@@ -171,7 +178,25 @@ class ObservationBuffer:
         bad = bad_rows(obs.rows)
         if bad is not None:
             if is_host(bad):
-                found = np.flatnonzero(bad)[:8].tolist()
-                logger.error("not finite after a reset: environments %s", found)
+                self._explain(obs, bad)
             obs = obs.with_rows(np.where(bad[:, None], np.float32(0.0), obs.rows))
         return self.store(obs)
+
+    def _explain(self, obs: Observation, bad: Mask) -> None:
+        """Log why the observation of environments (N,) is not finite after a reset."""
+        env = self._manager.env
+        managers: Any = env.managers
+        sound = finite_physics(env)
+        sick, rest = bad & ~sound, bad & sound
+        if sick.any():
+            events = managers["events"].terms.values()
+            before = [f"events.{event.name}" for event in events if event.cfg.mode == "reset"]
+            logger.error(
+                "not finite after a reset: environments %s, nor is their state; events before: %s",
+                listed(np.flatnonzero(sick)),
+                ", ".join(declared_at(env, name) for name in before) or "none",
+            )
+        if rest.any():
+            found = managers["commands"].not_finite(rest) | self._manager.not_finite(obs, rest)
+            what = "not finite after a reset, zeros are observed"
+            warn_not_finite(env, found, what, self._told)

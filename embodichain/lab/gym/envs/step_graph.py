@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import torch
 
 from embodichain.lab.gym.envs.kept_arrays import HostValue, Path, Place, kept_arrays
+from embodichain.lab.gym.envs.managers.term_errors import KeySources
 from embodichain.lab.gym.envs.observers import StepObserver
 from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask
 
@@ -142,7 +143,7 @@ class StepGraph:
         return result
 
     def _places(self) -> tuple[dict[Path, Place], dict[Path, HostValue]]:
-        return kept_arrays(self._env, (StepGraph, EnvMask, StepObserver))
+        return kept_arrays(self._env, (StepGraph, EnvMask, StepObserver, KeySources))
 
     def _unwatch(self) -> None:
         """Replace what still watches, such as arrays in new containers."""

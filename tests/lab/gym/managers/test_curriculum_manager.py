@@ -219,7 +219,7 @@ def test_other_sections(make) -> None:
         curriculum=param("terminations", param="time_limit_s", value=0.12),
     )
     env.reset()
-    ends = [env.step(act(env))[2][0].item() for _ in range(8)]
+    ends = [env.step(act(env))[3][0].item() for _ in range(8)]
     assert ends == [True, True, False, False, True, False, False, True]
 
 

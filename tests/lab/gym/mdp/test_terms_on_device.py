@@ -72,7 +72,7 @@ SHAPED: dict[str, Any] = {
     "within": {"within": [-1, 1]}, "outside": {"outside": [-1.6, 1]},
     "excess": ["norm", {"excess": 0.3}], "rate": ["norm", "rate"],
     "clip": ["norm", {"clip": [-1, 1]}], "at_most": ["norm", {"at_most": 0.5}],
-    "tolerance": ["norm", {"tolerance": {"margin": 3.0}}],
+    "tolerance": ["norm", {"tolerance": {"margin": 3.0}}], "column": {"column": 1},
 }  # fmt: skip
 OTHERS: list[tuple[str, dict[str, Any]]] = [
     ("orientation", {"of": TOOL, "representation": "quat"}),

@@ -246,3 +246,70 @@ def test_terms_need_a_terrain() -> None:
     cfg.scene = SceneCfg()
     with pytest.raises(ConfigError, match=r"no scene\.terrain"):
         BaseEnv(cfg)
+
+
+WIDE = {"x": [-1.9, 1.9], "y": [-1.9, 1.9]}
+BOX = [[-1.9, -1.9, 0.0], [1.9, 1.9, 0.0]]
+PLACED = {
+    "reset_root_state_uniform": {**BALL, "pose_range": WIDE},
+    "randomize_pose": {**BALL, "position_range": BOX},
+    "randomize_pose ": {
+        **BALL,
+        "position_range": [[-1.9, -1.9, 0.2], [1.9, 1.9, 0.2]],
+        "relative_position": False,
+    },
+    "randomize_rigid_object_pose": {**BALL, "position_range": BOX},
+    "planner_grid_cell_sampler": {
+        "position_range": [[-1.9, -1.9], [1.9, 1.9]],
+        "reference_height": 0.2,
+        "object_uid_list": ["ball"],
+        "grid_size": [9, 9],
+    },
+}
+
+
+@pytest.mark.parametrize("name", PLACED)
+def test_what_is_placed_at_random_is_above_the_ground_of_its_patch(name: str) -> None:
+    """The event is declared before `place_terrain`; the reference is a ray that MuJoCo casts."""
+    place = EventCfg(name.strip(), PLACED[name])
+    env = BaseEnv(
+        task(
+            9,
+            events={"place": place, "ground": EventCfg("place_terrain")},
+            sensors={"rays": scan(1e-12)},
+        )
+    )
+    ball = env.sim.get_rigid_object("ball")
+    assert ball is not None
+    grounds = []
+    for seed in range(20):
+        obs, _ = env.reset(seed=seed)
+        assert obs["height"].reshape(-1).numpy() == pytest.approx(0.2, abs=1e-6)
+        pos = ball.read_pose()[0]
+        from_above = pos + np.array([0.0, 0.0, 3.0])
+        model = env.sim.engine.model
+        field = np.arange(model.ngeom) == model.geom("default_plane").id
+        down = np.array([[[0.0, 0.0, -1.0]]])
+        hits = env.sim.engine.cast_rays(from_above[:, None], down, field)
+        assert pytest.approx(hits.distance[:, 0], abs=1e-6) == 3.2
+        grounds.append(pos[:, 2] - 0.2)
+    heights = np.array(grounds)
+    assert heights.max() > 0.2 and heights.min() < -0.05
+    # On the platform in the middle heights are those of a plane, to the bit.
+    assert (heights == 0.0).any()
+    env.close()
+
+
+def test_what_is_placed_relative_to_another_is_not_raised() -> None:
+    goal = RigidObjectCfg(shape=SphereCfg(radius=0.01), body_type="kinematic", init_pos=(1.8, 0, 2))
+    near = {**BALL, "relative_to": {"uid": "goal"}, "position_range": [[0, 0, 0.5], [0, 0, 0.5]]}
+    cfg = task(
+        6, events={"ground": EventCfg("place_terrain"), "near": EventCfg("randomize_pose", near)}
+    )
+    cfg.objects["goal"] = goal
+    env = BaseEnv(cfg)
+    env.reset(seed=1)
+    ball = env.sim.get_rigid_object("ball")
+    assert ball is not None
+    assert ball.read_pose()[0] == pytest.approx(np.tile([1.8, 0.0, 2.5], (6, 1)))
+    env.close()

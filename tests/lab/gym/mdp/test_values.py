@@ -178,12 +178,21 @@ def test_success_reward_follows_the_metric(make) -> None:
 
 
 def test_time_out_counts_this_step(make) -> None:
-    late = TerminationCfg(func="time_out", kind="time_out", params={"time_limit_s": 0.12})
+    late = TerminationCfg(func="time_out", params={"time_limit_s": 0.12})
     env = make(terminations={"late": late})  # a control step is 0.04 s
     env.reset()
     home = env.robot.get_qpos(target=True)
     truncated = [env.step(home)[3].tolist() for _ in range(6)]
     assert truncated == [[False] * 3, [False] * 3, [True] * 3] * 2
+
+
+def test_an_explicit_kind_of_a_time_out_wins(make) -> None:
+    for kind in ("fail", "success"):
+        late = TerminationCfg(func="time_out", kind=kind, params={"time_limit_s": 0.04})
+        env = make(terminations={"late": late})
+        env.reset()
+        _, _, terminated, truncated, info = env.step(env.robot.get_qpos(target=True))
+        assert terminated.all() and not truncated.any() and info[kind].all()
 
 
 def test_out_of_bounds(make) -> None:

@@ -19,6 +19,7 @@ from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import ActionPipeline
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
 from embodichain.lab.gym.envs.managers.term_columns import TermColumns
+from embodichain.lab.gym.envs.managers.term_errors import FAILURES
 from embodichain.utils.arrays import all_finite, is_host, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.tensor_mapping import leaves_of
@@ -243,7 +244,7 @@ class ActionManager(Manager[ActionTermCfg]):
         self.action_dim = start
         self.low: NDArray[np.float32] = low
         self.high: NDArray[np.float32] = high
-        self._calls = [(self._receiver(n, t), self.slices[n]) for n, t in self.terms.items()]
+        self._calls = [(n, self._receiver(n, t), self.slices[n]) for n, t in self.terms.items()]
         self._measured = [
             (name, term.instance.metrics)
             for name, term in self.terms.items()
@@ -315,11 +316,12 @@ class ActionManager(Manager[ActionTermCfg]):
         Args:
             action: (N, A) float32, finite (checked by the environment).
         """
-        if len(self._calls) == 1:
-            self._calls[0][0](action)
-            return
-        for call, columns in self._calls:
-            call(action[:, columns])
+        alone = len(self._calls) == 1
+        for name, call, columns in self._calls:
+            try:
+                call(action if alone else action[:, columns])
+            except FAILURES as error:
+                self.fail(name, error)
 
     @property
     def acts_in_physics(self) -> bool:

@@ -25,8 +25,11 @@ from embodichain.lab.gym.envs.cfg import (
     EventCfg,
     NoiseCfg,
     ObservationCfg,
+    RewardCfg,
     SceneEntityCfg,
+    SummandCfg,
     TermCfg,
+    ValueCfg,
 )
 from embodichain.lab.gym.envs.managers.param_types import FORMS, references
 from embodichain.lab.gym.envs.managers.registry import (
@@ -50,6 +53,7 @@ __all__ = [
     "check_shape",
     "check_term",
     "check_terms",
+    "check_weight",
 ]
 
 _ENTITIES = (
@@ -58,6 +62,7 @@ _ENTITIES = (
 )
 """Parameters that EmbodiChain reads as references to entities because of their names;
 `entity_cfgs` is a list of them."""
+_LARGEST_WEIGHT = float(np.finfo(np.float32).max)
 _REFERENCES = {"command_name": "commands", "sensor": "sensors"}
 """Parameters whose value is the name of an entry of another section."""
 
@@ -309,22 +314,36 @@ def _problems_of(error: ValidationError, path: str, hint: Any) -> list[Problem]:
         places.setdefault(path + tail, []).append(details)
     problems: list[Problem] = []
     for place, found in places.items():
+        key = str(found[0]["loc"][-1]) if found[0]["loc"] else ""
         if found[0]["type"] == "unexpected_keyword_argument":
-            message, advice = unknown_key(str(found[0]["loc"][-1]), _fields(hint))
+            message, advice = unknown_key(key, _fields(hint))
+            if key == "weight" and _config_class(hint) is ValueCfg:
+                message, advice = _NO_WEIGHT, ""
         else:
             message, advice = what_is_wrong(found)
         problems.append(Problem(place, message, advice))
     return problems
 
 
+_NO_WEIGHT = (
+    "a term within this one has no weight: give it to the whole term, or use sum_of, whose terms "
+    "have weights"
+)
+
+
 def _fields(hint: Any) -> list[str]:
     """Keys of the config class that an annotation names; of an entity if it names none."""
-    if dataclasses.is_dataclass(hint) and not hasattr(hint, "__get_pydantic_core_schema__"):
-        return [field.name for field in dataclasses.fields(hint)]
-    for part in typing.get_args(hint):
-        if dataclasses.is_dataclass(part):
-            return _fields(part)
-    return list(SceneEntityCfg.__dataclass_fields__)
+    cls = _config_class(hint) or SceneEntityCfg
+    return [field.name for field in dataclasses.fields(cls)]
+
+
+def _config_class(hint: Any) -> type[Any] | None:
+    """The first config class in an annotation, within lists, maps and unions too."""
+    own_schema = hasattr(hint, "__get_pydantic_core_schema__")
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint) and not own_schema:
+        return hint
+    found = map(_config_class, typing.get_args(hint))
+    return next((cls for cls in found if cls is not None), None)
 
 
 _NOISE = {
@@ -348,7 +367,21 @@ def check_fields(path: str, term: TermCfg) -> list[Problem]:
         return _check_times(f"{path}.resampling_time_s", term.resampling_time_s)
     if isinstance(term, ObservationCfg):
         return _check_observation(path, term)
+    if isinstance(term, (RewardCfg, SummandCfg)):
+        return check_weight(f"{path}.weight", term.weight)
     return _check_disturbance(path, term) if isinstance(term, ActionTermCfg) else []
+
+
+def check_weight(path: str, weight: float) -> list[Problem]:
+    """Return the mistake of a weight: that it is not finite, as float32.
+
+    Args:
+        path: Its key path.
+        weight: The weight.
+    """
+    if abs(weight) <= _LARGEST_WEIGHT:  # not so for NaN
+        return []
+    return [Problem(path, f"must be a finite number (of float32), got {weight}")]
 
 
 def _check_times(path: str, seconds: Sequence[float] | None) -> list[Problem]:

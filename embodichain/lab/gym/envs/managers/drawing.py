@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import CommandCfg, EventCfg, TermCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.term import CommandTerm
+from embodichain.lab.gym.envs.managers.term_errors import FAILURES, kind_of_values
 from embodichain.utils.arrays import may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
@@ -64,9 +65,12 @@ class DrawingManager(Manager[C]):
             term.call(*args)
         except ConfigError as error:
             where = f"{self.section}.{term.name}.params"
-            raise ConfigError(
+            problems = (
                 Problem(f"{where}.{p.path}".rstrip("."), p.message, p.hint) for p in error.problems
-            ) from error
+            )
+            raise self.failed(term.name, ConfigError(problems), env_ids) from error
+        except FAILURES as error:
+            self.fail(term.name, error, env_ids)
         if self.env.observers:
             self.env.log_event(term.name, mode, env_ids, self._drawn)
 
@@ -103,8 +107,9 @@ class DrawingManager(Manager[C]):
 
         Args:
             columns: Name -> its columns of the draw.
-            low: (k,) lower bounds.
-            high: (k,) upper bounds.
+            low: (k,) bounds at one end.
+            high: (k,) bounds at the other end; smaller ones where a factor multiplies a negative
+                number.
             env_ids: (n,) environments that draw, or None for all.
             normal: Whether to draw normal numbers: mean in the middle, clipped to the bounds at
                 three standard deviations.
@@ -119,7 +124,8 @@ class DrawingManager(Manager[C]):
             values = np.concatenate(known, axis=1)
         elif normal:
             values = self.env.streams.normal(self._stream, (len(low),), env_ids)
-            values = np.clip(0.5 * (low + high) + (high - low) / 6.0 * values, low, high)
+            values = 0.5 * (low + high) + (high - low) / 6.0 * values
+            values = np.clip(values, np.minimum(low, high), np.maximum(low, high))
         else:
             values = self.env.streams.uniform(self._stream, (len(low),), low, high, env_ids)
         for name, where in columns.items():
@@ -213,7 +219,10 @@ class EventManager(DrawingManager[EventCfg]):
 
     def _bind(self) -> None:
         self._by_mode: dict[str, list[BuiltTerm[EventCfg]]] = {
-            mode: [t for t in self.terms.values() if t.cfg.mode == mode]
+            mode: sorted(
+                (t for t in self.terms.values() if t.cfg.mode == mode),
+                key=lambda term: not getattr(term.instance, "comes_first", False),
+            )
             for mode in ("startup", "reset", "interval")
         }
         for interval in self._intervals:
@@ -379,7 +388,9 @@ class CommandManager(DrawingManager[CommandCfg]):
                 raise ConfigError([Problem(f"commands.{name}", message)])
         instances = [(name, term.instance) for name, term in self.terms.items()]
         self._updates = [
-            term.update for _, term in instances if type(term).update is not CommandTerm.update
+            (name, term.update)
+            for name, term in instances
+            if type(term).update is not CommandTerm.update
         ]
         self._measured = [
             (name, term.metrics)
@@ -429,8 +440,7 @@ class CommandManager(DrawingManager[CommandCfg]):
         """
         for term in self.terms.values():
             self._run(term, "command", env_ids)
-        for update in self._updates:
-            update(env_ids)
+        self._update(env_ids)
 
     @property
     def acts_in_steps(self) -> bool:
@@ -453,8 +463,7 @@ class CommandManager(DrawingManager[CommandCfg]):
                 everyone = None if self.env.arrays.are_all(due, self.num_envs) else due
                 self._run(self.terms[name], "command", everyone)
                 changed.append(everyone)
-        for update in self._updates:
-            update(env_ids)
+        self._update(env_ids)
         if self._updates and (env_ids is None or len(env_ids)):
             changed.append(env_ids)
         return changed
@@ -506,8 +515,31 @@ class CommandManager(DrawingManager[CommandCfg]):
 
     def update(self, env_ids: EnvIndex | None) -> None:
         """Adjust the commands of environments to a restored state."""
-        for update in self._updates:
-            update(env_ids)
+        self._update(env_ids)
+
+    def _update(self, env_ids: EnvIndex | None) -> None:
+        for name, update in self._updates:
+            try:
+                update(env_ids)
+            except FAILURES as error:
+                self.fail(name, error, env_ids)
+
+    def not_finite(self, rows: NDArray[np.bool_]) -> dict[str, tuple[str, NDArray[np.bool_]]]:
+        """Commands that are not finite in some environments.
+
+        Args:
+            rows: (N,) the environments.
+
+        Returns:
+            ``commands.NAME`` -> what its values are, and in which environments, (N,).
+        """
+        found = {}
+        for name in self.terms:
+            values = self.values(name)
+            bad = rows & ~np.isfinite(values).all(axis=1)
+            if bad.any():
+                found[f"{self.section}.{name}"] = kind_of_values(values[bad]), bad
+        return found
 
     # -- saving --------------------------------------------------------------------------------
 

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import copy
 import logging
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar
 
 import numpy as np
 
@@ -20,11 +21,23 @@ from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.check import CheckedTerm, check_in_task, check_term
 from embodichain.lab.gym.envs.managers.param_types import references
 from embodichain.lab.gym.envs.managers.per_name import ranges_in_columns
-from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec
+from embodichain.lab.gym.envs.managers.registry import REDUCERS, Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.managers.term_columns import TermColumns, columns_of_term
-from embodichain.utils.arrays import is_host
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.lab.gym.envs.managers.term_errors import (
+    FAILURES,
+    TermError,
+    counted,
+    declared_at,
+    failed_term,
+    finite_physics,
+    kind_of_values,
+    present_step,
+    warn_not_finite,
+)
+from embodichain.utils.arrays import all_finite, is_host
+from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -118,7 +131,9 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     lead = source.lead
     if lead is None:  # a function or class with the signature of its kind
         lead = ("obs",) if kind == "observation" else ("obs", "action", "info")
-    call = _call(source.name, read, lead, shapes, kind, where)
+    usual = source.params["axes"].default if "axes" in source.params else ""
+    axes = str(values.get("axes", usual))
+    call = _call(source.name, read, lead, shapes, kind, where, axes or columns)
     kept = [part for part in (instance, *shapes) if hasattr(part, "state_dict")]
     if len(kept) > 1:
         return BuiltTerm(name, cfg, spec, call, _Several(kept), columns)
@@ -126,8 +141,18 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
 
 
 def _in_columns_of_term(given: Mapping[str, Any], columns: TermColumns) -> dict[str, Any]:
-    """Parameters of a shape, with bounds of each column in the order of the columns."""
+    """Parameters of a shape, in the order of the columns: bounds of each, the number of one."""
     found = dict(given)
+    which = found.get("which")
+    if isinstance(which, str):
+        if which not in columns.names:
+            known = ", ".join(columns.names) or "none"
+            message = (
+                f"no column is called {which!r}; names of columns: {known}; or give its number"
+            )
+            hint = did_you_mean(which, columns.names).strip()
+            raise ConfigError([Problem("which", message, hint)])
+        found["which"] = columns.names.index(which)
     bounds = found.get("bounds")
     by_name = isinstance(bounds, Mapping)
     by_column = isinstance(bounds, (list, tuple)) and any(isinstance(b, list) for b in bounds)
@@ -169,8 +194,11 @@ def _call(
     shapes: list[Shape],
     kind: Kind,
     where: str,
+    columns: str | TermColumns,
 ) -> Callable[..., NDArray[Any]]:
     """Return the function that a manager calls: it reads the quantity and applies the shapes.
+
+    For other kinds than an observation, a value of one column is that column, with its sign.
 
     Args:
         name: The quantity's name, for messages.
@@ -179,6 +207,7 @@ def _call(
         shapes: Applied in order.
         kind: The manager; an observation of (N,) becomes (N, 1).
         where: Key path of the parameters.
+        columns: The names of the quantity's columns, or the letters of its axes.
     """
     at = [("obs", "action", "info").index(name) for name in lead]
     column = kind == "observation"
@@ -192,17 +221,37 @@ def _call(
         if type(value) is not np.ndarray and is_host(value):
             value = env.arrays.of(value)
             value = value if value.dtype == np.bool_ else value.astype(np.float64)
-        for shape in shapes:
-            value = shape(value)
+        try:
+            for shape in shapes:
+                value = shape(value)
+        except ConfigError as error:
+            raise _moved(error, shape_path) from error
         if column and value.ndim == 1:
             value = value[:, None]
         elif value.ndim > 1 and not column:
-            message = f"{name} has {value.shape[1]} columns; a {kind} is one number: try shape: l2"
-            raise ConfigError([Problem(shape_path, message)])
+            if value.shape[1:] != (1,):
+                raise ConfigError([_several_columns(name, value, kind, shape_path, columns)])
+            value = value[:, 0]
         shaped: NDArray[Any] = value
         return shaped
 
     return call
+
+
+def _several_columns(
+    name: str, value: Any, kind: Kind, path: str, columns: str | TermColumns
+) -> Problem:
+    """The mistake that a quantity has several columns where one number is needed."""
+    count = value[0].size if is_host(value) else int(np.prod(value.shape[1:]))
+    labels = list(columns) if isinstance(columns, str) else columns.labels(count)
+    named = len(labels) == count and len(set(labels)) > 1
+    which = f"They are {', '.join(labels)}. " if named else ""
+    message = f"{name} has {count} columns; a {kind} is one number"
+    one = "params: {axes: x}, y or z" if isinstance(columns, str) else "shape: {column: 0}"
+    hint = (
+        f"{which}Reduce them by a shape ({', '.join(REDUCERS)}), or take one with its sign: {one}"
+    )
+    return Problem(path, message, hint)
 
 
 class _Several:
@@ -306,6 +355,7 @@ class Manager(Generic[C]):
         self.revision = 0
         self._declared = dict(cfgs)
         self._changed: dict[str, dict[str, Any]] = {}
+        self._told: dict[str, int] = {}
         problems: list[Problem] = []
         self.terms: dict[str, BuiltTerm[C]] = {}
         for name, cfg in cfgs.items():
@@ -313,15 +363,26 @@ class Manager(Generic[C]):
                 self.terms[name] = build_term(env, kind, name, cfg, f"{section}.{name}")
             except ConfigError as error:
                 problems += error.problems
+            except FAILURES as error:
+                self.fail(name, error)
         if problems:
             raise ConfigError(problems)
+        self._collect()
+
+    def _renew(self, name: str) -> None:
+        """Build a term anew: without a state, as at the start of an episode."""
+        old = self.terms[name]
+        term = build_term(self.env, self._kind, name, old.cfg, f"{self.section}.{name}")
+        if hasattr(term.instance, "reset"):
+            term.instance.reset(None)
+        self.terms[name] = term
         self._collect()
 
     def _collect(self) -> None:
         """Collect the calls and states of the terms; repeated when a term is rebuilt."""
         instances = {n: t.instance for n, t in self.terms.items() if t.instance is not None}
         self.takes_obs = any(term.takes_obs for term in self.terms.values())
-        self._resets = [i.reset for i in instances.values() if hasattr(i, "reset")]
+        self._resets = [(n, i.reset) for n, i in instances.items() if hasattr(i, "reset")]
         self._stateful = {n: i for n, i in instances.items() if hasattr(i, "state_dict")}
         self._bind()
 
@@ -362,10 +423,57 @@ class Manager(Generic[C]):
     def __len__(self) -> int:
         return len(self.terms)
 
+    @contextmanager
+    def _failing(self, name: str, env_ids: Any = None) -> Iterator[None]:
+        """Name the term in what is raised inside the context; see `fail`."""
+        try:
+            yield
+        except FAILURES as error:
+            self.fail(name, error, env_ids)
+
+    def fail(self, name: str, error: BaseException, env_ids: Any = None) -> NoReturn:
+        """Raise the error of a term that raised an exception; see `failed`.
+
+        What this package raises for another reason than a wrong config, such as that nothing can be
+        drawn here, stays what it is.
+        """
+        if isinstance(error, EmbodichainError) and not isinstance(error, (ConfigError, TermError)):
+            error.add_note(f"in {declared_at(self.env, f'{self.section}.{name}')}")
+            raise error
+        raise self.failed(name, error, env_ids) from error
+
+    def failed(self, name: str, error: BaseException, env_ids: Any = None) -> Exception:
+        """The error to raise, from this one, where a term raised an exception.
+
+        Args:
+            name: The term.
+            error: What it raised.
+            env_ids: (n,) environments for which it was called, or None for all.
+        """
+        built = self.terms.get(name)
+        place = str(self._declared[name].func) if built is None else built.spec.place
+        return failed_term(self.env, f"{self.section}.{name}", place, error, env_ids)
+
+    def _warn_not_finite(self, name: str, values: Any, what: str) -> None:
+        """Log that a term's values (N,) are not finite; see `warn_not_finite`.
+
+        Those of an environment whose physics has diverged are not the term's mistake.
+        """
+        if not is_host(values) or all_finite(values):
+            return
+        path = f"{self.section}.{name}"
+        bad = ~np.isfinite(values) & finite_physics(self.env)
+        if bad.any():
+            found = {path: (kind_of_values(values[bad]), bad)}
+            warn_not_finite(self.env, found, what, self._told)
+
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Reset the terms that are classes; (n,) environments, or None for all."""
-        for reset in self._resets:
-            reset(env_ids)
+        for name, reset in self._resets:
+            try:
+                reset(env_ids)
+            except FAILURES as error:
+                self.fail(name, error, env_ids)
 
     def term_states(self) -> dict[str, Any]:
         """State of the terms that have one (copies), by name."""
@@ -393,15 +501,15 @@ def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> None:
     """Check that a term's value is a tensor or an array of shape (N,).
 
     Raises:
-        ValueError: If not; names the term. (N, 1) is refused too, because it would broadcast.
+        ConfigError: If not; names the term. (N, 1) is refused too, because it would broadcast.
     """
     if not hasattr(value, "shape") or not hasattr(value, "dtype"):
-        raise ValueError(
+        raise ConfigError(
             f"{kind} term {name!r} must return a tensor of shape ({num_envs},), "
             f"got {type(value).__name__}"
         )
     if tuple(value.shape) != (num_envs,):
-        raise ValueError(
+        raise ConfigError(
             f"{kind} term {name!r} must return shape ({num_envs},), got {tuple(value.shape)}"
         )
 
@@ -452,11 +560,17 @@ class CurriculumManager(Manager[CurriculumCfg]):
             return
         self._begun = True
         for name, term in self.terms.items():
-            value = term.call(self.env, env_ids)
-            if isinstance(value, Mapping):
-                self.values |= {f"{name}/{key}": float(v) for key, v in value.items()}
-            elif value is not None:
-                self.values[name] = float(value)
+            with self._failing(name, env_ids):
+                value = term.call(self.env, env_ids)
+                if isinstance(value, Mapping):
+                    found = {f"{name}/{key}": float(v) for key, v in value.items()}
+                else:
+                    found = {} if value is None else {name: float(value)}
+            self.values |= found
+            for key, number in found.items():
+                if not math.isfinite(number) and counted(key, self._told):
+                    place, step = declared_at(self.env, f"curriculum.{key}"), present_step(self.env)
+                    _log.warning("%s: %s is %s", step, place, number)
 
     def stage_dict(self) -> dict[str, Any]:
         """The stage that was reached, for `hold` in any number of environments (copies)."""

@@ -15,6 +15,7 @@ from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import Delay, Noise, Past, Rows
 from embodichain.lab.gym.envs.managers.term_columns import TermColumns
+from embodichain.lab.gym.envs.managers.term_errors import FAILURES, kind_of_values
 from embodichain.lab.gym.envs.observation import Observation, new_tensor
 from embodichain.utils.arrays import contiguous, may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
@@ -128,7 +129,7 @@ class ObservationEntry:
         if hasattr(value, "shape") and hasattr(value, "dtype"):
             wrong = "" if tuple(value.shape[:1]) == (count,) else str(tuple(value.shape))
         if wrong:
-            raise ValueError(
+            raise ConfigError(
                 f"observation term {self.term.name!r} must return a tensor of shape "
                 f"({count}, ...), got {wrong}"
             )
@@ -298,7 +299,7 @@ class ObservationManager(Manager[ObservationCfg]):
         for entry in self._entries:
             if entry.modifies and entry.path not in obs:
                 raise _nothing_to_modify(entry, obs)
-            value = entry.value(obs[entry.path] if entry.modifies else obs, rows)
+            value = self._value(entry, obs[entry.path] if entry.modifies else obs, rows)
             obs[entry.path] = new_tensor(value)
 
     def write(self, obs: Observation, own: Mapping[tuple[str, ...], Any]) -> None:
@@ -319,13 +320,43 @@ class ObservationManager(Manager[ObservationCfg]):
                 obs.layout.write(obs, path, value)
         rows, numbers = self._rows(), obs.rows
         for entry, columns, shape, finished in self._plan:
-            value = entry.value(new_tensor(unfinished[entry.path]) if entry.modifies else obs, rows)
+            given = new_tensor(unfinished[entry.path]) if entry.modifies else obs
+            value = self._value(entry, given, rows)
             if not finished:
                 unfinished[entry.path] = value
             elif columns is not None and value.shape == shape:
                 numbers[:, columns] = value
             else:
                 obs.layout.write(obs, entry.path, value)
+
+    def _value(self, entry: ObservationEntry, obs: Any, rows: Rows) -> NDArray[Any]:
+        try:
+            return entry.value(obs, rows)
+        except FAILURES as error:
+            self.fail(entry.term.name, error)
+
+    def not_finite(
+        self, obs: Observation, rows: NDArray[np.bool_]
+    ) -> dict[str, tuple[str, NDArray[np.bool_]]]:
+        """Entries that are not finite in some environments.
+
+        Args:
+            obs: The observation.
+            rows: (N,) the environments.
+
+        Returns:
+            ``observations.NAME`` of a term, or the entry's own path, such as ``robot/qpos`` -> what
+            its values are, and in which environments, (N,).
+        """
+        terms = {entry.path: entry.key for entry in self._entries}
+        found = {}
+        for path, columns in obs.layout.columns.items():
+            values = obs.rows[:, columns]
+            bad = rows & ~np.isfinite(values).all(axis=1)
+            if bad.any():
+                name = terms.get(path, "the observation " + "/".join(path))
+                found[name] = kind_of_values(values[bad]), bad
+        return found
 
     def _rows(self) -> Rows:
         """The environments that stepped or were reset; the next call returns none."""

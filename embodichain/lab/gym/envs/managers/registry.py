@@ -30,6 +30,7 @@ __all__ = [
     "ENTRY_POINTS",
     "KINDS",
     "LEADING",
+    "REDUCERS",
     "SECTIONS",
     "SHAPES",
     "TERMS",
@@ -334,6 +335,11 @@ _LEADS: dict[Callable[..., Any], tuple[str, ...]] = {}
 """Quantities -> the arguments that they take after `env`."""
 SHAPES: dict[str, TermSpec] = {}
 """Every registered shape by name; filled with the terms."""
+REDUCERS = (
+    *("column", "l1", "l2", "norm", "tanh", "gaussian", "tolerance"),
+    *("above", "below", "within", "outside"),
+)
+"""The shapes that make one number of several columns."""
 
 
 def _place(func: Callable[..., Any]) -> str:

@@ -33,12 +33,14 @@ class Term:
             place. Terms with another state extend `state_dict` and `load_state_dict`.
         watches: Whether an event changes nothing, such as one that films: it is called in the last
             step of an episode too.
+        comes_first: Whether an event fires before the others of its mode, wherever it is declared.
         whole_batch: Why it needs all environments in one process; empty if it does not.
             `sim.backend=ray` refuses such terms.
     """
 
     saved: ClassVar[tuple[str, ...]] = ()
     watches: ClassVar[bool] = False
+    comes_first: ClassVar[bool] = False
     whole_batch: ClassVar[str] = ""
 
     def reset(self, env_ids: EnvIndex | None) -> None:

@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import MetricCfg, RewardCfg, TerminationCfg
 from embodichain.lab.gym.envs.context import TermContext
+from embodichain.lab.gym.envs.managers.check import check_weight
 from embodichain.lab.gym.envs.managers.manager import Manager, checked_rows
+from embodichain.lab.gym.envs.managers.term_errors import FAILURES, kind_of_values
 from embodichain.utils.arrays import is_host, tensor_of
+from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     import torch
@@ -106,7 +109,7 @@ class TerminationManager(Manager[TerminationCfg]):
 
     def _bind(self) -> None:
         self._checked = False
-        self._calls = [(name, t.call, t.cfg.kind) for name, t in self.terms.items()]
+        self._calls = [(name, t.call, t.cfg.ends_by) for name, t in self.terms.items()]
 
     @property
     def has_success(self) -> bool:
@@ -133,10 +136,15 @@ class TerminationManager(Manager[TerminationCfg]):
             return masks
         values: list[NDArray[np.bool_]] = []
         for name, call, kind in self._calls:
-            value = call(self.env, obs, action, info)
-            if not self._checked:
-                checked_rows(value, self.num_envs, "termination", name)
-            flags = value if type(value) is np.ndarray else self._arrays.of(value)
+            try:
+                value = call(self.env, obs, action, info)
+                if not self._checked:
+                    checked_rows(value, self.num_envs, "termination", name)
+                flags = value if type(value) is np.ndarray else self._arrays.of(value)
+            except FAILURES as error:
+                self.fail(name, error)
+            if flags.dtype != np.bool_:
+                self._warn_not_finite(name, flags, "which counts as true")
             flags = flags.astype(np.bool_)  # a copy: the term may reuse its array
             values.append(flags)
             masks[kind] = masks[kind] | flags if kind in masks else flags
@@ -214,10 +222,15 @@ class MetricManager(Manager[MetricCfg]):
             return
         self._count = self._count + np.float32(1.0)
         for name, call, dtype, join, _, mean in self._calls:
-            value = call(self.env, obs, action, info)
-            if not self._checked:
-                checked_rows(value, self.num_envs, "metric", name)
-            array = value if type(value) is np.ndarray else self._arrays.of(value)
+            try:
+                value = call(self.env, obs, action, info)
+                if not self._checked:
+                    checked_rows(value, self.num_envs, "metric", name)
+                array = value if type(value) is np.ndarray else self._arrays.of(value)
+            except FAILURES as error:
+                self.fail(name, error)
+            if array.dtype != np.bool_:
+                self._warn_not_finite(name, array, "the metric keeps it")
             so_far = self._so_far[name] = join(self._so_far[name], array.astype(dtype))
             shown = so_far / self._count if mean else so_far.copy()
             metrics[name] = tensor_of(shown)
@@ -253,6 +266,9 @@ F32 = NDArray[np.float32]
 class RewardManager(Manager[RewardCfg]):
     """Sums value x weight over the terms, without x dt.
 
+    A term of weight 0 is not evaluated; its value is 0 everywhere. When its weight becomes another
+    one it begins without a state, as at the start of an episode.
+
     Args:
         env: The environment; its scene is complete.
         cfgs: Name -> reward.
@@ -276,7 +292,8 @@ class RewardManager(Manager[RewardCfg]):
 
     def _bind(self) -> None:
         self._checked = False
-        self._calls = [(name, t.call) for name, t in self.terms.items()]
+        terms = enumerate(self.terms.items())
+        self._calls = [(i, name, t.call) for i, (name, t) in terms if self.weights[name] != 0.0]
         replacing = [i for i, t in enumerate(self.terms.values()) if t.cfg.mode == "replace"]
         self._first = replacing[-1] + 1 if replacing else 0
         weights = [self.weights[name] for name in self.terms]
@@ -288,10 +305,20 @@ class RewardManager(Manager[RewardCfg]):
         return TermRows(self._names, self._sums)
 
     def set_weight(self, name: str, weight: float) -> None:
-        """Change the weight of a term from the next step on."""
-        if self.weights[name] != weight:
+        """Change the weight of a term from the next step on.
+
+        Raises:
+            ConfigError: If it is not finite.
+        """
+        problems = check_weight(f"rewards.{name}.weight", weight)
+        if problems:
+            raise ConfigError(problems)
+        before = self.weights[name]
+        if before != weight:
             self.weights = MappingProxyType({**self.weights, name: float(weight)})
             self.revision += 1
+            if before == 0.0:
+                self._renew(name)
             self._bind()
 
     def compute(self, rewards: F32 | None, obs: Any, action: Any, info: dict[str, Any]) -> F32:
@@ -311,16 +338,20 @@ class RewardManager(Manager[RewardCfg]):
         Raises:
             ValueError: If a term's value has another shape than (N,); names the term.
         """
-        if not self._calls:
+        if not self.terms:
             info["rewards"], info["episode_sums"] = {}, {}
             none: F32 = self._arrays.full(self.num_envs, 0.0, np.float32)
             return none if rewards is None else rewards
-        values = np.empty_like(self._sums)
-        for row, (name, call) in enumerate(self._calls):
-            value = call(self.env, obs, action, info)
-            if not self._checked:
-                checked_rows(value, self.num_envs, "reward", name)
-            values[row] = value if type(value) is np.ndarray else self._arrays.of(value)
+        every = len(self._calls) == len(self.terms)
+        values = np.empty_like(self._sums) if every else np.zeros_like(self._sums)
+        for row, name, call in self._calls:
+            try:
+                value = call(self.env, obs, action, info)
+                if not self._checked:
+                    checked_rows(value, self.num_envs, "reward", name)
+                values[row] = value if type(value) is np.ndarray else self._arrays.of(value)
+            except FAILURES as error:
+                self.fail(name, error)
         self._checked = True
         parts: F32 = self._arrays.full((len(values) + 1, self.num_envs), 0.0, np.float32)
         if rewards is not None:
@@ -331,7 +362,31 @@ class RewardManager(Manager[RewardCfg]):
         total: F32 = np.add.accumulate(parts[self._first :], axis=0)[-1]
         info["rewards"] = TermRows(self._names, values)
         info["episode_sums"] = self.episode_sums
-        return total if self._floor is None else np.maximum(total, self._floor)
+        if self._floor is None:
+            return total
+        # A sum that is not finite stays so: it is a mistake, which a floor must not hide.
+        return np.where(total > -np.inf, np.maximum(total, self._floor), total)
+
+    def not_finite(
+        self, info: Mapping[str, Any], rows: NDArray[np.bool_]
+    ) -> dict[str, tuple[str, NDArray[np.bool_]]]:
+        """Terms whose value, or value x weight, is not finite, in some environments.
+
+        Args:
+            info: That of `compute`.
+            rows: (N,) the environments.
+
+        Returns:
+            ``rewards.NAME`` -> what its values are, and in which environments, (N,).
+        """
+        values: Any = getattr(info["rewards"], "rows", ())
+        found = {}
+        for name, row, factor in zip(self._names, values, self._factors, strict=True):
+            weighted = row * factor
+            bad = rows & ~np.isfinite(weighted)
+            if bad.any():
+                found[f"{self.section}.{name}"] = kind_of_values(weighted[bad]), bad
+        return found
 
     def take_back(self, rows: NDArray[np.bool_]) -> None:
         """Undo the last step in the sums of environments, (N,) bool."""

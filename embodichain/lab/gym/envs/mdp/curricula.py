@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field
 
 from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
-from embodichain.lab.gym.envs.managers.check import check_params, check_shape
+from embodichain.lab.gym.envs.managers.check import check_params, check_shape, check_weight
 from embodichain.lab.gym.envs.managers.param_types import Finite
 from embodichain.lab.gym.envs.managers.registry import (
     SECTIONS,
@@ -142,7 +142,8 @@ class ModifyRewardWeight(Term):
     @classmethod
     def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
         """Return mistakes that depend on the whole task."""
-        return _check_name("rewards", task, params) + _check_times(params)
+        wrong = check_weight("weight", params["weight"])
+        return wrong + _check_name("rewards", task, params) + _check_times(params)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> float:
         """Set the weight for the current control step."""

@@ -43,6 +43,7 @@ __all__ = [
     "at_most",
     "below",
     "clip",
+    "column",
     "excess",
     "gaussian",
     "gaussian_kernel",
@@ -231,6 +232,32 @@ def norm_(env: TermContext) -> Values:
         ``{func: linear_velocity, shape: norm, weight: -0.1, params: {of: {uid: cube}}}``
     """
     return _length
+
+
+@register_shape
+def column(env: TermContext, which: Annotated[int, Field(ge=0)] | str) -> Values:
+    """One column of several, with its sign.
+
+    Args:
+        which: Its number, from 0; or the joint's, the link's or the command's name of the column.
+
+    Raises:
+        ConfigError: If there is no such column.
+
+    Example:
+        ``{func: joint_velocity, shape: {column: Joint1}, weight: 0.1, params: {of:
+        {uid: ur10}}}``
+    """
+    index = int(which)
+
+    def one(values: F64) -> F64:
+        columns = _columns(values)
+        if index >= columns.shape[1]:
+            message = f"there are {columns.shape[1]} columns, numbered from 0; got {index}"
+            raise ConfigError([Problem("column", message)])
+        return contiguous(columns[:, index])
+
+    return one
 
 
 @register_shape

@@ -66,6 +66,8 @@ class PlaceTerrain(Term):
     rises above the highest continues at a random one. At a stage that is held for an evaluation,
     each episode draws a level from those that environments of its column had in training.
 
+    It fires before the other events of its mode, whose heights count from the ground.
+
     Args:
         max_init_level: The highest level at the start; None is the highest of the terrain.
 
@@ -78,6 +80,7 @@ class PlaceTerrain(Term):
     """
 
     saved = ("level", "column")
+    comes_first = True
 
     def __init__(
         self, env: TermContext, max_init_level: Annotated[int, Field(ge=0)] | None = None

@@ -16,6 +16,7 @@ from embodichain.lab.gym.envs.managers.param_types import Arm, Axes6, Body, Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.mdp._ground import above_ground, ground_of
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.utils.arrays import contiguous, is_host
 from embodichain.utils.errors import ConfigError, Problem
@@ -117,7 +118,8 @@ class ResetRootStateUniform(Term):
     """Offsets an entity's root from its configured pose at random, and sets a random velocity.
 
     pos = pos0 + U(x, y, z); quat = quat0 * q(roll, pitch, yaw) with q = Rz Ry Rx: the rotation is
-    in the entity's frame; velocity = U. Isaac Lab's event of the same name.
+    in the entity's frame; velocity = U. Isaac Lab's event of the same name. On a terrain heights
+    count from the ground below the root's origin: leave room for a step beside it.
 
     Args:
         entity_cfg: A rigid object or a robot.
@@ -142,6 +144,7 @@ class ResetRootStateUniform(Term):
         if self._velocity is not None:
             need_free_root(entity_cfg)
         self._asset = asset = entity_cfg.asset
+        self._ground = ground_of(env)
         index = asset.entity
         self._floats = index.free_qvel_adr >= 0
         count, put = env.num_envs, env.arrays.put
@@ -157,7 +160,7 @@ class ResetRootStateUniform(Term):
             pos = pos + drawn[:, :3]
             quat = quat_multiply(quat, rpy_to_quat(drawn[:, 3:]))
         asset = self._asset
-        asset.write_pose(pos, quat, env_ids)
+        asset.write_pose(above_ground(self._ground, pos, env_ids), quat, env_ids)
         if self._velocity is not None:
             velocity = self._velocity(env.event_manager, env_ids)
             write_root_velocity(asset, velocity, env_ids)
@@ -169,7 +172,8 @@ class ResetRootStateUniform(Term):
 class RandomizePose(Term):
     """Places an object, or the root of a robot or articulation, at random, with velocity 0.
 
-    The pose is the declared initial pose plus uniform draws. Joint positions do not change.
+    The pose is the declared initial pose plus uniform draws. Joint positions do not change. On a
+    terrain heights count from the ground below its origin, unless it is `relative_to` another.
 
     Args:
         entity_cfg: The object, robot or articulation.
@@ -217,6 +221,7 @@ class RandomizePose(Term):
         quat0 = np.asarray(asset.entity.quat0, np.float64)
         self._quat0: F64 = put(np.tile(quat0, (count, 1)))
         self._near = relative_to
+        self._ground = ground_of(env) if relative_to is None else None
         self._position: Uniform | None = None
         if position_range is not None:
             shift = base if relative_position and relative_to is None else 0.0
@@ -240,7 +245,7 @@ class RandomizePose(Term):
         if self._rotation is not None:
             turn = euler_xyz_to_quat(self._rotation(env.event_manager, env_ids))
             quat = quat_multiply(quat0, turn) if self._relative_rotation else turn
-        self._asset.write_pose(pos, quat, env_ids)
+        self._asset.write_pose(above_ground(self._ground, pos, env_ids), quat, env_ids)
         if self._stop is not None:
             self._stop(env_ids)
         if self._steps > 0:

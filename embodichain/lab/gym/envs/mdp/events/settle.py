@@ -15,17 +15,21 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.lab.gym.envs.mdp.events.placing import read_root_velocity
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
-__all__ = ["WaitForDynamicObjectsToSettle", "set_detached_uids_for_env_reset"]
+__all__ = ["NotAtRestError", "WaitForDynamicObjectsToSettle", "set_detached_uids_for_env_reset"]
 
 logger = logging.getLogger(__name__)
 
 Count = Annotated[int, Field(ge=1)]
+
+
+class NotAtRestError(EmbodichainError, TimeoutError):
+    """Objects did not come to rest in time."""
 
 
 @register_term("event")
@@ -131,7 +135,7 @@ class WaitForDynamicObjectsToSettle(Term):
             f"{ids[:8].tolist()}{'...' if len(ids) > 8 else ''}"
         )
         if self._raises:
-            raise TimeoutError(message)
+            raise NotAtRestError(message)
         logger.warning(message)
 
     def _rests(self) -> NDArray[np.bool_]:

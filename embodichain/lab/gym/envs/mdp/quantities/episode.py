@@ -121,11 +121,13 @@ def _terminated(env: TermContext, info: Info) -> Mask:
 def time_out(env: TermContext, time_limit_s: Positive) -> Mask:
     """True once an episode has lasted a given time, this step included.
 
+    As a termination it truncates: its kind is ``time_out`` unless another one is written.
+
     Args:
         time_limit_s: Seconds of simulated time, rounded to control steps.
 
     Example:
-        ``{func: time_out, kind: time_out, params: {time_limit_s: 5.0}}``
+        ``{func: time_out, params: {time_limit_s: 5.0}}``
     """
     steps = max(1, round(time_limit_s / env.step_dt))
     over: Mask = env.arrays.of(env.elapsed_steps) >= steps

@@ -1,4 +1,6 @@
-"""Terms made of terms: all or any of several predicates, a predicate over some time, products.
+"""Terms made of terms: all or any of predicates, a predicate over some time, products, sums.
+
+Only terms of a sum have a weight: elsewhere it would mean nothing.
 
 The inner terms are declared like all terms, ``{func: ..., params: {...}}``, and are checked, reset,
 saved and restored with the outer one.
@@ -12,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from embodichain.lab.gym.envs.cfg import ValueCfg
+from embodichain.lab.gym.envs.cfg import SummandCfg, ValueCfg
 from embodichain.lab.gym.envs.managers.manager import Manager
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
 
-__all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf"]
+__all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf", "SumOf"]
 
 
 def _registered(term: ValueCfg) -> ValueCfg:
@@ -41,6 +43,8 @@ def _registered(term: ValueCfg) -> ValueCfg:
 
 Inner = Annotated[ValueCfg, AfterValidator(_registered)]
 Terms = Annotated[dict[str, Inner], Field(min_length=1)]
+Summand = Annotated[SummandCfg, AfterValidator(_registered)]
+Summands = Annotated[dict[str, Summand], Field(min_length=1)]
 Info = dict[str, Any]
 
 
@@ -119,7 +123,7 @@ class ProductOf(_Joined):
     """The product of several terms, as in dm_control: large only where all terms are large.
 
     Args:
-        terms: Name -> metric term.
+        terms: Name -> metric term, without a weight: that of the whole term is the only one.
 
     Example:
         ``{func: product_of, weight: 1.0, params: {terms: {lifted: {func: height, shape: {above:
@@ -129,6 +133,48 @@ class ProductOf(_Joined):
 
     def __init__(self, env: TermContext, terms: Terms) -> None:
         super().__init__(env, terms, np.multiply, np.float32)
+
+
+@register_term("reward", "metric", "termination", name="sum_of")
+class SumOf(_Joined):
+    """The sum of value x weight of several terms, for shapes and other terms to use.
+
+    The terms of a task's rewards are added anyway, each in its own column of the log.
+
+    Args:
+        terms: Name -> metric term, with a `weight` (default 1); one of weight 0 is not evaluated.
+
+    Example:
+        ``{func: sum_of, weight: 0.5, params: {terms: {near: {func: distance, shape: {tanh: 0.2},
+        weight: 2.0, params: {from: {uid: cube}, to: {uid: goal}}}, high: {func: height, weight:
+        -1.0, params: {of: {uid: cube}}}}}}``
+    """
+
+    def __init__(self, env: TermContext, terms: Summands) -> None:
+        super().__init__(env, terms, np.add, np.float32)
+        weights = {name: np.float32(term.weight) for name, term in terms.items()}
+        self._evaluated = [name for name, weight in weights.items() if weight != 0.0]
+        calls = {name: self._inner.terms[name].call for name in self._evaluated}
+        self._weighted = [(calls[name], weights[name]) for name in self._evaluated]
+
+    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
+        """(N,) float32."""
+        value: NDArray[Any] = env.arrays.full(env.num_envs, 0.0, np.float32)
+        for call, weight in self._weighted:
+            found = env.arrays.of(call(env, obs, action, info))
+            value = value + found.astype(np.float32) * weight
+        return value
+
+    def state_dict(self) -> dict[str, Any]:
+        """The states of the inner terms, and which of them were evaluated."""
+        return {**super().state_dict(), "evaluated": list(self._evaluated)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken; what was not evaluated there begins anew."""
+        super().load_state_dict(state)
+        for name, term in self._inner.terms.items():
+            if name not in state["evaluated"] and hasattr(term.instance, "reset"):
+                term.instance.reset(None)
 
 
 @register_term("reward", "metric", "termination", name="held_for")
