@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
@@ -130,7 +131,7 @@ def _located(env: TermContext, path: str, problem: Problem) -> Problem:
     if not f"{inner}.".startswith(f"{path}."):
         inner = f"{path}.{inner}".rstrip(".")
     if sources is None:
-        return problem.at("", inner)
+        return replace(problem, path=inner)
     return problem.at(*sources.of(inner))
 
 
