@@ -48,11 +48,32 @@ def task_tables(resolved: Resolved) -> dict[str, Any]:
             "sensors": _sensors(env),
             **{section: _terms(env, section) for section in _SECTIONS},
             "expert": _steps(env),
+            "training": _training(resolved),
             "action vector": _action_vector(env),
             "observation vector": _observation_vector(env),
         }
     finally:
         env.close()
+
+
+def _training(resolved: Resolved) -> dict[str, Any]:
+    """What `train` does without further keys: the task's suggestions, and what follows from them.
+
+    Empty for a task that suggests no training.
+    """
+    from embodichain.config.algorithms import DEFAULT_ALGORITHM
+    from embodichain.config.learning_scale import scale_learning
+
+    suggested = resolved.tree["task"].get("suggested") or {}
+    given = suggested.get("train")
+    if not given:
+        return {}
+    num_envs, total = given.get("num_envs") or 1, given.get("total_timesteps")
+    algo = {"name": DEFAULT_ALGORITHM, **(given.get("algo") or {})}
+    scale = scale_learning(algo, num_envs, total)
+    facts = {"algo": algo["name"], "num_envs": num_envs, "total_timesteps": total}
+    facts |= {f"algo.{key}": value for key, value in scale.chosen.items()}
+    return facts | ({"because": scale.reason} if scale.reason else {})
 
 
 def without_defaults(section: str, rows: Rows) -> Rows:

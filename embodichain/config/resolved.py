@@ -19,6 +19,7 @@ import yaml
 
 from embodichain.config.check_types import check_types
 from embodichain.config.composed import Composed, compose
+from embodichain.config.learning_scale import doubtful_scale, scale_learning
 from embodichain.config.run_folder import (
     CHECKPOINT,
     CONFIG,
@@ -217,6 +218,9 @@ def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], 
     if found.problems:
         raise ConfigError(found.problems)
     tree, notes = _with_armature(_with_defaults(found.types.tree, verb), found.scene)
+    if verb == "train" and isinstance(tree["algo"], Mapping):
+        tree, chosen, doubtful = _with_learning_scale(tree)
+        notes = (*notes, *chosen, *(problem.at(source(problem.path)) for problem in doubtful))
     return Resolved(freeze(tree), (), task_name, (*found.notes, *notes), source, found.scene)
 
 
@@ -244,6 +248,25 @@ def _with_defaults(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
     sim = filled["sim"]
     sim["engine"], _ = choose_engine(sim["engine"], filled["device"])
     return filled
+
+
+def _with_learning_scale(
+    tree: dict[str, Any],
+) -> tuple[dict[str, Any], list[Problem], list[Problem]]:
+    """The config of a training with the keys that say what an update learns from.
+
+    A training that is resumed goes on as it began.
+
+    Returns:
+        The config; what was chosen; what is doubtful.
+    """
+    num_envs, total = tree["num_envs"], tree["total_timesteps"]
+    chosen = []
+    if tree["resume"] is None:
+        scale = scale_learning(tree["algo"], num_envs, total)
+        tree = {**tree, "algo": {**tree["algo"], **scale.chosen}}
+        chosen = scale.notes()
+    return tree, chosen, doubtful_scale(tree["algo"], num_envs, total)
 
 
 def _with_armature(

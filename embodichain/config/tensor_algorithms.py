@@ -16,10 +16,13 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from embodichain.utils.configclass import configclass
 
-__all__ = ["TENSOR_ALGORITHMS", "RslRlPpoCfg", "SkrlPpoCfg", "TensorAlgoCfg"]
+__all__ = ["PUBLISHED_STEPS", "TENSOR_ALGORITHMS", "RslRlPpoCfg", "SkrlPpoCfg", "TensorAlgoCfg"]
 
 TENSOR_ALGORITHMS = {"rsl_rl_ppo": ("rsl_rl", "rsl_rl"), "skrl_ppo": ("skrl", "skrl")}
 """Algorithm -> the package that it needs, and the extra that installs it."""
+
+PUBLISHED_STEPS = 24
+"""Control steps of each environment in a rollout, in Isaac Lab's settings."""
 
 Share = Annotated[float, Field(ge=0, le=1)]
 _NOT_ARGUMENTS = (
@@ -61,8 +64,9 @@ class RslRlPpoCfg(TensorAlgoCfg):
     """Keys of ``rsl_rl_ppo``."""
 
     name: Literal["rsl_rl_ppo"] = "rsl_rl_ppo"
-    num_steps_per_env: PositiveInt = 24
-    """Control steps of each environment between updates."""
+    num_steps_per_env: PositiveInt | None = None
+    """Control steps of each environment between updates; null follows `num_envs` and
+    `total_timesteps`."""
     num_learning_epochs: PositiveInt = 5
     num_mini_batches: PositiveInt = 4
     clip_param: PositiveFloat = 0.2
@@ -83,8 +87,9 @@ class SkrlPpoCfg(TensorAlgoCfg):
     """Keys of ``skrl_ppo``."""
 
     name: Literal["skrl_ppo"] = "skrl_ppo"
-    rollouts: PositiveInt = 24
-    """Control steps of each environment between updates."""
+    rollouts: PositiveInt | None = None
+    """Control steps of each environment between updates; null follows `num_envs` and
+    `total_timesteps`."""
     learning_epochs: PositiveInt = 5
     mini_batches: PositiveInt = 4
     discount_factor: Share = 0.99

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import logging
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, cast
@@ -213,7 +214,10 @@ class Algorithm:
         env = self._normalized(vec_env, mirror)
         algorithm: Callable[..., BaseAlgorithm] = algorithm_class(self.name)
         try:
-            return algorithm(env=env, seed=seed, device="cpu", **arguments)
+            with warnings.catch_warnings():
+                # `doubtful_scale` has said it, with the key to write.
+                warnings.filterwarnings("ignore", "You have specified a mini-batch size")
+                return algorithm(env=env, seed=seed, device="cpu", **arguments)
         except (AssertionError, TypeError, ValueError) as error:  # how SB3 refuses
             raise ConfigError([Problem("algo", f"{self.name} refuses this: {error}")]) from error
 

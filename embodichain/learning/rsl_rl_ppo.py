@@ -17,7 +17,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import Tensor
 
-from embodichain.config.tensor_algorithms import RslRlPpoCfg
+from embodichain.config.tensor_algorithms import PUBLISHED_STEPS, RslRlPpoCfg
 from embodichain.learning.tensor_env import GROUP, Groups, TensorEnv, TensorStep
 
 __all__ = ["RslRlPpo", "RslRlVecEnv"]
@@ -99,7 +99,7 @@ class RslRlPpo:
         gaussian = {"class_name": "GaussianDistribution", "init_std": cfg.init_std}
         actor = MLPModel(seen, groups, "actor", width, distribution_cfg=gaussian, **network)
         critic = MLPModel(seen, groups, "critic", 1, **network)
-        self.steps = cfg.num_steps_per_env
+        self.steps = cfg.num_steps_per_env or PUBLISHED_STEPS
         storage = RolloutStorage("rl", env.num_envs, self.steps, seen, [width], device)
         rate: dict[str, Any] = {"schedule": "fixed" if cfg.desired_kl is None else "adaptive"}
         rate["desired_kl"] = cfg.desired_kl

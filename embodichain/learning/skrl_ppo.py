@@ -21,7 +21,7 @@ from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
 from torch import Tensor, nn
 
-from embodichain.config.tensor_algorithms import SkrlPpoCfg
+from embodichain.config.tensor_algorithms import PUBLISHED_STEPS, SkrlPpoCfg
 from embodichain.learning.tensor_env import GROUP, Groups, TensorEnv, TensorStep
 
 __all__ = ["SkrlEnv", "SkrlPpo"]
@@ -120,13 +120,14 @@ class SkrlPpo:
 
     def __init__(self, cfg: SkrlPpoCfg, env: TensorEnv) -> None:
         self._env, device = env, env.device
-        self.steps = cfg.rollouts
+        self.steps = cfg.rollouts or PUBLISHED_STEPS
         about: dict[str, Any] = {"observation_space": env.spaces[GROUP], "device": device}
         about |= {"state_space": state_space(env), "action_space": env.action_space}
         self._policy = _Policy(cfg, about)
         models = {"policy": self._policy, "value": _Value(cfg, about)}
-        memory = RandomMemory(memory_size=cfg.rollouts, num_envs=env.num_envs, device=device)
-        keys = {**cfg.arguments(), "experiment": {"write_interval": 0, "checkpoint_interval": 0}}
+        memory = RandomMemory(memory_size=self.steps, num_envs=env.num_envs, device=device)
+        keys = {**cfg.arguments(), "rollouts": self.steps}
+        keys["experiment"] = {"write_interval": 0, "checkpoint_interval": 0}
         if cfg.desired_kl is not None:
             keys["learning_rate_scheduler"] = KLAdaptiveLR
             keys["learning_rate_scheduler_kwargs"] = {"kl_threshold": cfg.desired_kl}

@@ -55,6 +55,7 @@ def test_suggested_algorithm_under_the_users(write_task: WriteTask) -> None:
         "policy": "MlpPolicy",
         "gamma": 0.5,
         "n_steps": 32,
+        "batch_size": 64,  # a quarter of the 8 x 32 steps
         "policy_kwargs": {"log_std_init": 0, "net_arch": [8]},
     }
 
@@ -63,7 +64,8 @@ def test_an_algorithm_without_suggestions(write_task: WriteTask) -> None:
     write_task()
     root = resolve(["task=mine", "total_timesteps=100", "algo.n_steps=4"], "train").root
     assert root.algo is not None
-    assert root.algo.arguments() == {"policy": "MlpPolicy", "n_steps": 4, "policy_kwargs": {}}
+    given = {"policy": "MlpPolicy", "n_steps": 4, "policy_kwargs": {}}
+    assert root.algo.arguments() == {**given, "batch_size": 2}
     assert resolve(["task=mine"]).root.algo is None
 
 

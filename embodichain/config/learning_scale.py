@@ -1,0 +1,180 @@
+"""How much an update learns from: keys of `algo` that follow `num_envs` and `total_timesteps`.
+
+The defaults of the libraries are for one environment: Stable-Baselines3's 2,048 control steps
+between updates are 131,072 transitions in 64 environments, two updates in a training of 262,144.
+Keys that the user or the task gives are kept. Does not import torch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from embodichain.config.algorithms import ALGORITHMS
+from embodichain.config.tensor_algorithms import PUBLISHED_STEPS
+from embodichain.utils.errors import Problem
+
+__all__ = ["LearningScale", "doubtful_scale", "scale_learning"]
+
+ROLLOUT = 2_048, 16_384
+"""Transitions of a rollout, least and most. Fewer make advantages noisy, more make updates rare."""
+STEPS_PER_ENV = 32
+"""Control steps of each environment in a rollout, where that is within `ROLLOUT`."""
+UPDATES = 30
+"""Updates that a training has at least; a rollout shrinks for them."""
+FEW_UPDATES = 10
+"""Fewer updates are warned about."""
+MINIBATCHES = 4
+"""Minibatches of a rollout."""
+GRADIENT_STEPS = 64
+"""Most gradient steps between steps of the environments, of algorithms with a replay buffer."""
+
+_STEPS_KEYS = {"rsl_rl_ppo": "num_steps_per_env", "skrl_ppo": "rollouts"}
+"""Algorithm of rsl_rl or skrl -> its key for the control steps of a rollout."""
+
+
+@dataclass(frozen=True)
+class LearningScale:
+    """What an update learns from.
+
+    Attributes:
+        chosen: Keys of `algo` that were null -> their values.
+        reason: The sentence that says what the values are for; empty if none was chosen.
+    """
+
+    chosen: dict[str, int]
+    reason: str = ""
+
+    def notes(self) -> list[Problem]:
+        """What was chosen and why, for people."""
+        if not self.chosen:
+            return []
+        values = ", ".join(f"{key}={value}" for key, value in self.chosen.items())
+        verb = "was" if len(self.chosen) == 1 else "were"
+        return [Problem("algo", f"{values} {verb} chosen: {self.reason}")]
+
+
+def scale_learning(
+    algo: Mapping[str, Any], num_envs: int, total_timesteps: int | None
+) -> LearningScale:
+    """Choose the null keys that say what an update learns from.
+
+    Args:
+        algo: The config of an algorithm, as a plain mapping.
+        num_envs: Number of environments.
+        total_timesteps: Length of the training, in environment steps; None if it is not known.
+    """
+    name = algo["name"]
+    if name in _STEPS_KEYS:
+        return _scale_tensor_rollout(algo, _STEPS_KEYS[name], num_envs, total_timesteps)
+    keys = ALGORITHMS[name][1].split()
+    if "gradient_steps" in keys:
+        return _scale_gradient_steps(algo, num_envs)
+    if "gae_lambda" in keys:
+        return _scale_rollout(algo, "batch_size" in keys, num_envs, total_timesteps)
+    return LearningScale({})
+
+
+def doubtful_scale(
+    algo: Mapping[str, Any], num_envs: int, total_timesteps: int | None
+) -> list[Problem]:
+    """Return what is doubtful in how much an update learns from, with the keys to write.
+
+    Args:
+        algo: The config of an algorithm, after `scale_learning`.
+        num_envs: Number of environments.
+        total_timesteps: Length of the training, in environment steps.
+    """
+    key = _STEPS_KEYS.get(algo["name"], "n_steps")
+    steps = algo.get(key)
+    if steps is None or "gradient_steps" in algo:  # there, n_steps is of n-step returns
+        return []
+    rollout, problems = num_envs * steps, []
+    better = scale_learning({**algo, key: None, "batch_size": None}, num_envs, total_timesteps)
+    updates = math.ceil((total_timesteps or 0) / rollout)
+    if total_timesteps is not None and updates < FEW_UPDATES:
+        count = "1 update" if updates == 1 else f"{updates} updates"
+        message = f"{count} in all: total_timesteps {total_timesteps:,} are too few for rollouts "
+        message += f"of {rollout:,} steps ({num_envs} environments x {steps})"
+        write = better.chosen.get(key, steps)
+        hint = f"Write algo.{key}={write}" if write < steps else "Give more total_timesteps"
+        problems.append(Problem(f"algo.{key}", message, hint))
+    batch = algo.get("batch_size")
+    if batch is not None and rollout % batch:
+        message = f"{batch} does not divide a rollout of {rollout:,} steps "
+        message += f"({num_envs} environments x {steps}): "
+        rest = f"the last minibatch of each epoch has {rollout % batch}"
+        message += rest if batch < rollout else "it is one minibatch"
+        hint = f"Write algo.batch_size={_minibatch(rollout)}"
+        problems.append(Problem("algo.batch_size", message, hint))
+    return problems
+
+
+def _scale_rollout(
+    algo: Mapping[str, Any], has_batches: bool, num_envs: int, total_timesteps: int | None
+) -> LearningScale:
+    """Choose `n_steps` and `batch_size` of an on-policy algorithm of Stable-Baselines3."""
+    chosen = {}
+    steps, batch = algo.get("n_steps"), algo.get("batch_size") if has_batches else None
+    if steps is None:
+        least, most = ROLLOUT
+        wanted = min(max(STEPS_PER_ENV * num_envs, least), most)
+        steps = _steps(wanted, num_envs, total_timesteps)
+        parts = MINIBATCHES if batch is None else batch
+        whole = parts // math.gcd(num_envs, parts)  # so that minibatches are of equal size
+        if steps >= whole or batch is not None:
+            steps = max(whole, steps // whole * whole)
+        chosen["n_steps"] = max(steps, 2) if num_envs == 1 else steps
+        steps = chosen["n_steps"]
+    if has_batches and batch is None:
+        chosen["batch_size"] = batch = _minibatch(num_envs * steps)
+    return _rollout(chosen, num_envs, steps, total_timesteps)
+
+
+def _scale_tensor_rollout(
+    algo: Mapping[str, Any], key: str, num_envs: int, total_timesteps: int | None
+) -> LearningScale:
+    """Choose the control steps of a rollout of rsl_rl or skrl."""
+    if algo.get(key) is not None:
+        return LearningScale({})
+    wanted = max(PUBLISHED_STEPS * num_envs, ROLLOUT[0])  # thousands of environments are usual
+    steps = _steps(wanted, num_envs, total_timesteps)
+    return _rollout({key: steps}, num_envs, steps, total_timesteps)
+
+
+def _scale_gradient_steps(algo: Mapping[str, Any], num_envs: int) -> LearningScale:
+    """Choose the gradient steps of an algorithm with a replay buffer."""
+    if algo.get("gradient_steps") is not None:
+        return LearningScale({})
+    every = algo.get("train_freq") or 1
+    steps = min(GRADIENT_STEPS, num_envs * every)
+    reason = f"{num_envs * every} environment steps come between updates ({num_envs} environments"
+    reason += f" x train_freq {every})"
+    if steps < num_envs * every:
+        reason += f", and {GRADIENT_STEPS} gradient steps are the most"
+    return LearningScale({"gradient_steps": steps}, reason)
+
+
+def _steps(wanted: int, num_envs: int, total_timesteps: int | None) -> int:
+    """Control steps of a rollout of about as many transitions, in a training of enough updates."""
+    if total_timesteps is not None:
+        wanted = min(wanted, total_timesteps // UPDATES)
+    return max(1, wanted // num_envs)
+
+
+def _minibatch(rollout: int) -> int:
+    """Size of a minibatch: a quarter, or the part next to it that is whole and no single step."""
+    parts = next(k for k in range(MINIBATCHES, 0, -1) if rollout % k == 0 and rollout >= 2 * k)
+    return rollout // parts
+
+
+def _rollout(
+    chosen: dict[str, int], num_envs: int, steps: int, total_timesteps: int | None
+) -> LearningScale:
+    rollout = num_envs * steps
+    reason = f"rollouts of {rollout:,} steps ({num_envs} environments x {steps})"
+    if total_timesteps is not None:
+        reason = f"{math.ceil(total_timesteps / rollout):,} updates by {reason}"
+    return LearningScale(chosen, reason)
