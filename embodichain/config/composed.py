@@ -7,13 +7,13 @@ collected, so that one report lists all of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import yaml
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -28,11 +28,13 @@ from embodichain.config.hydra_loader import (
     COMPOSING,
     config_loader,
     explain,
+    explain_yaml,
     folder_of_source,
 )
 from embodichain.config.locate import COMMAND_LINE, ConfigFile, Locator
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.type_errors import show_value
 
 if TYPE_CHECKING:
     from embodichain.config.gym_config import GymConfig
@@ -123,7 +125,10 @@ def compose(
             return _without_task(loader, config_name, lines, parsed, found)
     choices = dict(config.hydra.runtime.choices)
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
-    files = partial(_files, loader, config_name, lines_of_groups, folders, gym)
+    try:
+        files, of_hydra = _files(loader, config_name, lines_of_groups, folders, gym)
+    except yaml.YAMLError as error:  # a tag that Hydra reads
+        return _without_task(loader, config_name, lines, parsed, [explain_yaml(error)])
     OmegaConf.set_struct(config, False)
     del config["hydra"]
     if gym is not None:
@@ -131,6 +136,7 @@ def compose(
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
     problems = (*parsed.problems, *apply_values(config, parsed.values))
     locator = Locator(files, parsed.values)
+    problems += tuple(p for file in (*files, *of_hydra) for p in file.problems())
     tree, unresolved = _resolved(config, locator)
     problems = (*problems, *unresolved)
     notes = gym.notes if gym is not None else ()
@@ -184,18 +190,20 @@ def _files(
     for_hydra: list[str],
     folders: Sequence[Path | None],
     gym: GymConfig | None,
-) -> list[ConfigFile]:
-    """The files of a config in the order of merging, without Hydra's own."""
+) -> tuple[list[ConfigFile], list[ConfigFile]]:
+    """The files of a config in the order of merging, and the user's files for Hydra itself."""
     files = [] if gym is None else [gym.file]
+    of_hydra: list[ConfigFile] = []
     for default in loader.compute_defaults_list(config_name, for_hydra, RunMode.RUN).defaults:
         name = default.config_path
-        if name is None or name.startswith("hydra/"):
+        if name is None:
             continue
         paths = [folder / f"{name}.yaml" for folder in folders if folder is not None]
         path = next((p for p in paths if p.is_file()), None)
         if path is not None:
-            files.append(ConfigFile.read(path, default.package or ""))
-    return files
+            kind = of_hydra if name.startswith("hydra/") else files
+            kind.append(ConfigFile.read(path, default.package or ""))
+    return files, of_hydra
 
 
 def _without_task(
@@ -207,7 +215,7 @@ def _without_task(
 ) -> Composed:
     """The values of the root with their overrides, for when task and groups cannot be composed."""
     values = [o for o in parsed.values if o.key_or_group.split(".")[0] != "task"]
-    locator = Locator(list, values)
+    locator = Locator((), values)
     tree: dict[str, Any] = {}
     with suppress(*COMPOSING):
         config = loader.load_configuration(config_name, ["~task"], RunMode.RUN)
@@ -240,6 +248,7 @@ _INSTANTIATE = ("_target_", "_recursive_", "_convert_", "_partial_", "_args_")
 def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, list[Problem]]:
     """A config as plain values without unresolvable keys, and a problem for each such key."""
     problems: list[Problem] = []
+    names = locator.names()
 
     def report(path: str, message: str) -> None:
         problems.append(Problem(path, message, source=locator.source(path)))
@@ -248,6 +257,8 @@ def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, lis
         found: dict[Any, Any] = {}
         for key in range(len(node)) if isinstance(node, ListConfig) else list(node):
             where = f"{path}.{key!s}" if path else str(key)
+            name = names.get(where, key)  # as written: `off`, not False
+            where = f"{path}.{name!s}" if path else str(name)
             if key in _INSTANTIATE:
                 report(where, f"{key} is not used here: name a function with func: NAME")
                 continue
@@ -262,7 +273,7 @@ def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, lis
                 report(where, f"cannot resolve {written[key]!r}: {reason}")
                 continue
             nested = isinstance(value, (DictConfig, ListConfig))
-            found[key] = plain(value, where) if nested else value
+            found[name] = plain(value, where) if nested else value
         if isinstance(node, ListConfig):
             return list(found.values())
         return {str(key): value for key, value in found.items()}
@@ -316,12 +327,13 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
         elif options := loader.get_group_options(override.key_or_group):
             problem = _check_option(override, options)
             if problem is None:
-                for_hydra.append(line)
+                for_hydra.append(_as_text(override, line, options))
             else:
                 broken.add(override.key_or_group)
                 problems.append(problem)
         else:
             values.append(override)
+            problems += _odd_keys(override.value(), override.key_or_group)
     return ParsedOverrides(tuple(for_hydra), tuple(values), frozenset(broken), tuple(problems))
 
 
@@ -393,10 +405,33 @@ def _malformed(line: str, error: HydraException) -> Problem:
     return Problem("", message, source=COMMAND_LINE)
 
 
+def _as_text(override: Override, line: str, options: list[str]) -> str:
+    """The choice of an option whose name is a number (``task=10``), with quotes for Hydra."""
+    key, _, name = line.partition("=")
+    quoted = isinstance(override.value(), int | float) and name in options
+    return f"{key}='{name}'" if quoted else line
+
+
+def _odd_keys(value: Any, path: str) -> Iterator[Problem]:
+    """A problem for each key of a typed map that is a flag or no whole number: ``{true: 1}``."""
+    if isinstance(value, list):
+        for i, item in enumerate(value):
+            yield from _odd_keys(item, f"{path}.{i}")
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            if key is None or isinstance(key, bool | float):
+                message = f"the key {show_value(key)} of a map is no text: put it in quotes"
+                yield Problem(f"{path}.{key}", message, source=COMMAND_LINE)
+            yield from _odd_keys(item, f"{path}.{key}")
+
+
 def _check_option(override: Override, options: list[str]) -> Problem | None:
     value = override.value()
     chosen = value if isinstance(value, list) else [value]
     if override.is_delete():
+        return None
+    typed = (override.input_line or "").partition("=")[2]
+    if isinstance(value, int | float) and typed in options:
         return None
     for option in chosen:
         name = "null" if option is None else str(option)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib.metadata
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from importlib import resources
 from pathlib import Path
@@ -27,8 +27,9 @@ from hydra.core.plugins import Plugins
 from hydra.errors import HydraException, MissingConfigException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
+from embodichain.config.defaults_lists import explain_defaults
 from embodichain.config.gymnasium_ids import CONFIG_MODULE, ENTRY_POINTS, LOCAL
-from embodichain.config.locate import COMMAND_LINE, display_path
+from embodichain.config.locate import COMMAND_LINE, ConfigFile, display_path
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -46,7 +47,7 @@ __all__ = [
 _BASE = "1.3"
 VERSION_BASE = {} if isinstance(version.getbase(), str) else {"version_base": _BASE}
 """Argument of `hydra.main`: the behaviour of Hydra 1.3, which 1.4 has without being asked."""
-COMPOSING = (HydraException, yaml.YAMLError, UnicodeDecodeError, OSError)
+COMPOSING = (HydraException, yaml.YAMLError, OSError, ValueError, RecursionError)
 """Exceptions that composing may raise because of the user's files."""
 _SHOWN_BY = {"task": "embodichain list tasks"}
 # Options that the packages of the extra `sweep` provide.
@@ -160,6 +161,11 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
     if isinstance(error, OSError) and not isinstance(error, HydraException):
         name = display_path(Path(str(error.filename)))
         return [Problem("", f"cannot be read: {error.strerror}", source=name)]
+    if isinstance(error, ValueError | RecursionError) and not isinstance(error, HydraException):
+        folders = _folders(loader)
+        circles = isinstance(error, RecursionError)
+        if found := explain_defaults(folders, circles=circles):
+            return found
     unchosen = re.search(r"You must specify '([^']+)'", str(error))
     if unchosen:
         return [_unchosen(unchosen[1], loader)]
@@ -171,6 +177,8 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
         message = f"an option is chosen already: write {group}=NAME, without +"
         return [Problem(group, message, source=COMMAND_LINE)]
     cause = error.__cause__ or error
+    if "Incompatible key type 'NoneType'" in str(cause) and (keys := _null_keys(loader)):
+        return keys
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
     key = next((line[9:].strip() for line in lines if line.startswith("full_key:")), "")
     text = lines[0] if lines else type(cause).__name__
@@ -214,10 +222,28 @@ def _no_such_config(error: MissingConfigException, loader: ConfigLoader) -> Prob
     return Problem(group, message, did_you_mean(option, options).strip(), COMMAND_LINE)
 
 
+def _folders(loader: ConfigLoader) -> list[Path]:
+    """The folders that are searched, without Hydra's own."""
+    sources = [folder_of_source(source.scheme(), source.path) for source in loader.get_sources()]
+    return [folder for folder in sources if folder is not None]
+
+
+def _null_keys(loader: ConfigLoader) -> list[Problem]:
+    """The keys that are null, in all files of the search path: the error does not name the file."""
+    found: list[Problem] = []
+    for folder in _folders(loader):
+        for path in sorted(folder.rglob("*.yaml")):
+            with suppress(yaml.YAMLError, UnicodeDecodeError):  # another file than that one
+                package = path.parent.relative_to(folder).as_posix().replace("/", ".").strip(".")
+                file = ConfigFile.read(path, package)
+                null = {m.path for m in file.misread if m.read.rpartition(".")[2] == "None"}
+                found += [problem for problem in file.problems() if problem.path in null]
+    return found
+
+
 def _not_utf8(loader: ConfigLoader) -> list[str]:
     """The files of the search path that are not UTF-8: the error does not name the file."""
-    folders = [folder_of_source(source.scheme(), source.path) for source in loader.get_sources()]
-    paths = [path for folder in folders if folder for path in sorted(folder.rglob("*.yaml"))]
+    paths = [path for folder in _folders(loader) for path in sorted(folder.rglob("*.yaml"))]
     return [display_path(path) for path in paths if not _is_utf8(path)]
 
 
