@@ -30,8 +30,10 @@ from embodichain.config.hydra_loader import (
     explain,
     explain_yaml,
     folder_of_source,
+    own_folder,
 )
 from embodichain.config.locate import COMMAND_LINE, ConfigFile, Locator
+from embodichain.config.removed_entries import remove_null_entries
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.type_errors import show_value
@@ -131,6 +133,7 @@ def compose(
         return _without_task(loader, config_name, lines, parsed, [explain_yaml(error)])
     OmegaConf.set_struct(config, False)
     del config["hydra"]
+    files = [*_complete_options(config, files), *files]
     if gym is not None:
         choices["task"] = gym.name
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
@@ -138,7 +141,8 @@ def compose(
     locator = Locator(files, parsed.values)
     problems += tuple(p for file in (*files, *of_hydra) for p in file.problems())
     tree, unresolved = _resolved(config, locator)
-    problems = (*problems, *unresolved)
+    tree, kept = remove_null_entries(tree, locator.gives)
+    problems = (*problems, *unresolved, *(p.at(locator.source(p.path)) for p in kept))
     notes = gym.notes if gym is not None else ()
     return Composed(config_name, lines, tree, choices, locator, problems, notes=notes)
 
@@ -204,6 +208,23 @@ def _files(
             kind = of_hydra if name.startswith("hydra/") else files
             kind.append(ConfigFile.read(path, default.package or ""))
     return files, of_hydra
+
+
+_WHOLE_OPTIONS = {"sim": "default", "record": "mcap", "viewer": "none"}
+"""Group -> the option of this package over which options of users are merged."""
+
+
+def _complete_options(config: DictConfig, files: Sequence[ConfigFile]) -> list[ConfigFile]:
+    """Merge users' options of groups over the package's, in place; return the files below them."""
+    own = own_folder()
+    below: list[ConfigFile] = []
+    for group, option in _WHOLE_OPTIONS.items():
+        theirs = [f for f in files if f.package == group and not f.path.is_relative_to(own)]
+        path = own / group / f"{option}.yaml"
+        if theirs and isinstance(config.get(group), DictConfig):
+            config[group] = OmegaConf.merge(OmegaConf.load(path), config[group])
+            below.append(ConfigFile.read(path, group))
+    return below
 
 
 def _without_task(

@@ -41,6 +41,7 @@ __all__ = [
     "explain",
     "explain_yaml",
     "folder_of_source",
+    "own_folder",
     "user_configs",
 ]
 
@@ -122,7 +123,7 @@ class EmbodichainSearchPath(SearchPathPlugin):
         paths = [element.path or "" for element in search_path.get_path()]
         if f"pkg://{CONFIG_MODULE}" not in paths:
             return
-        own = _folder_of(CONFIG_MODULE).resolve()
+        own = own_folder()
         for provider, folder in (
             ("./conf", Path(LOCAL).resolve()),
             ("--config-dir", _config_dir.get()),
@@ -141,6 +142,11 @@ def folder_of_source(scheme: str, path: str) -> Path | None:
     if scheme == "file":
         return Path(path)
     return _folder_of(path) if scheme == "pkg" and not path.startswith("hydra") else None
+
+
+def own_folder() -> Path:
+    """Return the folder of this package's groups."""
+    return _folder_of(CONFIG_MODULE).resolve()
 
 
 def _folder_of(module: str) -> Path:

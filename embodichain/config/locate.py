@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TextIO
 import yaml
 from hydra.core.override_parser.types import Override
 
-from embodichain.config.yaml_words import Misread, compose_nodes, misread, scalar_text
+from embodichain.config.yaml_words import Misread, compose_nodes, misread, node_kind, scalar_text
 from embodichain.utils.errors import Problem
 
 __all__ = ["COMMAND_LINE", "ConfigFile", "KeyPlace", "Locator", "display_path"]
@@ -29,7 +29,7 @@ class KeyPlace(NamedTuple):
 
     Attributes:
         line: Its line, from 1.
-        kind: Whether its value is a ``map``, a ``list`` or a ``scalar``.
+        kind: Whether its value is a ``map``, a ``list``, ``null`` or another ``scalar``.
         text: A flag, number or interpolation as written, else empty.
     """
 
@@ -91,7 +91,8 @@ class ConfigFile:
         """
         for depth in range(len(parts), -1, -1):
             place = self.keys.get(".".join(parts[:depth]))
-            if place is not None and (place.kind != "scalar" or depth == len(parts)):
+            leaf = place is not None and place.kind in ("scalar", "null")
+            if place is not None and (not leaf or depth == len(parts)):
                 return depth, place.line
         return 0, 0
 
@@ -112,11 +113,9 @@ def _keys_below(node: yaml.Node, prefix: str) -> Iterator[tuple[str, KeyPlace]]:
             if isinstance(part, yaml.MappingNode):
                 entries = {str(k.value): (k, v) for k, v in part.value} | entries
     for name, (key, value) in entries.items():
-        kinds: dict[type, str] = {yaml.MappingNode: "map", yaml.SequenceNode: "list"}
-        kind = kinds.get(type(value), "scalar")
         interpolated = isinstance(value, yaml.ScalarNode) and "${" in value.value
         text = str(value.value) if interpolated else scalar_text(value)
-        place = KeyPlace(key.start_mark.line + 1, kind, text)
+        place = KeyPlace(key.start_mark.line + 1, node_kind(value), text)
         yield f"{prefix}{name}", place
         yield from _keys_below(value, f"{prefix}{name}.")
 
@@ -202,6 +201,19 @@ class Locator:
         """Return the names that files write otherwise: the config's key path -> the name there."""
         return {m.read: m.name for file in self.files for m in file.misread if m.read}
 
+    def gives(self, path: str) -> bool:
+        """Whether a file or override sets this key, or one below it, to something but null."""
+        parts = path.split(".")
+        if any(path in file.keys and file.keys[path].kind != "null" for file in self.files):
+            return True
+        for override in self.overrides:
+            depth = _depth_of_override(override, parts)
+            if depth == len(parts) - 0.5:
+                return True
+            if depth == len(parts) and _value_below(override, parts) is not None:
+                return True
+        return False
+
     def chosen(self, path: str, package: str) -> bool:
         """Whether a file or override, other than the group option at `package`, sets this key."""
         parts = path.split(".")
@@ -217,16 +229,30 @@ def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
     common = len(commonprefix([key, list(parts)]))
     if common < len(key):
         return max(0.0, common - 0.5)
+    return (
+        len(parts) if override.is_delete() else len(key) + len(_walk(override, parts[len(key) :]))
+    )
+
+
+def _value_below(override: Override, parts: list[str]) -> Any:
+    """What an override sets a path to; None for null and for a deletion."""
     if override.is_delete():
-        return len(parts)
+        return None
+    depth = len(override.key_or_group.replace("[", ".").replace("]", "").split("."))
+    values = [override.value(), *_walk(override, parts[depth:])]
+    return values[-1]
+
+
+def _walk(override: Override, parts: Sequence[str]) -> list[Any]:
+    """The values of an override's value along a path, as far as it has them."""
     value: Any = override.value()
-    depth = len(key)
-    for part in parts[depth:]:
+    found: list[Any] = []
+    for part in parts:
         if isinstance(value, dict) and part in value:
             value = value[part]
         elif isinstance(value, list) and part.isdigit() and int(part) < len(value):
             value = value[int(part)]
         else:
             break
-        depth += 1
-    return depth
+        found.append(value)
+    return found

@@ -86,7 +86,8 @@ def check(composed: Composed, verb: Verb) -> Check:
     """Check a whole composed config, with the task's suggestions for a verb."""
     unknown: list[Problem] = []
     if composed.usable:
-        unknown = _unknown_entries(composed)
+        said = {problem.path for problem in composed.problems}
+        unknown = [p for p in _unknown_entries(composed) if p.path not in said]
         misread = composed.locator.misread()
         wrong = [p.path for p in (*composed.problems, *unknown)]
         lost = [path for path in wrong if path not in misread]

@@ -1,8 +1,8 @@
 """Words and numbers that YAML 1.1 does not read as they are written: `on`, `012`, `1:30`.
 
 Hydra reads YAML 1.1. There `on`, `off`, `yes` and `no` are flags, `012` is 10 in base 8, `1:30` is
-90 in base 60, and ``1e3`` is a number. Flags and ``1e3`` stay what they are where a flag or a number
-is expected; as keys, and as numbers in another base, they are refused.
+90 in base 60, and ``1e3`` is a number. Flags and ``1e3`` stay what they are where a flag or a
+number is expected; as keys, and as numbers in another base, they are refused.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import yaml
 from omegaconf._utils import get_yaml_loader
 from yaml.constructor import SafeConstructor
 
-__all__ = ["Misread", "compose_nodes", "misread", "quoting", "read_name", "scalar_text"]
+__all__ = ["Misread", "compose_nodes", "misread", "node_kind", "quoting", "scalar_text"]
 
 _NULL = "tag:yaml.org,2002:null"
 _MERGE = "tag:yaml.org,2002:merge"
@@ -58,15 +58,17 @@ def compose_nodes(stream: str | TextIO) -> yaml.Node | None:
     return found
 
 
-def read_name(key: yaml.Node) -> str:
-    """Return the name that a config has for a key."""
-    return str(_value(key)) if key.tag in _SCALARS else str(key.value)
-
-
 def scalar_text(node: yaml.Node) -> str:
     """Return a flag or a number as written; empty for anything else."""
     scalar = isinstance(node, yaml.ScalarNode) and node.tag in _SCALARS - {_NULL}
     return str(node.value) if scalar else ""
+
+
+def node_kind(node: yaml.Node) -> str:
+    """Return whether a node is a ``map``, a ``list``, ``null`` or another ``scalar``."""
+    if isinstance(node, yaml.ScalarNode):
+        return "null" if node.tag == _NULL else "scalar"
+    return "list" if isinstance(node, yaml.SequenceNode) else "map"
 
 
 def quoting(text: str) -> str:
@@ -108,7 +110,7 @@ def _misread_below(node: yaml.Node, prefix: str, seen: set[int]) -> Iterator[Mis
 def _misread_key(key: yaml.Node, prefix: str) -> Iterator[Misread]:
     if key.tag not in _SCALARS:
         return
-    text, read = str(key.value), read_name(key)
+    text, read = str(key.value), str(_value(key))
     if read == text and not isinstance(_value(key), bool):
         return
     if not text:
