@@ -24,6 +24,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from embodichain.config.algorithms import DEFAULT_ALGORITHM
+from embodichain.config.given_last import keep_last_given
 from embodichain.config.hydra_loader import (
     COMPOSING,
     config_loader,
@@ -142,6 +143,7 @@ def compose(
     problems += tuple(p for file in (*files, *of_hydra) for p in file.problems())
     tree, unresolved = _resolved(config, locator)
     tree, kept = remove_null_entries(tree, locator.gives)
+    kept += keep_last_given(tree, locator.rank)
     problems = (*problems, *unresolved, *(p.at(locator.source(p.path)) for p in kept))
     notes = gym.notes if gym is not None else ()
     return Composed(config_name, lines, tree, choices, locator, problems, notes=notes)

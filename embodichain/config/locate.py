@@ -214,6 +214,16 @@ class Locator:
                 return True
         return False
 
+    def rank(self, path: str) -> int:
+        """Return the number of the last file or override that sets exactly this key; -1 is none.
+
+        They are numbered in the order in which they are merged, files before overrides.
+        """
+        parts = path.split(".")
+        set_here = [path in file.keys for file in self.files]
+        set_here += [_depth_of_override(one, parts) == len(parts) for one in self.overrides]
+        return max((i for i, given in enumerate(set_here) if given), default=-1)
+
     def chosen(self, path: str, package: str) -> bool:
         """Whether a file or override, other than the group option at `package`, sets this key."""
         parts = path.split(".")
@@ -229,9 +239,9 @@ def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
     common = len(commonprefix([key, list(parts)]))
     if common < len(key):
         return max(0.0, common - 0.5)
-    return (
-        len(parts) if override.is_delete() else len(key) + len(_walk(override, parts[len(key) :]))
-    )
+    if override.is_delete():
+        return len(parts)
+    return len(key) + len(_walk(override, parts[len(key) :]))
 
 
 def _value_below(override: Override, parts: list[str]) -> Any:

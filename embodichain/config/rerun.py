@@ -17,8 +17,9 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 
 from embodichain.config.composed import ParsedOverrides, apply_values, parse
+from embodichain.config.given_last import keep_last_given
 from embodichain.config.hydra_loader import config_loader
-from embodichain.config.locate import COMMAND_LINE
+from embodichain.config.locate import COMMAND_LINE, Locator
 from embodichain.config.removed_entries import remove_null_entries
 from embodichain.config.resolved import Resolved, resolve_tree
 from embodichain.config.run_folder import CONFIG, SUMMARY
@@ -64,6 +65,7 @@ def resolve_again(
         raise ConfigError(problems)
     changed: Any = OmegaConf.to_container(config, resolve=True)
     changed, problems = remove_null_entries(changed, lambda path: _gives(tree, path))
+    problems += keep_last_given(changed, Locator((), parsed.values).rank)
     if problems:
         raise ConfigError(problem.at(COMMAND_LINE) for problem in problems)
     try:

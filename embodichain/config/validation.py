@@ -48,8 +48,6 @@ __all__ = ["Check", "check", "check_training_keys", "check_tree", "validate"]
 Chosen = Callable[[str, str], bool]
 """``chosen(path, package)``: whether a key was set outside the group option at `package`."""
 
-_SAME = {"episode_length_s": "max_episode_steps", "decimation": "sim_steps_per_control"}
-"""Task keys that override another key if set, see `EnvCfg`."""
 _FLAGS = {"on": "true", "yes": "true", "off": "false", "no": "false"}
 _ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\.(uid|fpath))?)?")
 """If such a key was pruned, references to entities may fail without being wrong."""
@@ -91,7 +89,6 @@ def check(composed: Composed, verb: Verb) -> Check:
         misread = composed.locator.misread()
         wrong = [p.path for p in (*composed.problems, *unknown)]
         lost = [path for path in wrong if path not in misread]
-        unknown += _said_twice(composed)
         chosen = composed.locator.chosen
         found = check_tree(composed.tree, composed.source, verb, chosen=chosen, lost=lost)
         numbers = composed.locator.misread(keys=False)
@@ -229,19 +226,6 @@ def check_training_keys(root: RootCfg) -> list[Problem]:
     if root.seed is not None and root.seed > LARGEST_TRAINING_SEED:
         message = f"training needs a seed from 0 to {LARGEST_TRAINING_SEED}, got {root.seed}"
         problems.append(Problem("seed", message))
-    return problems
-
-
-def _said_twice(composed: Composed) -> list[Problem]:
-    """A problem for each pair of keys that set the same value: one of them would be ignored."""
-    task = composed.tree.get("task")
-    problems = []
-    for name, other in _SAME.items():
-        given = isinstance(task, dict) and task.get(name) is not None
-        if given and composed.locator.chosen(f"task.{other}", ""):
-            back = f"task.{name}=null"
-            message = f"task.{name} says it as well; set one of them ({back} takes it back)"
-            problems.append(Problem(f"task.{other}", message))
     return problems
 
 
