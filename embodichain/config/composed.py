@@ -27,13 +27,18 @@ from embodichain.config.algorithms import DEFAULT_ALGORITHM
 from embodichain.config.given_last import keep_last_given
 from embodichain.config.hydra_loader import (
     COMPOSING,
+    SEARCH_PATH,
     config_loader,
     explain,
     explain_yaml,
     folder_of_source,
     own_folder,
+    register_resolvers,
+    search_path_of,
+    searched,
 )
 from embodichain.config.locate import COMMAND_LINE, ConfigFile, Locator
+from embodichain.config.override_text import readable
 from embodichain.config.removed_entries import remove_null_entries
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -52,8 +57,10 @@ __all__ = [
     "list_options",
     "parse",
     "relax",
+    "search_path",
 ]
 
+_FOLDERS = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 WITHOUT_TASK = "~task"
 """The override that composes a config with no option of the group `task`."""
 
@@ -109,8 +116,11 @@ def compose(
         ConfigError: `config_dir` does not exist.
     """
     lines = tuple(overrides)
-    with config_loader(config_dir) as loader:
+    places, wrong = search_path(lines)
+    register_resolvers()
+    with searched(places), config_loader(config_dir) as loader:
         parsed = parse(lines, loader)
+        parsed = replace(parsed, problems=(*wrong, *parsed.problems))
         gym, parsed = _gym_config(parsed)
         if gym is None and WITHOUT_TASK in parsed.for_hydra:
             return _without_task(loader, config_name, lines, parsed, [])
@@ -157,7 +167,8 @@ def from_hydra() -> Composed:
     """
     job = HydraConfig.get()
     sources = [s.path for s in job.runtime.config_sources if s.provider == "--config-dir"]
-    lines = [*job.overrides.hydra, *job.overrides.task]
+    typed: Any = OmegaConf.to_container(job.overrides, resolve=False)  # not what they refer to
+    lines = [*typed["hydra"], *typed["task"]]
     return compose(lines, job.job.config_name or "run", sources[0] if sources else None)
 
 
@@ -333,18 +344,24 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
     values: list[Override] = []
     broken: set[str] = set()
     problems: list[Problem] = []
-    for line in lines:
+    for typed in lines:
+        line = readable(typed)
         try:
             override = parser.parse_override(line)
         except HydraException as error:
-            problems.append(_malformed(line, error))
+            problems.append(_malformed(typed, error))
             continue
         if not override.key_or_group:
             problems.append(_malformed(line, HydraException("the key is missing")))
         elif override.is_sweep_override():
             key = override.key_or_group
-            message = f"{line!r} is a sweep: add -m to run every value, or write {key}=[...] for a "
-            problems.append(Problem(key, f"{message}list", source=COMMAND_LINE))
+            message = f"{typed!r} is a sweep: add -m to run every value, or write {key}=[...]"
+            problems.append(Problem(key, f"{message} for a list", source=COMMAND_LINE))
+        elif override.key_or_group == SEARCH_PATH:
+            continue  # searched already, see `search_path`
+        elif override.key_or_group in _FOLDERS and not _is_folder(override.value()):
+            message = f"expected the name of a folder, got {show_value(override.value())}"
+            problems.append(Problem(override.key_or_group, message, source=COMMAND_LINE))
         elif _is_hydras(override):
             for_hydra.append(line)
         elif options := loader.get_group_options(override.key_or_group):
@@ -360,6 +377,22 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
     return ParsedOverrides(tuple(for_hydra), tuple(values), frozenset(broken), tuple(problems))
 
 
+def search_path(lines: Iterable[str]) -> tuple[list[str], list[Problem]]:
+    """Return the places that ``hydra.searchpath=[...]`` names, and what is wrong in it.
+
+    Args:
+        lines: Overrides, as typed; the last one counts.
+    """
+    found = [line for line in lines if line.lstrip("+~").partition("=")[0] == SEARCH_PATH]
+    if not found:
+        return [], []
+    try:
+        override = OverridesParser.create().parse_override(readable(found[-1]))
+    except HydraException as error:
+        return [], [_malformed(found[-1], error)]
+    return search_path_of(override)
+
+
 def relax(lines: Iterable[str], loader: ConfigLoader) -> list[str]:
     """Write ``key=value`` as ``++key=value``, for Hydra's own `main`.
 
@@ -368,7 +401,7 @@ def relax(lines: Iterable[str], loader: ConfigLoader) -> list[str]:
     """
     parser = OverridesParser.create()
     relaxed: list[str] = []
-    for line in lines:
+    for line in map(readable, lines):
         try:
             override = parser.parse_override(line)
         except HydraException:
@@ -417,6 +450,10 @@ def _delete(config: DictConfig, key: str) -> None:
     del parent[name]
 
 
+def _is_folder(value: Any) -> bool:
+    return isinstance(value, str | int | float) and str(value).strip() != ""
+
+
 def _is_hydras(override: Override) -> bool:
     key = override.key_or_group
     return key == "hydra" or key.startswith(("hydra.", "hydra/"))
@@ -424,6 +461,8 @@ def _is_hydras(override: Override) -> bool:
 
 def _malformed(line: str, error: HydraException) -> Problem:
     reason = str(error).splitlines()[0]
+    if not line.partition("=")[0].isascii():
+        reason = "names of keys are of ASCII letters here; others can be written in a file"
     message = f"malformed override {line!r}: {reason}; expected key=value, +key=value or ~key"
     return Problem("", message, source=COMMAND_LINE)
 
@@ -443,8 +482,9 @@ def _odd_keys(value: Any, path: str) -> Iterator[Problem]:
     elif isinstance(value, dict):
         for key, item in value.items():
             if key is None or isinstance(key, bool | float):
-                message = f"the key {show_value(key)} of a map is no text: put it in quotes"
-                yield Problem(f"{path}.{key}", message, source=COMMAND_LINE)
+                where = f"{path}.{show_value(key)}"
+                message = f"the key {show_value(key)} is read as no text: write +{where}.KEY=VALUE"
+                yield Problem(where, message, source=COMMAND_LINE)
             yield from _odd_keys(item, f"{path}.{key}")
 
 

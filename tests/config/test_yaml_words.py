@@ -134,7 +134,8 @@ def test_the_command_line(write_task: WriteTask) -> None:
         "task.ignore_terminations=false."
     ]
     assert said("+task.metrics={true: {func: distance}}")[0] == (
-        "command line: task.metrics.True: the key true of a map is no text: put it in quotes"
+        "command line: task.metrics.true: the key true is read as no text: write "
+        "+task.metrics.true.KEY=VALUE"
     )
 
 
