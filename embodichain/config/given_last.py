@@ -28,7 +28,7 @@ def keep_last_given(tree: dict[str, Any], rank: Callable[[str], int]) -> list[Pr
     Returns:
         A problem for each pair that one file or override sets.
     """
-    task = tree.get("task")
+    task: Any = tree.get("task")
     problems: list[Problem] = []
     for name, other in _SAME.items() if isinstance(task, dict) else ():
         if task.get(name) is None or other not in task:
