@@ -359,7 +359,7 @@ BAD = {
         "horizontal_range, horizontal_count, vertical_range, vertical_count. Did you mean "
         "'horizontal_count'?",
         "command line: task.sensors.touch.agianst: unknown key; allowed: sensor_type, uid, "
-        "entity_cfg, observe, rate, against. Did you mean 'against'?",
+        "entity_cfg, observe, rate, against, history_length. Did you mean 'against'?",
         "command line: task.sensors.touch.entity_cfg.uid: no entity is called 'bal'; there are: "
         "arm, ball, box. Did you mean 'ball'?",
         overrides=(
