@@ -82,3 +82,12 @@ def test_a_search_path_of_jobs(empty_cwd: Path) -> None:
     sweep = ("-m", "seed=0,1", "hydra.sweep.dir=s", "hydra/launcher=basic")
     assert main(["run", "task=theirs", *SHORT[1:], *words, *sweep]) == 0
     assert sorted(path.parent.name for path in Path("s").glob("*/summary.json")) == ["0", "1"]
+
+
+@pytest.mark.parametrize("words", [("train",), ("collect",)])
+def test_other_letters_in_a_run_that_goes_on(
+    empty_cwd: Path, capsys: pytest.CaptureFixture, words: tuple[str, ...]
+) -> None:
+    assert main([*words, "resume=/data/jörg/run=1"]) == 2
+    said = capsys.readouterr().err
+    assert "/data/jörg/run=1" in said and "Lexer" not in said and "malformed" not in said

@@ -180,3 +180,11 @@ def test_a_number_from_the_environment(
     assert said("max_steps=${oc.env:STEPS,40}")[1] == f"command line: max_steps: {message}"
     write_task("max_episode_steps: 50", "max_episode_steps: ${oc.decode:${oc.env:STEPS,40}}")
     assert said() == []
+
+
+def test_a_gym_config(empty_cwd: Path) -> None:
+    Path("gym.yaml").write_text("id: Own-v1\nenv:\n  events: {}\n  extensions: {off: 1, a: 012}\n")
+    said = [str(p) for p in validate_file("gym.yaml")]
+    key, number = "env.extensions.off", "env.extensions.a"
+    assert any(line.startswith(f"gym.yaml:4: {key}: YAML 1.1 reads the key off") for line in said)
+    assert any(line.startswith(f"gym.yaml:4: {number}: YAML 1.1 reads 012 as 10") for line in said)
