@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import os
 import re
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -86,6 +87,11 @@ Examples:
   embodichain list tasks
 
 {_EXIT_CODES}"""
+_ROOT_KEYS = (
+    *EVERYDAY_KEYS,
+    *("algo", "video", "resume", "dataset", "scene_png", "allow_changed", "experiment"),
+)
+"""Keys that are flags of other tools."""
 _QUICK_START = ("run", "run-env", "train")
 """Verbs that call `process.started` once their start-up is over."""
 _COMPLETE = "_EMBODICHAIN_COMPLETE"
@@ -270,9 +276,35 @@ def call(arguments: list[str]) -> int:
         verbs = ", ".join(VERBS)
         message = f"no such verb: '{error.command_name}'.{hint} There are: {verbs}."
         raise ConfigError(message) from error
+    except click.NoSuchOption as error:
+        raise ConfigError(_instead_of_flag(error, arguments)) from error
     except click.UsageError as error:
         program = error.ctx.command_path if error.ctx is not None else "embodichain"
         raise ConfigError(f"{error.format_message()}\nTry '{program} --help'.") from error
+
+
+def _instead_of_flag(error: click.NoSuchOption, arguments: list[str]) -> str:
+    """The message about an unknown option; for ``--num_envs 4`` it says to type ``num_envs=4``."""
+    program = error.ctx.command_path if error.ctx is not None else "embodichain"
+    message = f"{error.format_message()}\nTry '{program} --help'."
+    command = error.ctx.command if error.ctx is not None else None
+    if not (isinstance(command, Verb) and command.keys) or not error.option_name.startswith("--"):
+        return message
+    typed = error.option_name.removeprefix("--")
+    key = typed.replace("-", "_")
+    if key not in _ROOT_KEYS and "." not in key:
+        return message
+    place = next(i for i, word in enumerate(arguments) if word.partition("=")[0] == f"--{typed}")
+    value = arguments[place].partition("=")[2]
+    after = arguments[place + 1 : place + 2]
+    if not value and after and "=" not in after[0] and not after[0].startswith("-"):
+        value = after[0]
+    return f"there is no option --{typed}: write {key}={value or _example(key)}, without dashes"
+
+
+def _example(key: str) -> str:
+    """What to write for a key whose value was not typed: flags of other tools have none."""
+    return "NAME" if key in ("task", "policy", "device") else "VALUE"
 
 
 @contextmanager
@@ -452,12 +484,55 @@ def split_overrides(words: tuple[str, ...]) -> list[str]:
     """Return words as overrides; a word without ``=`` is the name of the task.
 
     Raises:
-        ConfigError: More than one bare word.
+        ConfigError: More than one bare word, or a map or list that the shell has split.
     """
+    _check_quotes(words)
     bare = [word for word in words if "=" not in word and not word.startswith("~")]
     if len(bare) > 1:
         raise ConfigError(f"one task at a time: {', '.join(bare)}. Values are given as key=value")
     return [*(f"task={word}" for word in bare), *(word for word in words if word not in bare)]
+
+
+def _check_quotes(words: tuple[str, ...]) -> None:
+    """Refuse ``KEY={func: NAME}`` without quotes, of which a shell makes two words."""
+    for i, word in enumerate(words):
+        if "=" not in word or not _open_brackets(word):
+            continue
+        whole = word
+        for following in words[i + 1 :]:
+            whole += f" {following}"
+            if not _open_brackets(whole):
+                key = word.lstrip("+").partition("=")[0]
+                new = "" if word.startswith("+") else f"; a new entry is +{key}=..."
+                raise ConfigError(f"put quotes around it for your shell: {_quoted(whole)}{new}")
+        raise ConfigError(f"{word!r} has a bracket without its other one")
+
+
+def _quoted(word: str) -> str:
+    """Return a word in quotes for a shell, double ones if it has single ones."""
+    double = "'" in word and not set(word) & set('"$`\\')
+    return f'"{word}"' if double else shlex.quote(word)
+
+
+def _open_brackets(text: str) -> bool:
+    """Whether brackets or quotes of a text are open at its end."""
+    closing = {"{": "}", "[": "]", "(": ")"}
+    wanted: list[str] = []
+    quote, escaped = "", False
+    for sign in text.partition("=")[2]:
+        if escaped:
+            escaped = False
+        elif sign == "\\":
+            escaped = True
+        elif quote:
+            quote = "" if sign == quote else quote
+        elif sign in "'\"":
+            quote = sign
+        elif sign in closing:
+            wanted.append(closing[sign])
+        elif wanted and sign == wanted[-1]:
+            wanted.pop()
+    return bool(wanted)
 
 
 def pair(option: str, text: str, form: str) -> tuple[int, int]:

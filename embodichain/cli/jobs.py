@@ -239,8 +239,9 @@ def start(verb: Verb, body: Body, options: Any) -> None:
         ConfigError: Wrong flags, or mistakes in the config of any job; no job was started.
     """
     from embodichain.config.composed import compose
+    from embodichain.config.override_text import readable
 
-    overrides = [*split_overrides(options.words), *job_options(options)]
+    overrides = [*map(readable, split_overrides(options.words)), *job_options(options)]
     if options.gym_config is not None:
         from embodichain.config.gym_config import override_of
 

@@ -49,8 +49,10 @@ def parsed_changes(
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import OverrideParseException
 
+    from embodichain.config.override_text import readable
+
     try:
-        parsed = OverridesParser.create().parse_overrides(list(overrides))
+        parsed = OverridesParser.create().parse_overrides([*map(readable, overrides)])
     except OverrideParseException as error:
         raise ConfigError(str(error)) from error
     wrong = [o.input_line or "" for o in parsed if o.is_delete() or o.is_sweep_override()]

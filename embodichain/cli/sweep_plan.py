@@ -12,23 +12,31 @@ from math import prod
 from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.utils import setup_globals
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from embodichain.config.composed import relax
-from embodichain.config.hydra_loader import COMPOSING, config_loader, explain
+from embodichain.config.composed import relax, search_path
+from embodichain.config.hydra_loader import (
+    COMPOSING,
+    SEARCH_PATH,
+    config_loader,
+    explain,
+    register_resolvers,
+    searched,
+)
+from embodichain.config.override_text import readable
 from embodichain.config.resolved import Resolved
 from embodichain.config.schema import Verb
 from embodichain.lab.sim.engine.mujoco_process import all_cores
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Plan", "plan_sweep", "swept_keys"]
+__all__ = ["Plan", "composed_for_hydra", "plan_sweep", "swept_keys", "with_sweepers_params"]
 
 LAUNCHER = "hydra/launcher"
 CLUSTERS = ("slurm", "ray")
 """Launchers that start jobs on other machines, each with its own number of cores."""
 _FOLDER = "hydra.sweep.dir"
+_PARAMS = "hydra.sweeper.params"
 _AT_ONCE = "joblib"
 _ONE_BY_ONE = "basic"
 
@@ -59,6 +67,48 @@ class Plan:
         return self.launcher != _ONE_BY_ONE
 
 
+def with_sweepers_params(verb: Verb, overrides: Sequence[str]) -> list[str]:
+    """Write `hydra.sweeper.params` of files as overrides, so that they are checked like these.
+
+    Typed overrides of the same keys win.
+
+    Args:
+        verb: The verb of the jobs.
+        overrides: As typed, with sweeps.
+
+    Raises:
+        ConfigError: The overrides of Hydra's own keys are wrong.
+    """
+    lines = list(overrides)
+    params = composed_for_hydra(verb, lines).hydra.sweeper.get("params") or {}
+    typed = {line.lstrip("+~").partition("=")[0] for line in lines}
+    rest = {str(key).lstrip("+"): value for key, value in params.items()}
+    found = [readable(f"{key}={value}") for key, value in rest.items() if key not in typed]
+    return [*lines, *found, f"{_PARAMS}=null"] if rest else lines
+
+
+def composed_for_hydra(
+    verb: Verb, lines: Sequence[str], mode: RunMode = RunMode.MULTIRUN
+) -> DictConfig:
+    """Return a config with Hydra's own node, composed as Hydra's `main` does.
+
+    Args:
+        verb: The verb of the jobs.
+        lines: Overrides as typed.
+        mode: Whether it is a sweep.
+
+    Raises:
+        ConfigError: It cannot be composed.
+    """
+    register_resolvers()  # such as `now`
+    with searched(search_path(lines)[0]), config_loader() as loader:
+        others = [line for line in lines if not line.lstrip("+").startswith(SEARCH_PATH)]
+        try:
+            return loader.load_configuration(verb, relax(others, loader), mode)
+        except COMPOSING as error:
+            raise ConfigError(explain(error, loader)) from error
+
+
 def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
     """Decide how a sweep is run.
 
@@ -71,31 +121,23 @@ def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
         ConfigError: The overrides of Hydra's own keys are wrong.
     """
     lines = list(overrides)
-    setup_globals()  # resolvers such as `now`
     with config_loader() as loader:
         installed = loader.get_group_options(LAUNCHER)
-
-        def composed() -> DictConfig:
-            try:
-                return loader.load_configuration(verb, relax(lines, loader), RunMode.MULTIRUN)
-            except COMPOSING as error:
-                raise ConfigError(explain(error, loader)) from error
-
-        config = composed()
-        cores = all_cores()
-        jobs = _jobs(config, lines)
-        most = min(jobs, _batch(config, jobs))
-        launcher = str(config.hydra.runtime.choices[LAUNCHER])
-        chosen = launcher != _ONE_BY_ONE or any(
-            line.lstrip("+").partition("=")[0] == LAUNCHER for line in lines
-        )
-        sim = first.tree["sim"]
-        alone = (sim["engine"], sim["backend"]) != ("mujoco", "local")
-        alone = alone or first.tree["viewer"]["name"] != "none"
-        if not chosen and not alone and min(cores, most) > 1 and _AT_ONCE in installed:
-            launcher = _AT_ONCE
-            lines.append(f"{LAUNCHER}={launcher}")
-            config = composed()
+    config = composed_for_hydra(verb, lines)
+    cores = all_cores()
+    jobs = _jobs(config, lines)
+    most = min(jobs, _batch(config, jobs))
+    launcher = str(config.hydra.runtime.choices[LAUNCHER])
+    chosen = launcher != _ONE_BY_ONE or any(
+        line.lstrip("+").partition("=")[0] == LAUNCHER for line in lines
+    )
+    sim = first.tree["sim"]
+    alone = (sim["engine"], sim["backend"]) != ("mujoco", "local")
+    alone = alone or first.tree["viewer"]["name"] != "none"
+    if not chosen and not alone and min(cores, most) > 1 and _AT_ONCE in installed:
+        launcher = _AT_ONCE
+        lines.append(f"{LAUNCHER}={launcher}")
+        config = composed_for_hydra(verb, lines)
     note = ""
     if launcher != _ONE_BY_ONE:
         at_once, threads = _shares(config, launcher, cores, most)
@@ -105,10 +147,12 @@ def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
             threads = int(first.tree["sim"]["num_threads"])
         note = _note(jobs, at_once, threads, launcher)
     folder = str(config.hydra.sweep.dir)
+    if Path(folder).is_file():
+        raise ConfigError([Problem(_FOLDER, f"{folder} is a file: name a folder")])
     quoted = folder.replace("\\", "\\\\").replace("'", "\\'")
     lines = [line for line in lines if line.lstrip("+").partition("=")[0] != _FOLDER]
     lines.append(f"{_FOLDER}='{quoted}'")
-    keys = (*swept_keys(lines), *_searched(config))
+    keys = tuple(swept_keys(lines))
     return Plan(tuple(lines), Path(folder), keys, launcher, jobs, note)
 
 
@@ -122,19 +166,11 @@ def swept_keys(overrides: Sequence[str]) -> list[str]:
     return [override.key_or_group for override in parsed if override.is_sweep_override()]
 
 
-def _searched(config: DictConfig) -> list[str]:
-    """Keys with several values in the sweeper's config."""
-    params = config.hydra.sweeper.get("params") or {}
-    return [str(key).lstrip("+") for key in params]
-
-
 def _jobs(config: DictConfig, overrides: Sequence[str]) -> int:
     """Number of jobs: of trials, or of combinations of values."""
     if "n_trials" in config.hydra.sweeper:
         return int(config.hydra.sweeper.n_trials or 1)
-    params = config.hydra.sweeper.get("params") or {}
-    lines = [*(f"{key}={value}" for key, value in params.items()), *overrides]
-    parsed = OverridesParser.create().parse_overrides(lines)
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
     sweeps = {o.key_or_group: o for o in parsed}.values()
     return prod(sum(1 for _ in o.sweep_string_iterator()) for o in sweeps if o.is_discrete_sweep())
 

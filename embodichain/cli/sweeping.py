@@ -25,26 +25,35 @@ from omegaconf import DictConfig
 
 from embodichain.cli.process import Interrupted
 from embodichain.cli.sweep_jobs import JobStoppedError, enter, stop_mark
-from embodichain.cli.sweep_plan import Plan, plan_sweep
+from embodichain.cli.sweep_plan import Plan, composed_for_hydra, plan_sweep, with_sweepers_params
 from embodichain.cli.sweep_progress import job_label
 from embodichain.cli.sweep_run import run_sweep
-from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra, relax
+from embodichain.config.composed import (
+    WITHOUT_TASK,
+    compose,
+    from_hydra,
+    relax,
+    search_path,
+)
 from embodichain.config.hydra_loader import (
     VERSION_BASE,
     chosen_config_dir,
     config_loader,
+    searched,
     user_configs,
 )
 from embodichain.config.resolved import Resolved, resolve
-from embodichain.config.run_folder import adopt
+from embodichain.config.run_folder import adopt, check_unused
 from embodichain.config.schema import Verb
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["call_hydra", "points", "towards_scores"]
 
+_RUN_FOLDER = "hydra.run.dir"
 _DIRECTION = "hydra.sweeper.direction"
 _MOST_CHECKED_JOBS = 64
 _ONE_BY_ONE, _AT_ONCE = "BasicLauncher", "JoblibLauncher"
+_NO_SEARCH = "BasicSweeper"
 
 
 def call_hydra(
@@ -76,11 +85,13 @@ def call_hydra(
         if composed.problems:
             raise ConfigError(composed.problems)
     elif options.multirun:
+        overrides = with_sweepers_params(verb, overrides)
         checked = [check(point) for point in points(overrides, _MOST_CHECKED_JOBS)]
         plan = plan_sweep(verb, towards_scores(overrides), checked[0])
         overrides = plan.overrides
     else:
         check(overrides)
+        _check_run_folder(verb, overrides)
     keys = plan.keys if plan is not None else ()
     config_dir = chosen_config_dir()
 
@@ -96,23 +107,44 @@ def call_hydra(
                 if stop_mark(Path(HydraConfig.get().sweep.dir)).exists():
                     raise JobStoppedError("the sweep was interrupted before this job")
                 with enter(Path(folder), resolved, verb, seed_is_drawn=drawn) as entered:
+                    objective = entered.objective
                     if not entered.finished:
                         with _stopping_alone():
-                            return do(entered.resolved, Path(folder), entered.goes_on)
-                    if not resolved.root.quiet:
+                            objective = do(entered.resolved, Path(folder), entered.goes_on)
+                    elif not resolved.root.quiet:
                         sys.stderr.write(f"finished already: {folder}\n")
-                    return entered.objective
+                    _check_objective(objective, verb, resolved)
+                    return objective
             fixed = HydraConfig.get().run.dir != "."
             return do(resolved, adopt(folder) if fixed else None, False)
 
     with config_loader() as loader:
         relaxed = relax(overrides, loader)
     program = f"embodichain {verb}"
-    with _process(program, [*_flags(options), *relaxed, *([WITHOUT_TASK] * gym)]):
+    places, _ = search_path(overrides)
+    arguments = [*_flags(options), *relaxed, *([WITHOUT_TASK] * gym)]
+    with searched(places), _process(program, arguments):
         if plan is None:
             job()
         else:
             run_sweep(plan, verb, job, quiet=options.quiet or options.json)
+
+
+def _check_run_folder(verb: Verb, overrides: Sequence[str]) -> None:
+    """Make the folder that `hydra.run.dir` names, or refuse it; Hydra's own errors do not."""
+    config = composed_for_hydra(verb, overrides, RunMode.RUN)
+    typed = any(line.lstrip("+").startswith(f"{_RUN_FOLDER}=") for line in overrides)
+    folder = str(config.hydra.run.dir)
+    if not typed and folder == ".":
+        return  # the run claims one
+    try:
+        check_unused(folder)
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except ConfigError as error:
+        raise ConfigError([Problem(_RUN_FOLDER, p.message) for p in error.problems]) from error
+    except OSError as error:
+        message = f"cannot make the run folder {folder}: {error}"
+        raise ConfigError([Problem(_RUN_FOLDER, message)]) from error
 
 
 def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
@@ -161,6 +193,22 @@ def _first(override: Override) -> str:
     if isinstance(value, IntervalSweep):
         return f"{override.get_key_element()}={value.start}"
     return f"{override.get_key_element()}={next(iter(override.sweep_string_iterator()))}"
+
+
+def _check_objective(objective: float | None, verb: Verb, resolved: Resolved) -> None:
+    """Refuse a job without an objective in a search, which has nothing to compare then."""
+    searches = not str(HydraConfig.get().sweeper.get("_target_", "")).endswith(_NO_SEARCH)
+    if objective is not None or not searches:
+        return
+    message = "a search compares the objectives of its jobs, and this job has none: "
+    if verb != "train":
+        message += f"{verb} has no objective; use train"
+        raise ConfigError([Problem("hydra.sweeper", message)])
+    if resolved.root.eval.episodes == 0:
+        message += "eval.episodes=0, and the training finished no episode; set eval.episodes"
+        raise ConfigError([Problem("eval.episodes", message)])
+    message += "no episode was finished; use a larger total_timesteps or shorter episodes"
+    raise ConfigError([Problem("total_timesteps", message)])
 
 
 @contextmanager

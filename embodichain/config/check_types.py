@@ -21,7 +21,13 @@ from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.lab.sim.shapes import AnyShapeCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean
-from embodichain.utils.type_errors import ErrorDetails, show_value, unknown_key, what_is_wrong
+from embodichain.utils.type_errors import (
+    ErrorDetails,
+    expected_kind,
+    show_value,
+    unknown_key,
+    what_is_wrong,
+)
 
 __all__ = ["TypeCheck", "check_types", "key_names", "schema_at"]
 
@@ -162,7 +168,8 @@ def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> 
         wanted = f"at most {high}" if low is None else low if low == high else f"at least {low}"
         values = "value" if 1 in (low, high) else "values"
         return Problem(path, f"expected {wanted} {values}, got {len(value)}: {show_value(value)}")
-    return Problem(path, *what_is_wrong(errors, PATTERNS))
+    message, hint = what_is_wrong(errors, PATTERNS)
+    return Problem(path, message, hint, expected=expected_kind(errors))
 
 
 def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:

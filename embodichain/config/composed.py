@@ -7,13 +7,13 @@ collected, so that one report lists all of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import yaml
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -24,15 +24,25 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from embodichain.config.algorithms import DEFAULT_ALGORITHM
+from embodichain.config.given_last import keep_last_given
 from embodichain.config.hydra_loader import (
     COMPOSING,
+    SEARCH_PATH,
     config_loader,
     explain,
+    explain_yaml,
     folder_of_source,
+    own_folder,
+    register_resolvers,
+    search_path_of,
+    searched,
 )
 from embodichain.config.locate import COMMAND_LINE, ConfigFile, Locator
+from embodichain.config.override_text import readable
+from embodichain.config.removed_entries import remove_null_entries
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.type_errors import show_value
 
 if TYPE_CHECKING:
     from embodichain.config.gym_config import GymConfig
@@ -47,8 +57,10 @@ __all__ = [
     "list_options",
     "parse",
     "relax",
+    "search_path",
 ]
 
+_FOLDERS = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 WITHOUT_TASK = "~task"
 """The override that composes a config with no option of the group `task`."""
 
@@ -104,8 +116,11 @@ def compose(
         ConfigError: `config_dir` does not exist.
     """
     lines = tuple(overrides)
-    with config_loader(config_dir) as loader:
+    places, wrong = search_path(lines)
+    register_resolvers()
+    with searched(places), config_loader(config_dir) as loader:
         parsed = parse(lines, loader)
+        parsed = replace(parsed, problems=(*wrong, *parsed.problems))
         gym, parsed = _gym_config(parsed)
         if gym is None and WITHOUT_TASK in parsed.for_hydra:
             return _without_task(loader, config_name, lines, parsed, [])
@@ -123,16 +138,23 @@ def compose(
             return _without_task(loader, config_name, lines, parsed, found)
     choices = dict(config.hydra.runtime.choices)
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
-    files = partial(_files, loader, config_name, lines_of_groups, folders, gym)
+    try:
+        files, of_hydra = _files(loader, config_name, lines_of_groups, folders, gym)
+    except yaml.YAMLError as error:  # a tag that Hydra reads
+        return _without_task(loader, config_name, lines, parsed, [explain_yaml(error)])
     OmegaConf.set_struct(config, False)
     del config["hydra"]
+    files = [*_complete_options(config, files), *files]
     if gym is not None:
         choices["task"] = gym.name
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
     problems = (*parsed.problems, *apply_values(config, parsed.values))
     locator = Locator(files, parsed.values)
+    problems += tuple(p for file in (*files, *of_hydra) for p in file.problems())
     tree, unresolved = _resolved(config, locator)
-    problems = (*problems, *unresolved)
+    tree, kept = remove_null_entries(tree, locator.gives)
+    kept += keep_last_given(tree, locator.rank)
+    problems = (*problems, *unresolved, *(p.at(locator.source(p.path)) for p in kept))
     notes = gym.notes if gym is not None else ()
     return Composed(config_name, lines, tree, choices, locator, problems, notes=notes)
 
@@ -145,7 +167,8 @@ def from_hydra() -> Composed:
     """
     job = HydraConfig.get()
     sources = [s.path for s in job.runtime.config_sources if s.provider == "--config-dir"]
-    lines = [*job.overrides.hydra, *job.overrides.task]
+    typed: Any = OmegaConf.to_container(job.overrides, resolve=False)  # not what they refer to
+    lines = [*typed["hydra"], *typed["task"]]
     return compose(lines, job.job.config_name or "run", sources[0] if sources else None)
 
 
@@ -184,18 +207,37 @@ def _files(
     for_hydra: list[str],
     folders: Sequence[Path | None],
     gym: GymConfig | None,
-) -> list[ConfigFile]:
-    """The files of a config in the order of merging, without Hydra's own."""
+) -> tuple[list[ConfigFile], list[ConfigFile]]:
+    """The files of a config in the order of merging, and the user's files for Hydra itself."""
     files = [] if gym is None else [gym.file]
+    of_hydra: list[ConfigFile] = []
     for default in loader.compute_defaults_list(config_name, for_hydra, RunMode.RUN).defaults:
         name = default.config_path
-        if name is None or name.startswith("hydra/"):
+        if name is None:
             continue
         paths = [folder / f"{name}.yaml" for folder in folders if folder is not None]
         path = next((p for p in paths if p.is_file()), None)
         if path is not None:
-            files.append(ConfigFile.read(path, default.package or ""))
-    return files
+            kind = of_hydra if name.startswith("hydra/") else files
+            kind.append(ConfigFile.read(path, default.package or ""))
+    return files, of_hydra
+
+
+_WHOLE_OPTIONS = {"sim": "default", "record": "mcap", "viewer": "none"}
+"""Group -> the option of this package over which options of users are merged."""
+
+
+def _complete_options(config: DictConfig, files: Sequence[ConfigFile]) -> list[ConfigFile]:
+    """Merge users' options of groups over the package's, in place; return the files below them."""
+    own = own_folder()
+    below: list[ConfigFile] = []
+    for group, option in _WHOLE_OPTIONS.items():
+        theirs = [f for f in files if f.package == group and not f.path.is_relative_to(own)]
+        path = own / group / f"{option}.yaml"
+        if theirs and isinstance(config.get(group), DictConfig):
+            config[group] = OmegaConf.merge(OmegaConf.load(path), config[group])
+            below.append(ConfigFile.read(path, group))
+    return below
 
 
 def _without_task(
@@ -207,7 +249,7 @@ def _without_task(
 ) -> Composed:
     """The values of the root with their overrides, for when task and groups cannot be composed."""
     values = [o for o in parsed.values if o.key_or_group.split(".")[0] != "task"]
-    locator = Locator(list, values)
+    locator = Locator((), values)
     tree: dict[str, Any] = {}
     with suppress(*COMPOSING):
         config = loader.load_configuration(config_name, ["~task"], RunMode.RUN)
@@ -240,6 +282,7 @@ _INSTANTIATE = ("_target_", "_recursive_", "_convert_", "_partial_", "_args_")
 def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, list[Problem]]:
     """A config as plain values without unresolvable keys, and a problem for each such key."""
     problems: list[Problem] = []
+    names = locator.names()
 
     def report(path: str, message: str) -> None:
         problems.append(Problem(path, message, source=locator.source(path)))
@@ -248,6 +291,8 @@ def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, lis
         found: dict[Any, Any] = {}
         for key in range(len(node)) if isinstance(node, ListConfig) else list(node):
             where = f"{path}.{key!s}" if path else str(key)
+            name = names.get(where, key)  # as written: `off`, not False
+            where = f"{path}.{name!s}" if path else str(name)
             if key in _INSTANTIATE:
                 report(where, f"{key} is not used here: name a function with func: NAME")
                 continue
@@ -262,7 +307,7 @@ def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, lis
                 report(where, f"cannot resolve {written[key]!r}: {reason}")
                 continue
             nested = isinstance(value, (DictConfig, ListConfig))
-            found[key] = plain(value, where) if nested else value
+            found[name] = plain(value, where) if nested else value
         if isinstance(node, ListConfig):
             return list(found.values())
         return {str(key): value for key, value in found.items()}
@@ -299,30 +344,53 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
     values: list[Override] = []
     broken: set[str] = set()
     problems: list[Problem] = []
-    for line in lines:
+    for typed in lines:
+        line = readable(typed)
         try:
             override = parser.parse_override(line)
         except HydraException as error:
-            problems.append(_malformed(line, error))
+            problems.append(_malformed(typed, error))
             continue
         if not override.key_or_group:
             problems.append(_malformed(line, HydraException("the key is missing")))
         elif override.is_sweep_override():
             key = override.key_or_group
-            message = f"{line!r} is a sweep: add -m to run every value, or write {key}=[...] for a "
-            problems.append(Problem(key, f"{message}list", source=COMMAND_LINE))
+            message = f"{typed!r} is a sweep: add -m to run every value, or write {key}=[...]"
+            problems.append(Problem(key, f"{message} for a list", source=COMMAND_LINE))
+        elif override.key_or_group == SEARCH_PATH:
+            continue  # searched already, see `search_path`
+        elif override.key_or_group in _FOLDERS and not _is_folder(override.value()):
+            message = f"expected the name of a folder, got {show_value(override.value())}"
+            problems.append(Problem(override.key_or_group, message, source=COMMAND_LINE))
         elif _is_hydras(override):
             for_hydra.append(line)
         elif options := loader.get_group_options(override.key_or_group):
             problem = _check_option(override, options)
             if problem is None:
-                for_hydra.append(line)
+                for_hydra.append(_as_text(override, line, options))
             else:
                 broken.add(override.key_or_group)
                 problems.append(problem)
         else:
             values.append(override)
+            problems += _odd_keys(override.value(), override.key_or_group)
     return ParsedOverrides(tuple(for_hydra), tuple(values), frozenset(broken), tuple(problems))
+
+
+def search_path(lines: Iterable[str]) -> tuple[list[str], list[Problem]]:
+    """Return the places that ``hydra.searchpath=[...]`` names, and what is wrong in it.
+
+    Args:
+        lines: Overrides, as typed; the last one counts.
+    """
+    found = [line for line in lines if line.lstrip("+~").partition("=")[0] == SEARCH_PATH]
+    if not found:
+        return [], []
+    try:
+        override = OverridesParser.create().parse_override(readable(found[-1]))
+    except HydraException as error:
+        return [], [_malformed(found[-1], error)]
+    return search_path_of(override)
 
 
 def relax(lines: Iterable[str], loader: ConfigLoader) -> list[str]:
@@ -333,7 +401,7 @@ def relax(lines: Iterable[str], loader: ConfigLoader) -> list[str]:
     """
     parser = OverridesParser.create()
     relaxed: list[str] = []
-    for line in lines:
+    for line in map(readable, lines):
         try:
             override = parser.parse_override(line)
         except HydraException:
@@ -382,6 +450,10 @@ def _delete(config: DictConfig, key: str) -> None:
     del parent[name]
 
 
+def _is_folder(value: Any) -> bool:
+    return isinstance(value, str | int | float) and str(value).strip() != ""
+
+
 def _is_hydras(override: Override) -> bool:
     key = override.key_or_group
     return key == "hydra" or key.startswith(("hydra.", "hydra/"))
@@ -389,14 +461,40 @@ def _is_hydras(override: Override) -> bool:
 
 def _malformed(line: str, error: HydraException) -> Problem:
     reason = str(error).splitlines()[0]
+    if not line.partition("=")[0].isascii():
+        reason = "names of keys are of ASCII letters here; others can be written in a file"
     message = f"malformed override {line!r}: {reason}; expected key=value, +key=value or ~key"
     return Problem("", message, source=COMMAND_LINE)
+
+
+def _as_text(override: Override, line: str, options: list[str]) -> str:
+    """The choice of an option whose name is a number (``task=10``), with quotes for Hydra."""
+    key, _, name = line.partition("=")
+    quoted = isinstance(override.value(), int | float) and name in options
+    return f"{key}='{name}'" if quoted else line
+
+
+def _odd_keys(value: Any, path: str) -> Iterator[Problem]:
+    """A problem for each key of a typed map that is a flag or no whole number: ``{true: 1}``."""
+    if isinstance(value, list):
+        for i, item in enumerate(value):
+            yield from _odd_keys(item, f"{path}.{i}")
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            if key is None or isinstance(key, bool | float):
+                where = f"{path}.{show_value(key)}"
+                message = f"the key {show_value(key)} is read as no text: write +{where}.KEY=VALUE"
+                yield Problem(where, message, source=COMMAND_LINE)
+            yield from _odd_keys(item, f"{path}.{key}")
 
 
 def _check_option(override: Override, options: list[str]) -> Problem | None:
     value = override.value()
     chosen = value if isinstance(value, list) else [value]
     if override.is_delete():
+        return None
+    typed = (override.input_line or "").partition("=")[2]
+    if isinstance(value, int | float) and typed in options:
         return None
     for option in chosen:
         name = "null" if option is None else str(option)

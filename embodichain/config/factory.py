@@ -58,6 +58,8 @@ def make(
     if isinstance(overrides, str):
         raise TypeError(f"overrides: a list of strings, such as [{overrides!r}], not a string")
     lines = [f"task={task}", *overrides]
+    if not any(line.lstrip("+~").startswith(("policy=", "policy.")) for line in overrides):
+        lines.append("policy=random")  # the environment has none: not the task's suggestion
     for key, value in (("num_envs", num_envs), ("seed", seed)):
         if value is not None:
             _check_once(key, value, overrides)

@@ -66,7 +66,9 @@ def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
     if is_gym_config(tree):
         return resolve(compose([override_of(str(file))], verb), verb)
     if isinstance(tree, dict) and isinstance(tree.get("task"), dict):
-        return resolve_tree(tree, Locator(lambda: [parsed]).source, verb, allow_import=True)
+        if parsed.misread:
+            raise ConfigError(parsed.problems())
+        return resolve_tree(tree, Locator([parsed]).source, verb, allow_import=True)
     return resolve(_composed_option(file.resolve(), verb), _verb_of(file.resolve(), verb))
 
 
@@ -93,9 +95,7 @@ def _composed_option(file: Path, verb: Verb) -> Composed:
         link = Path(folder, "task", file.name).with_suffix(".yaml")
         link.parent.mkdir()
         link.symlink_to(file)
-        composed = compose([f"task={file.stem}"], verb, folder)
-        _ = composed.locator.files  # read before the folder is removed
-        return composed
+        return compose([f"task={file.stem}"], verb, folder)
 
 
 def _verb_of(file: Path, verb: Verb) -> Verb:

@@ -12,6 +12,7 @@ import yaml
 from embodichain.compat.gym_config.conversion import CLASSES, Conversion, convert
 from embodichain.compat.gym_config.file import read_gym_config
 from embodichain.config.locate import ConfigFile, KeyPlace, display_path
+from embodichain.config.yaml_words import compose_nodes
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["GymConfig", "load_gym_config", "override_of"]
@@ -59,12 +60,13 @@ def load_gym_config(path: str | Path) -> GymConfig:
         line = problem.source.rpartition(":")[2]
         return int(line) if line.isdigit() else 0
 
+    problems = [*map(located, converted.problems), *source.problems()]
     return GymConfig(
         converted.name or file.stem,
         converted.task,
         ConfigFile(file, "task", dict(_placed(converted.task, (), converted, source))),
         tuple(sorted(map(located, converted.notes), key=line_of)),
-        tuple(sorted(map(located, converted.problems), key=line_of)),
+        tuple(sorted(problems, key=line_of)),
     )
 
 
@@ -89,7 +91,7 @@ def _nodes(file: Path) -> yaml.Node | None:
     if file.suffix == ".json":
         text = text.replace("\t", " ")  # JSON may be indented with tabs, YAML may not
     try:
-        return yaml.compose(text, Loader=yaml.CSafeLoader)
+        return compose_nodes(text)
     except yaml.YAMLError as error:
         if file.suffix != ".json":
             raise ConfigError(f"{file}: malformed YAML: {error}") from error

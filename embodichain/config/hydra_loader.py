@@ -1,19 +1,20 @@
 """Hydra's loader of the YAML trees, and its errors as one-line messages with file and line.
 
-The search path is `--config-dir`, `./conf`, this package's tree, plug-ins' trees. The first that
-has a file wins, so that a user's `task/reach.yaml` replaces the package's. A Hydra plug-in adds
-these folders to searches of this package's tree only: other Hydra applications in the process are
-not affected.
+The search path is `--config-dir`, `hydra.searchpath`, `./conf`, this package's tree, plug-ins'
+trees. The first that has a file wins, so that a user's `task/reach.yaml` replaces the package's. A
+Hydra plug-in adds these folders to searches of this package's tree only: other Hydra applications
+in the process are not affected.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 
 import yaml
@@ -23,35 +24,47 @@ from hydra._internal.utils import create_config_search_path
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.object_type import ObjectType
+from hydra.core.override_parser.types import Override
 from hydra.core.plugins import Plugins
+from hydra.core.utils import setup_globals
 from hydra.errors import HydraException, MissingConfigException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
+from omegaconf import OmegaConf
 
+from embodichain.config.defaults_lists import explain_defaults
 from embodichain.config.gymnasium_ids import CONFIG_MODULE, ENTRY_POINTS, LOCAL
-from embodichain.config.locate import COMMAND_LINE, display_path
+from embodichain.config.locate import COMMAND_LINE, ConfigFile, display_path
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
     "COMPOSING",
+    "SEARCH_PATH",
     "VERSION_BASE",
     "chosen_config_dir",
     "config_loader",
     "explain",
     "explain_yaml",
     "folder_of_source",
+    "own_folder",
+    "register_resolvers",
+    "search_path_of",
+    "searched",
     "user_configs",
 ]
 
 _BASE = "1.3"
 VERSION_BASE = {} if isinstance(version.getbase(), str) else {"version_base": _BASE}
 """Argument of `hydra.main`: the behaviour of Hydra 1.3, which 1.4 has without being asked."""
-COMPOSING = (HydraException, yaml.YAMLError, UnicodeDecodeError, OSError)
+COMPOSING = (HydraException, yaml.YAMLError, OSError, ValueError, RecursionError)
 """Exceptions that composing may raise because of the user's files."""
+SEARCH_PATH = "hydra.searchpath"
+"""Hydra's key for places to search."""
 _SHOWN_BY = {"task": "embodichain list tasks"}
 # Options that the packages of the extra `sweep` provide.
 _PLUGINS = {("hydra/launcher", "joblib"), ("hydra/sweeper", "optuna")}
 _config_dir: ContextVar[Path | None] = ContextVar("config_dir", default=None)
+_search_path: ContextVar[tuple[str, ...]] = ContextVar("search_path", default=())
 
 
 @contextmanager
@@ -80,6 +93,51 @@ def chosen_config_dir() -> Path | None:
 
 
 @contextmanager
+def searched(places: Sequence[str]) -> Iterator[None]:
+    """Search places after `user_configs` and before everything else while the context lasts.
+
+    Args:
+        places: ``file://FOLDER`` or ``pkg://PACKAGE``, see `search_path_of`; the first wins.
+    """
+    token = _search_path.set((*places, *_search_path.get()))
+    try:
+        yield
+    finally:
+        _search_path.reset(token)
+
+
+def search_path_of(override: Override) -> tuple[list[str], list[Problem]]:
+    """Return the places of ``hydra.searchpath=[file://FOLDER, pkg://PACKAGE]``, and its mistakes.
+
+    A folder needs no ``file://``.
+    """
+    given = None if override.is_delete() else override.value()
+    if given is None:
+        return [], []
+    if not isinstance(given, list) or not all(isinstance(place, str) for place in given):
+        message = "expected a list of folders: hydra.searchpath=[file:///path/to/conf]"
+        return [], [Problem(SEARCH_PATH, message, source=COMMAND_LINE)]
+    places, problems = [], []
+    for place in given:
+        scheme, separator, name = place.rpartition("://")
+        if scheme == "pkg":
+            try:
+                there = find_spec(name) is not None
+            except ModuleNotFoundError:  # a package above it
+                there = False
+        else:
+            there = not separator or scheme == "file"
+            place = f"file://{Path(name).resolve()}"
+            there = there and Path(name).is_dir()
+        if there:
+            places.append(place)
+        else:
+            message = f"no such folder or package: {place}"
+            problems.append(Problem(SEARCH_PATH, message, source=COMMAND_LINE))
+    return places, problems
+
+
+@contextmanager
 def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader]:
     """Provide a loader of `embodichain.conf`.
 
@@ -98,6 +156,12 @@ def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader
     Plugins.instance().register(EmbodichainSearchPath)
     with user_configs(config_dir):
         yield _Loader(create_config_search_path(f"pkg://{CONFIG_MODULE}"))
+
+
+def register_resolvers() -> None:
+    """Register Hydra's resolvers (``${now:%Y-%m-%d}``) with OmegaConf, unless that was done."""
+    if not OmegaConf.has_resolver("now"):
+        setup_globals()
 
 
 class _Loader(ConfigLoaderImpl):
@@ -121,13 +185,15 @@ class EmbodichainSearchPath(SearchPathPlugin):
         paths = [element.path or "" for element in search_path.get_path()]
         if f"pkg://{CONFIG_MODULE}" not in paths:
             return
-        own = _folder_of(CONFIG_MODULE).resolve()
-        for provider, folder in (
-            ("./conf", Path(LOCAL).resolve()),
-            ("--config-dir", _config_dir.get()),
-        ):
-            if folder is not None and folder.is_dir() and folder != own:
-                search_path.prepend(provider, f"file://{folder}")
+        own = own_folder()
+        chosen = _config_dir.get()
+        places = [("./conf", f"file://{Path(LOCAL).resolve()}")]
+        places += [(SEARCH_PATH, place) for place in reversed(_search_path.get())]
+        places += [("--config-dir", f"file://{chosen}")] if chosen is not None else []
+        for provider, place in places:
+            folder = Path(place.removeprefix("file://"))
+            if place.startswith("pkg://") or (folder.is_dir() and folder != own):
+                search_path.prepend(provider, place)
         for entry in sorted(importlib.metadata.entry_points(group=ENTRY_POINTS)):
             search_path.append(entry.name, f"pkg://{entry.value}")
 
@@ -140,6 +206,11 @@ def folder_of_source(scheme: str, path: str) -> Path | None:
     if scheme == "file":
         return Path(path)
     return _folder_of(path) if scheme == "pkg" and not path.startswith("hydra") else None
+
+
+def own_folder() -> Path:
+    """Return the folder of this package's groups."""
+    return _folder_of(CONFIG_MODULE).resolve()
 
 
 def _folder_of(module: str) -> Path:
@@ -160,6 +231,11 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
     if isinstance(error, OSError) and not isinstance(error, HydraException):
         name = display_path(Path(str(error.filename)))
         return [Problem("", f"cannot be read: {error.strerror}", source=name)]
+    if isinstance(error, ValueError | RecursionError) and not isinstance(error, HydraException):
+        folders = _folders(loader)
+        circles = isinstance(error, RecursionError)
+        if found := explain_defaults(folders, circles=circles):
+            return found
     unchosen = re.search(r"You must specify '([^']+)'", str(error))
     if unchosen:
         return [_unchosen(unchosen[1], loader)]
@@ -171,6 +247,8 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
         message = f"an option is chosen already: write {group}=NAME, without +"
         return [Problem(group, message, source=COMMAND_LINE)]
     cause = error.__cause__ or error
+    if "Incompatible key type 'NoneType'" in str(cause) and (keys := _null_keys(loader)):
+        return keys
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
     key = next((line[9:].strip() for line in lines if line.startswith("full_key:")), "")
     text = lines[0] if lines else type(cause).__name__
@@ -214,10 +292,28 @@ def _no_such_config(error: MissingConfigException, loader: ConfigLoader) -> Prob
     return Problem(group, message, did_you_mean(option, options).strip(), COMMAND_LINE)
 
 
+def _folders(loader: ConfigLoader) -> list[Path]:
+    """The folders that are searched, without Hydra's own."""
+    sources = [folder_of_source(source.scheme(), source.path) for source in loader.get_sources()]
+    return [folder for folder in sources if folder is not None]
+
+
+def _null_keys(loader: ConfigLoader) -> list[Problem]:
+    """The keys that are null, in all files of the search path: the error does not name the file."""
+    found: list[Problem] = []
+    for folder in _folders(loader):
+        for path in sorted(folder.rglob("*.yaml")):
+            with suppress(yaml.YAMLError, UnicodeDecodeError):  # another file than that one
+                package = path.parent.relative_to(folder).as_posix().replace("/", ".").strip(".")
+                file = ConfigFile.read(path, package)
+                null = {m.path for m in file.misread if m.read.rpartition(".")[2] == "None"}
+                found += [problem for problem in file.problems() if problem.path in null]
+    return found
+
+
 def _not_utf8(loader: ConfigLoader) -> list[str]:
     """The files of the search path that are not UTF-8: the error does not name the file."""
-    folders = [folder_of_source(source.scheme(), source.path) for source in loader.get_sources()]
-    paths = [path for folder in folders if folder for path in sorted(folder.rglob("*.yaml"))]
+    paths = [path for folder in _folders(loader) for path in sorted(folder.rglob("*.yaml"))]
     return [display_path(path) for path in paths if not _is_utf8(path)]
 
 

@@ -5,15 +5,17 @@ The lines come from the marks that YAML's parser adds to keys.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from os.path import commonprefix
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
 import yaml
 from hydra.core.override_parser.types import Override
+
+from embodichain.config.yaml_words import Misread, compose_nodes, misread, node_kind, scalar_text
+from embodichain.utils.errors import Problem
 
 __all__ = ["COMMAND_LINE", "ConfigFile", "KeyPlace", "Locator", "display_path"]
 
@@ -23,10 +25,17 @@ _MERGE = "tag:yaml.org,2002:merge"
 
 
 class KeyPlace(NamedTuple):
-    """The line of a key, and whether its value is a ``map``, a ``list`` or a ``scalar``."""
+    """Where a key is in a file.
+
+    Attributes:
+        line: Its line, from 1.
+        kind: Whether its value is a ``map``, a ``list``, ``null`` or another ``scalar``.
+        text: A flag, number or interpolation as written, else empty.
+    """
 
     line: int
     kind: str
+    text: str = ""
 
 
 @dataclass(frozen=True)
@@ -36,12 +45,14 @@ class ConfigFile:
     Attributes:
         path: The file, with links resolved.
         package: The key under which its content is placed; empty for the root.
-        keys: Dotted key path, from the root of the config -> its place.
+        keys: Dotted key path, from the root of the config -> its place. Names are as written.
+        misread: Keys and numbers that YAML 1.1 does not read as written.
     """
 
     path: Path
     package: str
     keys: dict[str, KeyPlace]
+    misread: tuple[Misread, ...] = ()
 
     @classmethod
     def read(cls, path: Path, package: str) -> ConfigFile:
@@ -55,7 +66,7 @@ class ConfigFile:
                 stream.seek(0)
                 _refuse_tags(stream)
             stream.seek(0)
-            return cls.of(path, package, yaml.compose(stream, Loader=yaml.CSafeLoader))
+            return cls.of(path, package, compose_nodes(stream))
 
     @classmethod
     def of(cls, path: Path, package: str, root: yaml.Node | None) -> ConfigFile:
@@ -66,7 +77,12 @@ class ConfigFile:
             for depth in range(bool(names), len(names) + 1):
                 keys[".".join(names[:depth])] = KeyPlace(root.start_mark.line + 1, "map")
             keys.update(_keys_below(root, f"{package}." if package else ""))
-        return cls(path.resolve(), package, keys)
+        return cls(path.resolve(), package, keys, tuple(misread(root, package)))
+
+    def problems(self) -> list[Problem]:
+        """Return a problem for each key and number that YAML 1.1 does not read as written."""
+        name = display_path(self.path)
+        return [Problem(m.path, m.message, source=f"{name}:{m.line}") for m in self.misread]
 
     def find(self, parts: Sequence[str]) -> tuple[int, int]:
         """Return how many parts of a path are set here, and the line of the last (0 for none).
@@ -75,7 +91,8 @@ class ConfigFile:
         """
         for depth in range(len(parts), -1, -1):
             place = self.keys.get(".".join(parts[:depth]))
-            if place is not None and (place.kind != "scalar" or depth == len(parts)):
+            leaf = place is not None and place.kind in ("scalar", "null")
+            if place is not None and (not leaf or depth == len(parts)):
                 return depth, place.line
         return 0, 0
 
@@ -96,8 +113,9 @@ def _keys_below(node: yaml.Node, prefix: str) -> Iterator[tuple[str, KeyPlace]]:
             if isinstance(part, yaml.MappingNode):
                 entries = {str(k.value): (k, v) for k, v in part.value} | entries
     for name, (key, value) in entries.items():
-        kinds: dict[type, str] = {yaml.MappingNode: "map", yaml.SequenceNode: "list"}
-        place = KeyPlace(key.start_mark.line + 1, kinds.get(type(value), "scalar"))
+        interpolated = isinstance(value, yaml.ScalarNode) and "${" in value.value
+        text = str(value.value) if interpolated else scalar_text(value)
+        place = KeyPlace(key.start_mark.line + 1, node_kind(value), text)
         yield f"{prefix}{name}", place
         yield from _keys_below(value, f"{prefix}{name}.")
 
@@ -124,18 +142,12 @@ class Locator:
     """Finds the source of dotted key paths.
 
     Attributes:
-        read: Reads the composed files, called at the first query; if two set a key, the later
-            wins.
+        files: The composed files; if two set a key, the later wins.
         overrides: Value overrides, applied after all files.
     """
 
-    read: Callable[[], Sequence[ConfigFile]]
+    files: Sequence[ConfigFile]
     overrides: Sequence[Override] = ()
-
-    @cached_property
-    def files(self) -> tuple[ConfigFile, ...]:
-        """The composed files."""
-        return tuple(self.read())
 
     def source(self, path: str) -> str:
         """Return ``FILE:LINE`` or ``command line`` of a key, or of its nearest ancestor.
@@ -164,6 +176,54 @@ class Locator:
         """Whether a file sets exactly this key."""
         return any(path in file.keys for file in self.files)
 
+    def written(self, path: str) -> str:
+        """Return the flag, number or interpolation that sets exactly this key, as written.
+
+        It is empty if the key is set in another way, or by nothing.
+        """
+        parts, found = path.split("."), ""
+        for file in self.files:
+            if path in file.keys:
+                found = file.keys[path].text
+        for override in self.overrides:
+            if _depth_of_override(override, parts) == len(parts):
+                key = override.key_or_group.replace("[", ".").replace("]", "")
+                line = override.input_line or ""
+                found = line.partition("=")[2] if key == path else ""
+        return found
+
+    def misread(self, *, keys: bool = True) -> set[str]:
+        """Return the paths at which YAML 1.1 does not read numbers, or keys, as written."""
+        found = (m for file in self.files for m in file.misread)
+        return {m.path for m in found if keys or not m.name}
+
+    def names(self) -> dict[str, str]:
+        """Return the names that files write otherwise: the config's key path -> the name there."""
+        return {m.read: m.name for file in self.files for m in file.misread if m.read}
+
+    def gives(self, path: str) -> bool:
+        """Whether a file or override sets this key, or one below it, to something but null."""
+        parts = path.split(".")
+        if any(path in file.keys and file.keys[path].kind != "null" for file in self.files):
+            return True
+        for override in self.overrides:
+            depth = _depth_of_override(override, parts)
+            if depth == len(parts) - 0.5:
+                return True
+            if depth == len(parts) and _value_below(override, parts) is not None:
+                return True
+        return False
+
+    def rank(self, path: str) -> int:
+        """Return the number of the last file or override that sets exactly this key; -1 is none.
+
+        They are numbered in the order in which they are merged, files before overrides.
+        """
+        parts = path.split(".")
+        set_here = [path in file.keys for file in self.files]
+        set_here += [_depth_of_override(one, parts) == len(parts) for one in self.overrides]
+        return max((i for i, given in enumerate(set_here) if given), default=-1)
+
     def chosen(self, path: str, package: str) -> bool:
         """Whether a file or override, other than the group option at `package`, sets this key."""
         parts = path.split(".")
@@ -181,14 +241,28 @@ def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
         return max(0.0, common - 0.5)
     if override.is_delete():
         return len(parts)
+    return len(key) + len(_walk(override, parts[len(key) :]))
+
+
+def _value_below(override: Override, parts: list[str]) -> Any:
+    """What an override sets a path to; None for null and for a deletion."""
+    if override.is_delete():
+        return None
+    depth = len(override.key_or_group.replace("[", ".").replace("]", "").split("."))
+    values = [override.value(), *_walk(override, parts[depth:])]
+    return values[-1]
+
+
+def _walk(override: Override, parts: Sequence[str]) -> list[Any]:
+    """The values of an override's value along a path, as far as it has them."""
     value: Any = override.value()
-    depth = len(key)
-    for part in parts[depth:]:
+    found: list[Any] = []
+    for part in parts:
         if isinstance(value, dict) and part in value:
             value = value[part]
         elif isinstance(value, list) and part.isdigit() and int(part) < len(value):
             value = value[int(part)]
         else:
             break
-        depth += 1
-    return depth
+        found.append(value)
+    return found

@@ -17,8 +17,10 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 
 from embodichain.config.composed import ParsedOverrides, apply_values, parse
+from embodichain.config.given_last import keep_last_given
 from embodichain.config.hydra_loader import config_loader
-from embodichain.config.locate import COMMAND_LINE
+from embodichain.config.locate import COMMAND_LINE, Locator
+from embodichain.config.removed_entries import remove_null_entries
 from embodichain.config.resolved import Resolved, resolve_tree
 from embodichain.config.run_folder import CONFIG, SUMMARY
 from embodichain.utils.errors import ConfigError, Problem
@@ -62,6 +64,10 @@ def resolve_again(
     if problems:
         raise ConfigError(problems)
     changed: Any = OmegaConf.to_container(config, resolve=True)
+    changed, problems = remove_null_entries(changed, lambda path: _gives(tree, path))
+    problems += keep_last_given(changed, Locator((), parsed.values).rank)
+    if problems:
+        raise ConfigError(problem.at(COMMAND_LINE) for problem in problems)
     try:
         found = resolve_tree(
             changed, str(source), "run", task_name=task_of(folder), allow_import=True
@@ -75,6 +81,13 @@ def resolve_again(
             for p in error.problems
         ) from error
     return dataclasses.replace(found, overrides=tuple(overrides))
+
+
+def _gives(tree: Any, path: str) -> bool:
+    """Whether a config sets a key path to something but null."""
+    for part in path.split("."):
+        tree = tree.get(part) if isinstance(tree, dict) else None
+    return tree is not None
 
 
 def task_of(folder: Path) -> str:

@@ -22,6 +22,7 @@ __all__ = [
     "SHARDS",
     "SUMMARY",
     "adopt",
+    "check_unused",
     "claim",
     "find_run",
     "named_checkpoint",
@@ -40,6 +41,10 @@ SHARDS = "rollout.shards.json"
 SUMMARY = "summary.json"
 """File name of a run's summary."""
 LATEST = "latest"
+_USED = (
+    "{} has a run already; it is never used again. A command that may be repeated is a sweep of "
+    "one job: -m hydra.sweep.dir=FOLDER skips it if finished, else resumes it"
+)
 _MOST_SUFFIXES = 10_000
 _PACKAGES = (
     *("embodichain", "mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3"),
@@ -86,13 +91,32 @@ def adopt(folder: str | Path) -> Path:
         with (path / CONFIG).open("x"):
             pass  # the process that makes this file owns the folder
     except FileExistsError as error:
-        raise ConfigError(
-            f"{path} has a run already; it is never used again. A command that may be repeated is "
-            "a sweep of one job: -m hydra.sweep.dir=FOLDER skips it if finished, else resumes it"
-        ) from error
+        if not path.is_dir():
+            raise ConfigError(f"cannot make the run folder {path}: it is a file") from error
+        raise ConfigError(_USED.format(path)) from error
     except OSError as error:
         raise ConfigError(f"cannot make the run folder {path}: {error}") from error
     return path
+
+
+def check_unused(folder: str | Path) -> None:
+    """Check that a folder, which need not exist, can be claimed with `adopt`; makes nothing.
+
+    Raises:
+        ConfigError: It contains a run, is a file, or is the working directory.
+    """
+    path = Path(folder)
+    if path.resolve() == Path.cwd():
+        raise ConfigError(
+            f"{str(folder)!r} is the working directory, and a run has a folder of its own: leave "
+            "it out, or name a new folder"
+        )
+    if (path / CONFIG).is_file():
+        raise ConfigError(_USED.format(path))
+    there = next(p for p in (path, *path.absolute().parents) if p.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        why = "not writable" if there.is_dir() else "a file"
+        raise ConfigError(f"cannot make the run folder {path}: {there} is {why}")
 
 
 def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:

@@ -21,6 +21,7 @@ from hydra.core.override_parser.types import OverrideType
 from embodichain.config.check_types import TypeCheck, check_types
 from embodichain.config.composed import Composed
 from embodichain.config.given_keys import check_given
+from embodichain.config.locate import COMMAND_LINE, Locator
 from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.config.schema import (
     LARGEST_TRAINING_SEED,
@@ -31,6 +32,7 @@ from embodichain.config.schema import (
     SimCfg,
     Verb,
 )
+from embodichain.config.yaml_words import quoting
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.registry import SECTIONS, resolve_term
@@ -46,8 +48,7 @@ __all__ = ["Check", "check", "check_training_keys", "check_tree", "validate"]
 Chosen = Callable[[str, str], bool]
 """``chosen(path, package)``: whether a key was set outside the group option at `package`."""
 
-_SAME = {"episode_length_s": "max_episode_steps", "decimation": "sim_steps_per_control"}
-"""Task keys that override another key if set, see `EnvCfg`."""
+_FLAGS = {"on": "true", "yes": "true", "off": "false", "no": "false"}
 _ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\.(uid|fpath))?)?")
 """If such a key was pruned, references to entities may fail without being wrong."""
 
@@ -83,11 +84,16 @@ def check(composed: Composed, verb: Verb) -> Check:
     """Check a whole composed config, with the task's suggestions for a verb."""
     unknown: list[Problem] = []
     if composed.usable:
-        unknown = _unknown_entries(composed)
-        lost = [p.path for p in (*composed.problems, *unknown)]
-        unknown += _said_twice(composed)
+        said = {problem.path for problem in composed.problems}
+        unknown = [p for p in _unknown_entries(composed) if p.path not in said]
+        misread = composed.locator.misread()
+        wrong = [p.path for p in (*composed.problems, *unknown)]
+        lost = [path for path in wrong if path not in misread]
         chosen = composed.locator.chosen
         found = check_tree(composed.tree, composed.source, verb, chosen=chosen, lost=lost)
+        numbers = composed.locator.misread(keys=False)
+        once = [p for p in _causes(found.problems) if p.path not in numbers]
+        found = replace(found, problems=[_advised(p, composed.locator) for p in once])
     else:
         types = check_types({**composed.tree, "task": {}})
         found = Check(_located(types.problems, composed.source), types, PreparedScene())
@@ -136,6 +142,30 @@ def check_tree(
 
 def _located(problems: Iterable[Problem], source: Callable[[str], str]) -> list[Problem]:
     return [p.at(source(p.path)) for p in problems]
+
+
+def _causes(problems: Sequence[Problem]) -> list[Problem]:
+    """The problems without those of a value that is of the wrong kind: `on` names no entity."""
+    wrong = {re.sub(r"(\.\d+)*$", "", p.path) for p in problems if p.expected}
+    return [p for p in problems if p.expected or p.path not in wrong]
+
+
+def _advised(problem: Problem, locator: Locator) -> Problem:
+    """The problem with what to write, where a word was read as another kind of value."""
+    written = locator.written(problem.path) if problem.expected and not problem.hint else ""
+    if not written:
+        return problem
+    typed = problem.source == COMMAND_LINE
+    if problem.expected == "text":
+        quoted = f"For the text write {problem.path}=\"'{written}'\"."
+        hint = quoted if typed else quoting(written)
+    elif "${oc.env:" in written:
+        hint = f"A variable of the environment is text: write ${{oc.decode:{written}}}."
+    elif typed and written.lower() in _FLAGS:
+        hint = f"Write {problem.path}={_FLAGS[written.lower()]}."
+    else:
+        return problem
+    return replace(problem, hint=hint).at(problem.source)
 
 
 def _check_meaning(
@@ -196,19 +226,6 @@ def check_training_keys(root: RootCfg) -> list[Problem]:
     if root.seed is not None and root.seed > LARGEST_TRAINING_SEED:
         message = f"training needs a seed from 0 to {LARGEST_TRAINING_SEED}, got {root.seed}"
         problems.append(Problem("seed", message))
-    return problems
-
-
-def _said_twice(composed: Composed) -> list[Problem]:
-    """A problem for each pair of keys that set the same value: one of them would be ignored."""
-    task = composed.tree.get("task")
-    problems = []
-    for name, other in _SAME.items():
-        given = isinstance(task, dict) and task.get(name) is not None
-        if given and composed.locator.chosen(f"task.{other}", ""):
-            back = f"task.{name}=null"
-            message = f"task.{name} says it as well; set one of them ({back} takes it back)"
-            problems.append(Problem(f"task.{other}", message))
     return problems
 
 

@@ -27,12 +27,15 @@ class Problem:
         message: One line: what was found and what is allowed.
         hint: The closest match as a sentence (``Did you mean 'x'?``), or empty.
         source: Its origin: ``FILE:LINE``, ``FILE``, ``command line``; or empty.
+        expected: ``text`` if a number or a flag was found where text is allowed, ``value`` if text
+            was found where only numbers or flags are; else empty.
     """
 
     path: str
     message: str
     hint: str = ""
     source: str = ""
+    expected: str = ""
 
     def at(self, source: str, path: str | None = None) -> Problem:
         """Return a copy with this source, and this key path if given."""

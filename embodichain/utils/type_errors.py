@@ -18,6 +18,7 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
     "ErrorDetails",
+    "expected_kind",
     "from_dict",
     "member_from_dict",
     "show_value",
@@ -43,6 +44,11 @@ _LIMITS = {
     "greater_than_equal": ("ge", "at least"),
     "less_than": ("lt", "less than"),
     "less_than_equal": ("le", "at most"),
+}
+_TEXT_ERRORS = {"string_type", "string_pattern_mismatch"}
+_VALUE_ERRORS = {
+    *("int_type", "float_type", "bool_type", "int_parsing", "float_parsing", "bool_parsing"),
+    "int_from_float",
 }
 _LONGEST = 60
 
@@ -78,6 +84,23 @@ def what_is_wrong(
     hint = did_you_mean(value, choices).strip() if isinstance(value, str) else ""
     wanted = " or ".join(dict.fromkeys(expected))
     return f"expected {wanted}, got {show_value(value)}{'.' if hint else ''}", hint
+
+
+def expected_kind(errors: Sequence[ErrorDetails]) -> str:
+    """Return what was expected of one value, if it is a scalar of another kind.
+
+    Args:
+        errors: As for `what_is_wrong`.
+
+    Returns:
+        ``text`` for a number or a flag, ``value`` for text, else an empty string (see `Problem`).
+    """
+    kinds = {error["type"] for error in errors}
+    value = errors[0]["input"]
+    text = kinds & _TEXT_ERRORS or any(_choices(error) for error in errors)
+    if text and isinstance(value, bool | int | float):
+        return "text"
+    return "value" if isinstance(value, str) and kinds & _VALUE_ERRORS else ""
 
 
 def unknown_key(name: str, allowed: Sequence[str]) -> tuple[str, str]:

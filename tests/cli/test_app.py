@@ -53,6 +53,21 @@ def test_keys_that_help_names_exist() -> None:
         (["task=reach", "seed=1"], "a verb comes first: embodichain run task=reach seed=1"),
         (["-m", "seed=1,2"], "a verb comes first: embodichain run -m seed=1,2"),
         (["run", "--qiet"], "No such option '--qiet'. Did you mean '--quiet'?"),
+        (["run", "--task", "reach"], "there is no option --task: write task=reach, without dashes"),
+        (["run", "reach", "--num_envs", "4"], "there is no option --num_envs: write num_envs=4,"),
+        (["train", "reach", "--num-envs=4"], "there is no option --num-envs: write num_envs=4,"),
+        (["validate", "--seed", "task=reach"], "there is no option --seed: write seed=VALUE,"),
+        (["show", "--task.reward_floor", "0"], "there is no option --task.reward_floor: write "),
+        (
+            ["run", "reach", "task.rewards.new={func:", "distance}"],
+            "put quotes around it for your shell: 'task.rewards.new={func: distance}'; a new entry "
+            "is +task.rewards.new=...",
+        ),
+        (
+            ["show", "reach", "+task.x=[a,", "'b]',", "c]", "seed=1"],
+            "put quotes around it for your shell: \"+task.x=[a, 'b]', c]\"",
+        ),
+        (["run", "reach", "task.x={a: b"], "'task.x={a: b' has a bracket without its other one"),
         (["list", "tasks", "--jsn"], "No such option '--jsn'. Did you mean '--json'?"),
         (["list"], "Missing argument '{tasks|robots|policies|terms}'. Choose from:"),
         (

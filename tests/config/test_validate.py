@@ -95,14 +95,3 @@ def test_checking_needs_no_torch() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout == "[]\n", done.stderr
-
-
-@pytest.mark.parametrize(
-    ("extra", "other"),
-    [("episode_length_s=2", "max_episode_steps"), ("decimation=2", "sim_steps_per_control")],
-)
-def test_two_names_of_one_thing_are_not_both_set(extra, other):
-    (problem,) = validate(compose(["task=reach", f"+task.{extra}"]))
-    assert problem.path == f"task.{other}"
-    assert "set one of them" in problem.message
-    assert validate(compose(["task=hold_still", "+task.decimation=2"])) == []

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import typing
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -31,7 +31,7 @@ from embodichain.lab.gym.envs.cfg import (
     TermCfg,
     ValueCfg,
 )
-from embodichain.lab.gym.envs.managers.param_types import FORMS, references
+from embodichain.lab.gym.envs.managers.param_types import references
 from embodichain.lab.gym.envs.managers.registry import (
     SECTIONS,
     SHAPES,
@@ -44,7 +44,7 @@ from embodichain.lab.gym.envs.managers.term import ActionTerm, CommandTerm
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
-from embodichain.utils.type_errors import unknown_key, what_is_wrong
+from embodichain.utils.type_errors import expected_kind, unknown_key, what_is_wrong
 
 __all__ = [
     "CheckedTerm",
@@ -273,7 +273,7 @@ def check_params(
             try:
                 values[key] = _convert(_meant(key, hint, value), value)
             except ValidationError as error:
-                problems += _problems_of(error, f"{path}.{name}", hint)
+                problems += _problems_of(error, f"{path}.{name}", hint, value)
     for name, parameter in spec.params.items():
         if parameter.default is inspect.Parameter.empty and name not in meant.values():
             message = f"missing; {spec.label} needs it"
@@ -306,14 +306,16 @@ def _adapter(hint: Any) -> TypeAdapter[Any] | None:
         return None
 
 
-def _problems_of(error: ValidationError, path: str, hint: Any) -> list[Problem]:
+def _problems_of(error: ValidationError, path: str, hint: Any, value: Any) -> list[Problem]:
     """Pydantic's errors as problems, one for each key path; members of a union all report."""
     places: dict[str, list[Any]] = {}
     for details in error.errors(include_url=False):
-        tail = "".join(f".{part}" for part in details["loc"] if part not in FORMS)
+        tail = "".join(f".{part}" for part in _keys_of(details, value))
         places.setdefault(path + tail, []).append(details)
     problems: list[Problem] = []
     for place, found in places.items():
+        if any(other.startswith(f"{place}.") for other in places):
+            continue  # of a member of a union that fits less
         key = str(found[0]["loc"][-1]) if found[0]["loc"] else ""
         if found[0]["type"] == "unexpected_keyword_argument":
             message, advice = unknown_key(key, _fields(hint))
@@ -321,7 +323,7 @@ def _problems_of(error: ValidationError, path: str, hint: Any) -> list[Problem]:
                 message, advice = _NO_WEIGHT, ""
         else:
             message, advice = what_is_wrong(found)
-        problems.append(Problem(place, message, advice))
+        problems.append(Problem(place, message, advice, expected=expected_kind(found)))
     return problems
 
 
@@ -329,6 +331,19 @@ _NO_WEIGHT = (
     "a term within this one has no weight: give it to the whole term, or use sum_of, whose terms "
     "have weights"
 )
+
+
+def _keys_of(details: Any, value: Any) -> Iterator[str | int]:
+    """The location of an error without the tags of unions that pydantic puts between the keys."""
+    for i, part in enumerate(details["loc"]):
+        last = i == len(details["loc"]) - 1
+        in_map = isinstance(value, Mapping) and part in value
+        in_list = isinstance(value, (list, tuple)) and isinstance(part, int) and part < len(value)
+        if in_map or in_list:
+            value = value[part]
+        elif not (last and details["type"] == "missing"):
+            continue
+        yield part
 
 
 def _fields(hint: Any) -> list[str]:

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "FORMS",
     "Angle",
     "Arm",
     "Axes6",
@@ -133,8 +132,6 @@ Box2 = Annotated[list[Vec2], Field(min_length=2, max_length=2), AfterValidator(_
 """[[x, y] low, [x, y] high]."""
 Box3 = Annotated[list[Vec3], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 """[[x, y, z] low, [x, y, z] high]."""
-FORMS = ("for all", "for all axes", "by name", "by axis")
-"""Tags of the forms of a range, with which pydantic picks a form; not shown to users."""
 
 
 def _named_form(value: Any) -> str:

@@ -1,0 +1,96 @@
+"""Mistakes in the `defaults:` of files, for which Hydra does not name the file: words, circles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+
+from embodichain.config.locate import display_path
+from embodichain.config.yaml_words import compose_nodes, quoting, scalar_text
+from embodichain.utils.errors import Problem
+
+__all__ = ["explain_defaults"]
+
+
+class _Entry(NamedTuple):
+    """An entry of a `defaults:`: the file's name that it chooses, and its place."""
+
+    name: str
+    source: str
+    written: str
+    """The option as written, if YAML reads it as a flag or a number; else empty."""
+
+
+def explain_defaults(folders: Sequence[Path], *, circles: bool) -> list[Problem]:
+    """Return the mistakes in the `defaults:` of all files of some folders.
+
+    Args:
+        folders: Folders with groups, in the order in which they are searched.
+        circles: Whether to look for circles, else for entries that are not read as text.
+    """
+    found: dict[str, list[_Entry]] = {}
+    for folder in folders:
+        for path in sorted(folder.rglob("*.yaml")):
+            name = path.relative_to(folder).with_suffix("").as_posix()
+            if name not in found:
+                found[name] = list(_entries(path, name))
+    if circles:
+        return list(_circles(found))
+    return [
+        Problem("defaults", "expected a name.", quoting(entry.written), entry.source)
+        for entries in found.values()
+        for entry in entries
+        if entry.written
+    ]
+
+
+def _entries(path: Path, name: str) -> Iterator[_Entry]:
+    try:
+        root = compose_nodes(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return  # another file than the one that failed
+    group = name.rpartition("/")[0]
+    for key, value in root.value if isinstance(root, yaml.MappingNode) else ():
+        if key.value != "defaults" or not isinstance(value, yaml.SequenceNode):
+            continue
+        for item in value.value:
+            source = f"{display_path(path)}:{item.start_mark.line + 1}"
+            if isinstance(item, yaml.ScalarNode) and item.value != "_self_":
+                yield _Entry(_absolute(item.value, group), source, scalar_text(item))
+            elif isinstance(item, yaml.MappingNode):
+                for of, option in item.value:
+                    chosen = option.value if isinstance(option, yaml.SequenceNode) else [option]
+                    for one in chosen:
+                        below = _absolute(str(of.value), group)
+                        yield _Entry(f"{below}/{one.value}", source, scalar_text(one))
+
+
+def _absolute(name: str, group: str) -> str:
+    """The name of a file from the root: ``/viewer@x`` is viewer, ``other`` of `group` group/other.
+
+    Words before it (``override``, ``optional``) and a package after it are left out.
+    """
+    bare = name.split()[-1].partition("@")[0] if name.split() else name
+    return bare.lstrip("/") if bare.startswith("/") or not group else f"{group}/{bare}"
+
+
+def _circles(entries: Mapping[str, Sequence[_Entry]]) -> Iterator[Problem]:
+    """A problem for each circle, at the entry that closes it."""
+    done: set[str] = set()
+
+    def walk(name: str, way: tuple[str, ...]) -> Iterator[Problem]:
+        for entry in entries.get(name, ()):
+            if entry.name in way:
+                circle = [*way[way.index(entry.name) :], entry.name]
+                message = f"a circle of files that take each other in: {' -> '.join(circle)}"
+                yield Problem("defaults", message, source=entry.source)
+            elif entry.name not in done:
+                yield from walk(entry.name, (*way, entry.name))
+        done.add(name)
+
+    for name in entries:
+        if name not in done:
+            yield from walk(name, (name,))

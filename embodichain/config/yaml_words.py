@@ -1,0 +1,142 @@
+"""Words and numbers that YAML 1.1 does not read as they are written: `on`, `012`, `1:30`.
+
+Hydra reads YAML 1.1. There `on`, `off`, `yes` and `no` are flags, `012` is 10 in base 8, `1:30` is
+90 in base 60, and ``1e3`` is a number. Flags and ``1e3`` stay what they are where a flag or a
+number is expected; as keys, and as numbers in another base, they are refused.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple, TextIO
+
+import yaml
+from omegaconf._utils import get_yaml_loader
+from yaml.constructor import SafeConstructor
+
+__all__ = ["Misread", "compose_nodes", "misread", "node_kind", "quoting", "scalar_text"]
+
+_NULL = "tag:yaml.org,2002:null"
+_MERGE = "tag:yaml.org,2002:merge"
+_SCALARS = {f"tag:yaml.org,2002:{kind}" for kind in ("bool", "int", "float", "null")}
+_BASE_8 = re.compile(r"[-+]?0[0-7_]+")
+_BASE_60 = re.compile(r"[-+]?[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?")
+
+
+class _Loader(yaml.CSafeLoader):
+    """Reads scalars as Hydra does (``1e3`` is a number, a date is text), with libyaml's speed."""
+
+    yaml_implicit_resolvers = get_yaml_loader().yaml_implicit_resolvers
+
+
+class Misread(NamedTuple):
+    """A word or number that is not read as it is written.
+
+    Attributes:
+        path: Dotted key path; the last part of a key is as written.
+        line: Its line, from 1.
+        message: What it is read as, and what to write.
+        name: For a key, its name as written; else empty.
+        read: For a key, the key path that the config has instead; else empty.
+    """
+
+    path: str
+    line: int
+    message: str
+    name: str = ""
+    read: str = ""
+
+
+def compose_nodes(stream: str | TextIO) -> yaml.Node | None:
+    """Return the nodes of a YAML text as Hydra reads it; None if it is empty.
+
+    Raises:
+        yaml.YAMLError: It is malformed.
+    """
+    found: yaml.Node | None = yaml.compose(stream, Loader=_Loader)
+    return found
+
+
+def scalar_text(node: yaml.Node) -> str:
+    """Return a flag or a number as written; empty for anything else."""
+    scalar = isinstance(node, yaml.ScalarNode) and node.tag in _SCALARS - {_NULL}
+    return str(node.value) if scalar else ""
+
+
+def node_kind(node: yaml.Node) -> str:
+    """Return whether a node is a ``map``, a ``list``, ``null`` or another ``scalar``."""
+    if isinstance(node, yaml.ScalarNode):
+        return "null" if node.tag == _NULL else "scalar"
+    return "list" if isinstance(node, yaml.SequenceNode) else "map"
+
+
+def quoting(text: str) -> str:
+    """Return what to write for a word that was meant as text, as a sentence."""
+    node = compose_nodes(text)
+    read = "" if node is None else _shown(_value(node))
+    what = f"YAML 1.1 reads {text} as {read}" if read != text else f"{text} is no text in YAML"
+    return f"{what}: for the text write '{text}', with the quotes."
+
+
+def misread(root: yaml.Node | None, package: str = "") -> Iterator[Misread]:
+    """Yield the keys of a file that are not read as written, and numbers in base 8 and 60.
+
+    Args:
+        root: The file's root.
+        package: The key under which its content is placed; empty for the root.
+    """
+    if root is not None:
+        yield from _misread_below(root, f"{package}." if package else "", set())
+
+
+def _misread_below(node: yaml.Node, prefix: str, seen: set[int]) -> Iterator[Misread]:
+    if id(node) in seen:  # an alias of a node that was visited
+        return
+    seen.add(id(node))
+    if isinstance(node, yaml.SequenceNode):
+        for i, item in enumerate(node.value):
+            yield from _misread_below(item, f"{prefix}{i}.", seen)
+    elif isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if key.tag == _MERGE:
+                continue
+            yield from _misread_key(key, prefix)
+            yield from _misread_below(value, f"{prefix}{key.value}.", seen)
+    elif node.tag in _SCALARS:
+        yield from _misread_number(node, prefix.rstrip("."))
+
+
+def _misread_key(key: yaml.Node, prefix: str) -> Iterator[Misread]:
+    if key.tag not in _SCALARS:
+        return
+    text, read = str(key.value), str(_value(key))
+    if read == text and not isinstance(_value(key), bool):
+        return
+    if not text:
+        message = "a key is missing before the colon"
+    else:
+        shown = _shown(_value(key))
+        message = f"YAML 1.1 reads the key {text} as {shown}: write '{text}', with the quotes"
+    line = key.start_mark.line + 1
+    yield Misread(f"{prefix}{text}", line, message, text, f"{prefix}{read}")
+
+
+def _misread_number(node: yaml.Node, path: str) -> Iterator[Misread]:
+    text = str(node.value)
+    base = 8 if _BASE_8.fullmatch(text) else 60 if _BASE_60.fullmatch(text) else None
+    if base is None:
+        return
+    number = _shown(_value(node))
+    message = f"YAML 1.1 reads {text} as {number}, in base {base}: write {number} for the number"
+    line = node.start_mark.line + 1
+    yield Misread(path, line, f"{message}, '{text}' with the quotes for the text")
+
+
+def _value(node: yaml.Node) -> Any:
+    return SafeConstructor().construct_object(node)
+
+
+def _shown(value: Any) -> str:
+    words = {None: "null", True: "true", False: "false"}
+    return words[value] if value is None or isinstance(value, bool) else str(value)
