@@ -42,14 +42,17 @@ def test_robomimic_has_what_the_policy_saw(logs, tmp_path):
         assert len(root) == len(episodes)
         assert root.attrs["total"] == sum(map(len, episodes))
         args = json.loads(root.attrs["env_args"])
-        assert (args["env_name"], args["type"]) == ("reach", 2)
-        assert args["env_kwargs"]["task"]["max_episode_steps"] == 9
+        assert (args["env_kwargs"]["name"], args["type"]) == ("reach", 2)
+        assert args["env_kwargs"]["config"]["task"]["max_episode_steps"] == 9
         for number, episode in enumerate(episodes):
             demo = root[f"demo_{number}"]
             assert demo.attrs["num_samples"] == len(episode) == len(demo["actions"])
             assert (demo.attrs["log"], demo.attrs["env"]) == (episode.path.name, episode.env)
-            assert set(demo["obs"]) == set(demo["next_obs"]) == set(episode.groups["policy"])
-            for name in demo["obs"]:
+            names = set(episode.groups["policy"])
+            assert set(demo["obs"]) == set(demo["next_obs"]) == {*names, "flat"}
+            assert np.array_equal(demo["obs/flat"], episode.group()[:-1])
+            assert np.array_equal(demo["next_obs/flat"], episode.group()[1:])
+            for name in names:
                 values = episode.observations[name]
                 assert np.array_equal(demo["obs"][name], values[:-1])
                 assert np.array_equal(demo["next_obs"][name], values[1:])
@@ -166,7 +169,7 @@ def test_another_group_alone(logs, tmp_path):
     with h5py.File(path) as file:
         for number, episode in enumerate(episodes):
             demo = file[f"data/demo_{number}"]
-            assert list(demo["obs"]) == ["latest"]
+            assert list(demo["obs"]) == ["flat", "latest"]
             # What follows an action is observed with it as the last action.
             assert np.array_equal(demo["next_obs/latest"], demo["actions"])
             assert np.array_equal(demo["obs/latest"][1:], episode.actions[:-1])

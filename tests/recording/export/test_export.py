@@ -70,11 +70,9 @@ def test_hdf5_is_one_demonstration_for_each_episode(log):
         demos = file["data"]
         assert len(demos) == len(episodes)
         assert demos.attrs["total"] == 24 * 3
-        assert json.loads(demos.attrs["env_args"]) == {
-            "env_name": "small",
-            "type": 2,
-            "env_kwargs": {"seed": 0},
-        }
+        args = json.loads(demos.attrs["env_args"])
+        assert args["env_kwargs"] == {"name": "small", "config": {"seed": 0}}
+        assert (args["type"], args["control_freq"]) == (2, 50)
         for number, episode in enumerate(episodes):
             demo = demos[f"demo_{number}"]
             steps = slice(episode.first_step, episode.last_step + 1)
