@@ -173,7 +173,7 @@ class Header:
             wrong.append("start_ns")
         if (self.state == "keyframes") != (self.keyframe_every > 0):
             wrong.append("keyframe_every")
-        if not all(isinstance(one, dict) and _is_column(one) for one in self.action):
+        if not all(map(_is_column, self.action)):
             wrong.append("action")
         if self.writes not in ("all", "none"):
             wrong.append("writes")
@@ -243,10 +243,12 @@ class Header:
         return {name: slice(a, b) for name, (a, b) in self.layout.items()}
 
 
-def _is_column(column: Mapping[str, Any]) -> bool:
+def _is_column(column: Any) -> bool:
     """Whether this is a column of an action."""
     expected = {field.name for field in fields(ActionColumn)}
-    return expected <= column.keys() and isinstance(column["name"], str)
+    return (
+        isinstance(column, dict) and expected <= column.keys() and isinstance(column["name"], str)
+    )
 
 
 def check_part(first: Header, values: Mapping[str, str], part: int) -> None:

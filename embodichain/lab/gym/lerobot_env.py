@@ -116,7 +116,7 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         entries = entry_spaces(env.single_observation_space, names)
         self._images = [key for key in names if len(entries[key].shape or ()) >= _IMAGE_SHAPE]
         vectors = [key for key in names if key not in self._images]
-        self._observed = _observed(env, task, names)
+        self._sensors = _observed(env, task, names)
         self._parts = lerobot_parts(task, vectors)
         self.features: dict[str, tuple[str, tuple[int, ...]]] = {
             key: ("float32", (sum(_size(entries[n]) for n in found),))
@@ -125,7 +125,7 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         for key in self._images:
             shape = _picture_shape(key, entries[key])
             self.features[f"observation.images.{image_key(key)}"] = ("uint8", shape)
-        for key, path in self._observed.items():
+        for key, path in self._sensors.items():
             (space,) = entry_spaces(env.single_observation_space, [path]).values()
             height, width = (space.shape or ())[:2]
             feature = "uint8", (height, width, 3)
@@ -186,7 +186,7 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
             columns = [_entry(obs, name).reshape(self.num_envs, -1) for name in names]
             found[KEYS[key]] = np.concatenate(columns, axis=1, dtype=np.float32)
         pictures = {image_key(name): _pictures(obs, name) for name in self._images}
-        for name, path in self._observed.items():
+        for name, path in self._sensors.items():
             pictures[image_key(name)] = np.ascontiguousarray(rgb(_entry(obs, path)))
         if pictures:
             found[_PIXELS] = pictures

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
 __all__ = ["ActionColumn", "action_columns"]
 
+_Line = tuple[Sequence[float | str], Sequence[float | str]]
+"""Centre and scale of each column."""
+
 
 @dataclass(frozen=True, slots=True)
 class ActionColumn:
@@ -69,7 +72,7 @@ def action_columns(env: BaseEnv) -> list[ActionColumn]:
         ]
     elif env.robot is not None:  # joint positions as they are
         names = [env.robot.joint_names[i] for i in env.active_joint_ids]
-        line = [0.0] * len(names), [1.0] * len(names)
+        line: _Line = [0.0] * len(names), [1.0] * len(names)
         units = joint_units(env.robot, env.active_joint_ids)
         parts = [(names, line, ActionMeaning("joint position", "absolute", units=units))]
     else:
@@ -89,10 +92,10 @@ def action_columns(env: BaseEnv) -> list[ActionColumn]:
     return [ActionColumn(*row, *ends) for row, *ends in zip(found, low, high, strict=True)]
 
 
-def _line(term: Any) -> tuple[Sequence[float | str], Sequence[float | str]]:
+def _line(term: Any) -> _Line:
     """Centre and scale of a term's columns; a term need not be a subclass of `ActionTerm`."""
     if hasattr(term, "centre_and_scale"):
-        line: tuple[Sequence[float | str], Sequence[float | str]] = term.centre_and_scale()
+        line: _Line = term.centre_and_scale()
         return line
     return [""] * len(term.low), [""] * len(term.low)
 

@@ -20,6 +20,7 @@ from embodichain.utils.math import (
     quat_multiply,
     quat_rotate,
     quat_to_rotvec,
+    quat_to_rpy,
     rotvec_to_quat,
 )
 
@@ -44,16 +45,6 @@ __all__ = [
 
 _PLACE = ("x", "y", "z")
 _QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
-
-
-def _quat_to_rpy(quat: F64) -> F64:
-    """Roll, pitch, yaw about fixed axes (R = Rz Ry Rx), (..., 3), of wxyz quaternions."""
-    w, x, y, z = contiguous(np.moveaxis(quat, -1, 0))
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    angles: F64 = np.stack([roll, pitch, yaw], axis=-1)
-    return angles
 
 
 def meaning_of_poses(names: Sequence[str], frame: str) -> ActionMeaning:
@@ -127,7 +118,7 @@ class AbsolutePose:
 
     def action_at(self, pos: F64, quat: F64) -> F64:
         """(n, A) the action for a pose (n, 3), (n, 4) in `frame`."""
-        turned = {"quat": quat, "rpy": _quat_to_rpy(quat)}.get(self._rotation, quat[:, :0])
+        turned = {"quat": quat, "rpy": quat_to_rpy(quat)}.get(self._rotation, quat[:, :0])
         action = np.concatenate([pos, turned], axis=1)
         within: F64 = np.minimum(np.maximum(action, self.low), self.high)
         return within
