@@ -145,10 +145,6 @@ def test_every_function_takes_arrays_without_rows(name):
 
 
 def test_roll_pitch_yaw_give_the_rotation_back_at_every_pitch():
-    from scipy.spatial.transform import Rotation
-
-    from embodichain.utils.math import quat_to_rpy
-
     half = 0.5**0.5
     exact = [[half, 0, half, 0], [half, 0, -half, 0], [0.5, -0.5, 0.5, 0.5], [0.5, 0.5, -0.5, 0.5]]
     pitches = np.pi / 2 - np.array([0.0, 1e-9, 1e-6, 1e-3, 1.0, 2.0, 3.0])
@@ -160,7 +156,7 @@ def test_roll_pitch_yaw_give_the_rotation_back_at_every_pitch():
         for yaw in (-1.0, 0.0, 3.0)
     ]
     quats = np.array([*exact, *near])
-    angles = quat_to_rpy(quats)
+    angles = m.quat_to_rpy(quats)
     # scipy's lower-case axes are fixed: R = Rz Ry Rx.
     found = Rotation.from_euler("xyz", angles)
     apart = (found.inv() * Rotation.from_quat(quats, scalar_first=True)).magnitude()
