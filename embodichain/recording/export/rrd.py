@@ -278,10 +278,10 @@ def _send_pictures(
 
 
 def _camera_paths(model: mujoco.MjModel, env: int, names: Iterable[str]) -> dict[str, str]:
-    """Path of each camera, below the scene, so that Rerun shows its frustum and picture there.
+    r"""Path of each camera, below the scene, so that Rerun shows its frustum and picture there.
 
     Rerun multiplies poses along a path, and has no lens below a lens: a camera is below nothing
-    that has either, so a name is one part of the path (``twins\\/right``), and the part before it
+    that has either, so a name is one part of the path (``twins\/right``), and the part before it
     is no body's.
     """
     rr: Any = required("rerun", "rrd")

@@ -57,7 +57,8 @@ class Images:
     """Draws cameras of some environments and writes their pictures.
 
     The topics of a camera are ``/env_I/camera/NAME/`` with ``image``, ``depth``, ``mask`` and
-    ``calibration``; its frame ``env_I/camera/NAME`` has ROS's optical axes. Depth is in
+    ``calibration``, in OpenCV's and ROS's pixels, whose middles are whole numbers; its frame
+    ``env_I/camera/NAME`` has ROS's optical axes. Depth is in
     millimetres, 0 where nothing is hit or beyond 65.5 m; masks have the sensor's numbers of
     entities, and 65535 for the background.
 
@@ -246,7 +247,9 @@ def _numbers(values: NDArray[np.uint16]) -> Any:
 
 
 def _calibration(shot: Shot, view: View) -> Any:
-    fx, fy, cx, cy = view.lens[0].tolist()
+    """The lens as OpenCV and ROS count pixels: the middle of the first one is at (0, 0)."""
+    fx, fy, *middle = view.lens[0].tolist()
+    cx, cy = (place - 0.5 for place in middle)
     return CameraCalibration(
         width=shot.width,
         height=shot.height,

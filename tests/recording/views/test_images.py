@@ -142,8 +142,9 @@ def test_depth_and_mask_are_numbers(video):
 
 def test_the_camera_has_its_lens_and_its_frame(video):
     calibration = decoded(video, "/env_1/camera/front/calibration")[0]
-    assert list(calibration.K) == pytest.approx([60, 0, 30, 0, 70, 25, 0, 0, 1])
-    assert list(calibration.P) == pytest.approx([60, 0, 30, 0, 0, 70, 25, 0, 0, 0, 1, 0])
+    # The config's [60, 70, 30, 25] is from the corner; OpenCV's pixels have their middles there.
+    assert list(calibration.K) == pytest.approx([60, 0, 29.5, 0, 70, 24.5, 0, 0, 1])
+    assert list(calibration.P) == pytest.approx([60, 0, 29.5, 0, 0, 70, 24.5, 0, 0, 0, 1, 0])
     assert (calibration.width, calibration.height) == (64, 48)
     frames = [f for m in decoded(video, "/tf") for f in m.transforms]
     frame = next(f for f in frames if f.child_frame_id == "env_1/camera/front")

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.cameras import (
     add_camera,
-    picture_names,
     check_memory,
     entity_of_geom,
+    picture_names,
 )
 from embodichain.lab.sim.compiler.index import EntityIndex, Ids, Mask
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid
