@@ -65,6 +65,7 @@ def action_columns(env: BaseEnv) -> list[ActionColumn]:
     Empty if the environment's class defines its action space itself: it says what it means.
     """
     manager, space = env.action_manager, env.single_action_space
+    parts: list[tuple[list[str], _Line, ActionMeaning]]
     if len(manager):
         parts = [
             (_names(env, name), _line(term.instance), _meaning(term.instance))
