@@ -19,8 +19,17 @@ _COLOR, _RIGHT = "color", "_right"
 def camera_uids(task: Mapping[str, Any]) -> set[str]:
     """Uids of the camera sensors of a task's config."""
     declared: Mapping[str, Any] = task.get("sensors") or {}
-    made = {uid: SensorCfg.from_dict(values) for uid, values in declared.items()}
+    made = {uid: SensorCfg.from_dict(_thawed(values)) for uid, values in declared.items()}
     return {uid for uid, cfg in made.items() if isinstance(cfg, CameraCfg)}
+
+
+def _thawed(value: Any) -> Any:
+    """A config that cannot be changed, as maps and lists that can."""
+    if isinstance(value, Mapping):
+        return {key: _thawed(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_thawed(item) for item in value]
+    return value
 
 
 def observed_images(

@@ -93,6 +93,19 @@ def test_what_joints_are_told(tmp_path, control, given, mode, reference, centre,
     assert (first["centre"], first["scale"]) == pytest.approx((centre, scale))
 
 
+def test_a_term_that_describes_other_columns_is_refused(monkeypatch):
+    from embodichain import make
+    from embodichain.lab.gym.envs.action_columns import action_columns
+    from embodichain.lab.gym.envs.managers.term import ActionMeaning
+
+    env = make("reach", num_envs=1)
+    term = env.unwrapped.action_manager.terms["arm"].instance
+    monkeypatch.setattr(term, "meaning", lambda: ActionMeaning(units=("rad", "rad")))
+    with pytest.raises(ConfigError, match=r"actions\.arm\.func: says 2 of units for 6 columns"):
+        action_columns(env.unwrapped)
+    env.close()
+
+
 def test_episodes_of_logs_have_their_own_instructions(tmp_path):
     logs = []
     for said in ("Go left.", "Go right."):

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from embodichain.lab.gym.envs.managers.term import ActionMeaning, joint_units
+from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -71,6 +72,7 @@ def action_columns(env: BaseEnv) -> list[ActionColumn]:
             (_names(env, name), _line(term.instance), _meaning(term.instance))
             for name, term in manager.terms.items()
         ]
+        _require_lengths(list(manager.terms), parts)
     elif env.robot is not None:  # joint positions as they are
         names = [env.robot.joint_names[i] for i in env.active_joint_ids]
         line: _Line = [0.0] * len(names), [1.0] * len(names)
@@ -85,12 +87,30 @@ def action_columns(env: BaseEnv) -> list[ActionColumn]:
         for name, quantity, centre, scale, unit in zip(
             names, quantities, centres, scales, units, strict=True
         ):
-            line = _centre(centre, meaning), _plain(scale)
-            found.append((name, quantity, *about, *line, unit))
+            value = _centre(centre, meaning), _plain(scale)
+            found.append((name, quantity, *about, *value, unit))
     if space.shape != (len(found),):
         return []
     low, high = (end.tolist() for end in (space.low, space.high))  # type: ignore[attr-defined]
     return [ActionColumn(*row, *ends) for row, *ends in zip(found, low, high, strict=True)]
+
+
+def _require_lengths(
+    terms: Sequence[str], parts: Sequence[tuple[list[str], _Line, ActionMeaning]]
+) -> None:
+    """Refuse terms that describe another number of columns than they have."""
+    for term, (names, (centres, scales), meaning) in zip(terms, parts, strict=True):
+        count = len(names)
+        given = {
+            "centre": centres,
+            "scale": scales,
+            "quantity": meaning.of("quantity", count),
+            "units": meaning.of("units", count),
+        }
+        for what, values in given.items():
+            if len(values) != count:
+                message = f"says {len(values)} of {what} for {count} columns of its action"
+                raise ConfigError([Problem(f"actions.{term}.func", message)])
 
 
 def _line(term: Any) -> _Line:
