@@ -439,24 +439,17 @@ def _flow(value: Any) -> str:
 
 def _action_vector(env: BaseEnv) -> Rows:
     """Each column of the action: what it moves, and the line from action to value."""
-    manager = env.action_manager
-    names, (centres, scales) = manager.names, manager.centre_and_scale()
-    if not len(manager) and env.robot is not None:  # joint positions as they are
-        names = tuple(env.robot.joint_names[i] for i in env.active_joint_ids)
-        centres, scales = [0.0] * len(names), [1.0] * len(names)
-    space: Any = env.single_action_space
-    if space.shape != (len(names),):  # that of a class, which says what it means
-        return []
-    columns = zip(names, centres, scales, space.low, space.high, strict=True)
+    from embodichain.lab.gym.envs.action_columns import action_columns
+
     return [
         {
             "column": index,
-            "joint": name,
-            "centre": centre,
-            "scale": scale,
-            "clip": [float(low), float(high)],
+            "joint": column.name,
+            "centre": column.about,
+            "scale": column.scale,
+            "clip": [column.low, column.high],
         }
-        for index, (name, centre, scale, low, high) in enumerate(columns)
+        for index, column in enumerate(action_columns(env))
     ]
 
 

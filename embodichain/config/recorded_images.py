@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import mujoco
@@ -33,16 +33,19 @@ class ImageChoice(Protocol):
 
 
 def check_images(
-    chosen: ImageChoice, model: mujoco.MjModel, sensors: Sequence[str]
+    chosen: ImageChoice,
+    model: mujoco.MjModel,
+    sensors: Mapping[str, tuple[int, tuple[int, int]]],
 ) -> list[Problem]:
     """Return a problem for each camera that cannot be recorded.
 
     Args:
         chosen: What is to be recorded.
         model: The compiled scene.
-        sensors: Names of the cameras that are sensors.
+        sensors: Name of each picture of camera sensors to the id of the camera, and its size.
     """
-    known = {model.camera(i).name: i for i in range(model.ncam)}
+    known = {model.camera(i).name: (i, camera_size(model, i)) for i in range(model.ncam)}
+    known |= sensors
     there = f"Cameras: {', '.join(known) or 'none'}"
     if chosen.cameras is None and not sensors:
         message = f"the task has no camera sensors: name cameras. {there}"
@@ -57,10 +60,11 @@ def check_images(
             hint = did_you_mean(name, known).strip()
             problems.append(Problem(key, f"no camera {name!r}. {there}", hint))
             continue
-        if model.cam_projection[known[name]] != int(mujoco.mjtProjection.mjPROJ_PERSPECTIVE):
+        camera, own = known[name]
+        if model.cam_projection[camera] != int(mujoco.mjtProjection.mjPROJ_PERSPECTIVE):
             message = f"camera {name!r} is orthographic: only pinhole cameras can be drawn"
             problems.append(Problem(key, message))
-        width, height = chosen.size or camera_size(model, known[name])
+        width, height = chosen.size or own
         if chosen.format == "h264" and (width % 2 or height % 2):
             size = f"{name} has {width} x {height} pixels"
             message = f"h264 needs even widths and heights; {size}: set a size, or format: jpeg"

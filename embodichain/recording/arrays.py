@@ -156,8 +156,9 @@ def gather(
             values[name] = np.concatenate(pieces.pop(name) or [empty])
         except ValueError as error:
             raise LogError(f"{reader.path}: steps differ in their {name}: {error}") from error
-    if "actions" in values:  # the first step of a damaged log may be unknown
-        named["actions"] = [Column(str(i), "") for i in range(values["actions"].shape[-1])]
+    width = values["actions"].shape[-1] if "actions" in values else 0
+    if width != len(named.get("actions", ())):  # the first step of a damaged log may be unknown
+        named["actions"] = [Column(str(i), "") for i in range(width)]
     every_step = np.concatenate([np.empty(0, np.int64), *steps])
     return LogArrays(every_step, ids, header.control_dt, named, values)
 

@@ -13,17 +13,15 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
-from embodichain.lab.sim.drawing.views import Viewpoint
+from embodichain.lab.sim.drawing.views import View, Viewpoint
 from embodichain.recording import joining
 from embodichain.recording.api import Log
-from embodichain.recording.frames import FilmCamera, frames
+from embodichain.recording.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.playback import Playback, Span, span_of
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.video import GIF, Film, film_file, need_encoder
 
 __all__ = ["FASTEST", "Filmed", "film_log"]
@@ -110,7 +108,7 @@ def film_log(
         raise ConfigError(f"a film's width and height must be even, 16 or more, got {size}")
     span = span_of(log, env, episode, first, last)
     playback = Playback(log, env)
-    cameras = [FilmCamera(_look(log.model, camera), size)]
+    cameras = [FilmCamera(_look(log, camera), size)]
     rate = speed / log.dt
     every = every or max(1, math.ceil(rate / _fastest(out) - 1e-9))
     stopped = stop or (lambda: False)
@@ -155,20 +153,17 @@ def _count(
     return int(min(most, math.ceil(steps / every)))
 
 
-def _look(model: mujoco.MjModel, camera: str | None) -> str | Viewpoint:
+def _look(log: Log, camera: str | None) -> str | Viewpoint | View:
     """The camera or viewpoint to render.
 
     Raises:
         ConfigError: If there is no such camera.
     """
-    known = [model.camera(i).name for i in range(model.ncam)]
-    if camera is None and _CAMERA in known:
+    model = log.model
+    if camera is None and _CAMERA in [model.camera(i).name for i in range(model.ncam)]:
         return _CAMERA
     if camera is None:
         middle, extent = np.asarray(model.stat.center), float(model.stat.extent)
         eye = middle + 1.2 * extent * np.asarray(_FRONT)
         return Viewpoint.look_at(eye.tolist(), middle.tolist())
-    if camera not in known:
-        there = ", ".join(known) or "none"
-        raise ConfigError(f"no camera {camera!r}.{did_you_mean(camera, known)} Cameras: {there}")
-    return camera
+    return cameras_of(log, [camera])[camera].camera

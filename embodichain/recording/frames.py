@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.cameras import camera_names
+from embodichain.lab.sim.compiler.cameras import picture_names
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import StoredStates
 from embodichain.lab.sim.drawing.views import Look, View, Viewpoint, camera_size, view_of
@@ -143,28 +143,30 @@ def cameras_of(
     """
     sensors, model = _camera_sensors(log), log.model
     scene = {model.camera(i).name: camera_size(model, i) for i in range(model.ncam)}
+    known = {**scene, **sensors}
     found = {}
     for name in sensors if names is None else dict.fromkeys(names):
-        if name not in scene:
-            there = ", ".join(scene) or "none"
-            hint = did_you_mean(name, scene)
+        if name not in known:
+            there = ", ".join(known) or "none"
+            hint = did_you_mean(name, known)
             raise ConfigError(f"no camera {name!r}.{hint} Cameras: {there}")
-        cfg = sensors.get(name)
-        if cfg is not None:
+        if name in sensors:
+            camera, cfg = sensors[name]
             pixels = size or (cfg.width, cfg.height)
-            found[name] = FilmCamera(name, pixels, cfg.look, cfg.near, cfg.far)
+            found[name] = FilmCamera(camera, pixels, cfg.look, cfg.near, cfg.far)
         else:
             found[name] = FilmCamera(name, size or scene[name])
     return found
 
 
-def _camera_sensors(log: Log) -> dict[str, CameraCfg]:
-    """Name of the camera in the model to its config, of the camera sensors in a log's config."""
+def _camera_sensors(log: Log) -> dict[str, tuple[str, CameraCfg]]:
+    """Name of each picture of a log's camera sensors to the camera in the model, and the config."""
     task = log.config.get("task")
     declared = task.get("sensors") if isinstance(task, dict) else None
-    found: dict[str, CameraCfg] = {}
+    found: dict[str, tuple[str, CameraCfg]] = {}
     for uid, values in (declared or {}).items():
         cfg = SensorCfg.from_dict(values)
         if isinstance(cfg, CameraCfg):
-            found |= dict.fromkeys(camera_names(uid, cfg), cfg)
+            named = picture_names(uid, cfg).items()
+            found |= {name: (camera, cfg) for name, camera in named}
     return found

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 
+from embodichain.lab.gym.envs.action_columns import ActionColumn, action_columns
 from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.columns import moved_ranges
 from embodichain.recording.log_error import LARGEST_CHUNK, DamageError, LogError
@@ -78,6 +79,8 @@ class Header:
         engine: What computed physics: ``mujoco``, or another engine with its version.
         writes: ``all``, or ``none``: instead of each write the log has what differs between states
             before and after physics and after resets (arrays on a device).
+        action: What each number of an action means, see `ActionColumn.to_dict`; empty if it is not
+            known.
     """
 
     task: str
@@ -104,6 +107,7 @@ class Header:
     policy: str = ""
     engine: str = MUJOCO
     writes: str = "all"
+    action: tuple[dict[str, Any], ...] = ()
 
     def to_metadata(self) -> dict[str, str]:
         """Return the fields as strings: text as it is, everything else as JSON."""
@@ -135,6 +139,7 @@ class Header:
             }
             found["moved"] = [(int(a), int(b)) for a, b in found["moved"]]
             found["layout"] = {k: (int(a), int(b)) for k, (a, b) in found["layout"].items()}
+            found["action"] = tuple(found.get("action", ()))
             header = cls(**found)
             header._check()
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
@@ -168,6 +173,8 @@ class Header:
             wrong.append("start_ns")
         if (self.state == "keyframes") != (self.keyframe_every > 0):
             wrong.append("keyframe_every")
+        if not all(map(_is_column, self.action)):
+            wrong.append("action")
         if self.writes not in ("all", "none"):
             wrong.append("writes")
         if wrong:
@@ -236,6 +243,14 @@ class Header:
         return {name: slice(a, b) for name, (a, b) in self.layout.items()}
 
 
+def _is_column(column: Any) -> bool:
+    """Whether this is a column of an action."""
+    expected = {field.name for field in fields(ActionColumn)}
+    return (
+        isinstance(column, dict) and expected <= column.keys() and isinstance(column["name"], str)
+    )
+
+
 def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
     """Raise `DamageError` unless a file is the given part of a log.
 
@@ -302,7 +317,15 @@ def header_of(
         policy=policy,
         engine=env.sim.engine.name,
         writes="all" if env.sim.engine.reports_writes else "none",
+        action=_action_of(env),
     )
+
+
+def _action_of(env: Any) -> tuple[dict[str, Any], ...]:
+    """What an environment's actions mean; empty for one without an action manager."""
+    if getattr(env, "action_manager", None) is None:
+        return ()
+    return tuple(column.to_dict() for column in action_columns(env))
 
 
 def why_unverifiable(model: mujoco.MjModel, state: str) -> str:

@@ -79,11 +79,14 @@ def camera_sensors(env: ObservedEnv) -> list[Camera]:
     return cameras
 
 
-def shots_of(sensor: Camera) -> list[Shot]:
-    """How a camera sensor is drawn: one shot, or a left and a right one."""
-    cfg, model = sensor.cfg, sensor.engine.model
+def shots_of(sensor: Camera) -> dict[str, Shot]:
+    """How a camera sensor is drawn, by the name of the picture: one shot, or left and right."""
+    cfg, model, index = sensor.cfg, sensor.engine.model, sensor.index
     how = cfg.width, cfg.height, cfg.near, cfg.far, cfg.look, sensor.outputs
-    return [Shot(model.camera(i).name, *how) for i in sensor.index.ids]
+    return {
+        name: Shot(model.camera(camera).name, *how)
+        for name, camera in zip(index.pictures, index.ids, strict=True)
+    }
 
 
 class RowRenderer:
@@ -215,7 +218,9 @@ class FirstPictures:
             rows: (N, nstate) rows before its physics.
         """
         ids, self._begun = sorted(self._begun), set()
-        shots = [s for camera in self._cameras if camera.was_drawn for s in shots_of(camera)]
+        shots = [
+            s for camera in self._cameras if camera.was_drawn for s in shots_of(camera).values()
+        ]
         if not ids or not shots or self._is_off:
             return
         if self._renderer is None:

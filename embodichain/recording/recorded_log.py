@@ -192,8 +192,15 @@ class RecordedLog:
         found = {name: [Column(name, "")] for name in single}
         if self.header.state != "none":
             found = state_columns(self.model, self.header.layout) | found
-            found["actions"] = [Column(str(i), "") for i in range(self._action_width())]
+            found["actions"] = self._action_columns()
         return found
+
+    def _action_columns(self) -> list[Column]:
+        """Names of an action's numbers, which are without unit; else their indices."""
+        width, known = self._action_width(), self.header.action
+        if len(known) == width:
+            return [Column(column["name"], "") for column in known]
+        return [Column(str(i), "") for i in range(width)]
 
     def _action_width(self) -> int:
         """Number of columns of an action; 0 if the log has no steps."""

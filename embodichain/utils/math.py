@@ -27,6 +27,7 @@ __all__ = [
     "quat_rotate",
     "quat_to_matrix",
     "quat_to_rotvec",
+    "quat_to_rpy",
     "rotate",
     "rotate_back",
     "rotvec_to_quat",
@@ -196,6 +197,25 @@ def euler_xyz_to_quat(angles: F64) -> F64:
 def rpy_to_quat(angles: F64) -> F64:
     """Wxyz quaternions of roll, pitch, yaw in rad about fixed axes, R = Rz Ry Rx, (..., 3)."""
     return quat_conjugate(euler_xyz_to_quat(-angles))
+
+
+def quat_to_rpy(quats: F64) -> F64:
+    """Roll, pitch, yaw about fixed axes (R = Rz Ry Rx) in rad, (..., 3), of unit wxyz quaternions.
+
+    At a pitch of +-90 degrees, where only the sum or difference of the other two counts, they still
+    give the same rotation: roll is found with the yaw taken away.
+    """
+    w, x, y, z = contiguous(np.moveaxis(_floats(quats), -1, 0))
+    m00, m11 = 1.0 - 2.0 * (y * y + z * z), 1.0 - 2.0 * (x * x + z * z)
+    m10, m01 = 2.0 * (x * y + w * z), 2.0 * (x * y - w * z)
+    m20, m02 = 2.0 * (x * z - w * y), 2.0 * (x * z + w * y)
+    m12 = 2.0 * (y * z - w * x)
+    yaw = np.arctan2(m10, m00)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    pitch = np.arctan2(-m20, cos * m00 + sin * m10)
+    roll = np.arctan2(sin * m02 - cos * m12, cos * m11 - sin * m01)
+    angles: F64 = np.stack([roll, pitch, yaw], axis=-1)
+    return angles
 
 
 def rotvec_to_quat(vectors: F64) -> F64:

@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 __all__ = ["GIF", "Film", "GifFile", "VideoFile", "film_file", "need_encoder"]
 
 GIF = ".gif"
+_COLORS = (
+    *("-vf", "setparams=color_primaries=bt709:color_trc=iec61966-2-1"),
+    *("-colorspace", "smpte170m", "-color_range", "tv"),
+)
+"""sRGB, and FFmpeg's conversion to YUV. Unnamed, players assume another one from 720 lines on."""
 
 
 def need_encoder(suffix: str = ".mp4") -> None:
@@ -110,7 +115,7 @@ class VideoFile(Film):
             fps=fps,
             codec="libx264",
             macro_block_size=2,
-            output_params=["-preset", "veryfast", "-threads", "1", *options],
+            output_params=["-preset", "veryfast", "-threads", "1", *_COLORS, *options],
         )
         self._writer.send(None)
 

@@ -28,5 +28,10 @@ np.savez(
     about=[len(data), data.num_episodes, data.fps],
     tasks=[task for batch in batches for task in batch["task"]],
     two_actions=torch.stack([ahead[i]["action"] for i in range(len(ahead))]).numpy(),
-    **{f"mean/{name}": stats["mean"] for name, stats in data.meta.stats.items()},
+    action_names=data.meta.features["action"]["names"],
+    **{
+        f"{kind}/{name}": stats[kind]
+        for name, stats in data.meta.stats.items()
+        for kind in ("min", "max", "mean", "std", "count", "q01", "q50", "q99")
+    },
 )

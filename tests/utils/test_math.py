@@ -124,6 +124,7 @@ WIDTHS = {
     "quat_rotate": (4, 3),
     "quat_to_matrix": (4,),
     "quat_to_rotvec": (4,),
+    "quat_to_rpy": (4,),
     "rotate": ((3, 3), 3),
     "rotate_back": ((3, 3), 3),
     "rotvec_to_quat": (3,),
@@ -142,3 +143,23 @@ def test_every_function_takes_arrays_without_rows(name):
     for lead in ((0,), (3, 0), (0, 3)):
         empty = [np.zeros((*lead, *w)) for w in widths]
         assert getattr(m, name)(*empty).shape == (*lead, *shape)
+
+
+def test_roll_pitch_yaw_give_the_rotation_back_at_every_pitch():
+    half = 0.5**0.5
+    exact = [[half, 0, half, 0], [half, 0, -half, 0], [0.5, -0.5, 0.5, 0.5], [0.5, 0.5, -0.5, 0.5]]
+    pitches = np.pi / 2 - np.array([0.0, 1e-9, 1e-6, 1e-3, 1.0, 2.0, 3.0])
+    near = [
+        Rotation.from_euler("xyz", [roll, sign * pitch, yaw]).as_quat(scalar_first=True)
+        for roll in (-2.0, 0.0, 0.7)
+        for sign in (1, -1)
+        for pitch in pitches
+        for yaw in (-1.0, 0.0, 3.0)
+    ]
+    quats = np.array([*exact, *near])
+    angles = m.quat_to_rpy(quats)
+    # scipy's lower-case axes are fixed: R = Rz Ry Rx.
+    found = Rotation.from_euler("xyz", angles)
+    apart = (found.inv() * Rotation.from_quat(quats, scalar_first=True)).magnitude()
+    assert apart.max() < 1e-12
+    assert np.abs(angles[:, 1]).max() <= np.pi / 2 + 1e-12

@@ -1,6 +1,7 @@
 """`GifFile`: pictures, their durations, and what is left where writing stops."""
 
 import importlib.util
+import subprocess
 
 import numpy as np
 import pytest
@@ -60,3 +61,35 @@ def test_only_an_mp4_needs_the_encoder(tmp_path, monkeypatch):
     need_encoder(".gif")
     with pytest.raises(ConfigError, match=r"imageio-ffmpeg.*embodichain\[video\]"):
         need_encoder()
+
+
+@pytest.mark.parametrize("size", [(64, 48), (1280, 720)])
+def test_an_mp4_names_its_colours(tmp_path, size):
+    """Unnamed, players take BT.709 from 720 lines on; here as in videos of logs."""
+    av = pytest.importorskip("av")
+    width, height = size
+    colours = [(220, 30, 40), (20, 200, 60), (30, 40, 230)]
+    picture = np.zeros((height, width, 3), np.uint8)
+    for number, colour in enumerate(colours):
+        picture[:, number * width // 3 :] = colour
+    with VideoFile(tmp_path / "film.mp4", size, 25) as film:
+        for _ in range(3):
+            film.write(picture)
+    with av.open(str(tmp_path / "film.mp4")) as opened:
+        stream = opened.streams.video[0].codec_context
+        # ITU-T H.273: BT.709 primaries, the curve of sRGB, the matrix of BT.601, limited range.
+        tags = stream.color_primaries, stream.color_trc, stream.colorspace, stream.color_range
+        assert tuple(map(int, tags)) == (1, 13, 6, 1)
+        shown = next(opened.decode(video=0)).to_ndarray(format="rgb24")
+    for number, colour in enumerate(colours):
+        found = shown[height // 2, (2 * number + 1) * width // 6]
+        assert np.abs(found.astype(int) - colour).max() <= 3
+    import imageio_ffmpeg
+
+    told = subprocess.run(
+        [imageio_ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / "film.mp4"],
+        capture_output=True,
+        text=True,
+        check=False,
+    ).stderr
+    assert "yuv420p(tv, smpte170m/bt709/iec61966-2-1" in told

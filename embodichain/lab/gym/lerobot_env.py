@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import NO_LIMIT
 from embodichain.lab.gym.envs.observation import entry_spaces
+from embodichain.lab.gym.observed_images import camera_uids, observed_images, rgb
 from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.utils.errors import ConfigError
 
@@ -115,6 +116,7 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         entries = entry_spaces(env.single_observation_space, names)
         self._images = [key for key in names if len(entries[key].shape or ()) >= _IMAGE_SHAPE]
         vectors = [key for key in names if key not in self._images]
+        self._sensors = _observed(env, task, names)
         self._parts = lerobot_parts(task, vectors)
         self.features: dict[str, tuple[str, tuple[int, ...]]] = {
             key: ("float32", (sum(_size(entries[n]) for n in found),))
@@ -123,6 +125,11 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         for key in self._images:
             shape = _picture_shape(key, entries[key])
             self.features[f"observation.images.{image_key(key)}"] = ("uint8", shape)
+        for key, path in self._sensors.items():
+            (space,) = entry_spaces(env.single_observation_space, [path]).values()
+            height, width = (space.shape or ())[:2]
+            feature = "uint8", (height, width, 3)
+            self.features[f"observation.images.{image_key(key)}"] = feature
         self.single_observation_space = self._space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         sentence = str(task.get("description") or name)
@@ -178,8 +185,11 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         for key, names in self._parts.items():
             columns = [_entry(obs, name).reshape(self.num_envs, -1) for name in names]
             found[KEYS[key]] = np.concatenate(columns, axis=1, dtype=np.float32)
-        if self._images:
-            found[_PIXELS] = {image_key(name): _pictures(obs, name) for name in self._images}
+        pictures = {image_key(name): _pictures(obs, name) for name in self._images}
+        for name, path in self._sensors.items():
+            pictures[image_key(name)] = np.ascontiguousarray(rgb(_entry(obs, path)))
+        if pictures:
+            found[_PIXELS] = pictures
         return found
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
@@ -223,6 +233,17 @@ class _Member:
 
     def render(self) -> NDArray[np.uint8] | None:
         return self._batch.render_one(self._index)
+
+
+def _observed(env: BaseEnv, task: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
+    """Names and paths of the colours of sensors with ``observe: true`` that no term has."""
+    space: Any = env.single_observation_space
+    sensors = space["sensor"] if "sensor" in getattr(space, "spaces", {}) else {}
+    paths = [f"sensor/{uid}/{output}" for uid, of in sensors.items() for output in of]
+    free = [path for path in paths if path not in names]
+    found = observed_images(free, camera_uids(task), names)
+    colours = ("color", "color_right")
+    return {name: path for name, path in found.items() if path.rpartition("/")[2] in colours}
 
 
 def _entry(obs: Mapping[str, Any], name: str) -> NDArray[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.observed_images import camera_uids, observed_images, rgb
 from embodichain.recording.demonstrations import Episode, read_episodes, sources_of
 from embodichain.recording.export.formats import EPISODE_FORMATS, new_file
 from embodichain.recording.recorded_log import RecordedLog
@@ -18,6 +20,8 @@ from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["DataSet", "export_episodes"]
+
+_log = logging.getLogger(__name__)
 
 
 class DataSet:
@@ -31,7 +35,8 @@ class DataSet:
         first: The first episode, which has the entries and shapes of all.
         group: The observation group.
         vectors: Names of the entries of the group that are no images, in order.
-        images: Names of those that are images.
+        images: Names of those that are images; of the group ``policy`` also of the pictures of
+            sensors with ``observe: true``.
 
     Raises:
         ConfigError: If there is no such group.
@@ -44,6 +49,25 @@ class DataSet:
         entries = self.first.entries(group)
         self.images = [name for name, values in entries.items() if values.ndim > 3]
         self.vectors = [name for name in entries if name not in self.images]
+        self._observed: dict[str, str] = {}
+        self._add_observed()
+
+    def _add_observed(self) -> None:
+        """Add the pictures that sensors put into the observation; name what is left out."""
+        grouped = {name for names in self.first.groups.values() for name in names}
+        left = [n for n in self.first.observations if n.startswith("sensor/") and n not in grouped]
+        if left and self.group == "policy":
+            with self.log() as log:
+                cameras = camera_uids(log.config["task"])
+            self._observed = observed_images(left, cameras, [*self.images, *self.vectors])
+            self.images += self._observed
+            left = [name for name in left if name not in self._observed.values()]
+        if left:
+            _log.warning(
+                "left out: %s (observe: true); only observation terms are in a group, and pictures "
+                "of sensors go with the group policy",
+                ", ".join(left),
+            )
 
     def __iter__(self) -> Iterator[Episode]:
         """Yield the episodes. Can be called once."""
@@ -59,7 +83,9 @@ class DataSet:
         return values.reshape(len(values), -1)
 
     def pictures(self, episode: Episode, name: str) -> NDArray[Any]:
-        """(T+1, H, W, C) values of an image; a term's channels come first."""
+        """(T+1, H, W, C) values of an image; a term's channels come first, a sensor's last."""
+        if name in self._observed:
+            return rgb(episode.observations[self._observed[name]])
         return np.moveaxis(episode.observations[name], 1, -1)
 
     def columns(self, name: str) -> list[str]:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import io
-import json
 import logging
 import os
 import shutil
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,9 +18,7 @@ import numpy as np
 
 from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
-from embodichain.recording.log_error import LogError
 from embodichain.recording.playback import Playback, span_of
-from embodichain.recording.recorded_log import RecordedLog
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -38,15 +33,12 @@ __all__ = [
     "about",
     "demonstrations",
     "export",
-    "model_xml",
     "new_file",
     "poses",
     "required",
-    "robomimic_env",
 ]
 
 _FILM_SIZE = (640, 480)
-_GYM_TYPE = 2  # robomimic's EnvType.GYM_TYPE
 _log = logging.getLogger(__name__)
 
 
@@ -281,24 +273,6 @@ def demonstrations(log: Log, part: Part) -> list[tuple[LogEpisode, range]]:
     if not chosen:
         raise ConfigError("no episode is in the chosen range")
     return chosen
-
-
-def robomimic_env(log: RecordedLog) -> str:
-    """The attribute ``env_args`` of robomimic's files: task and config as JSON."""
-    return json.dumps({"env_name": log.task, "type": _GYM_TYPE, "env_kwargs": log.config})
-
-
-def model_xml(log: RecordedLog) -> str:
-    """The scene as XML; 6 digits, like every XML of a compiled model.
-
-    Raises:
-        LogError: If the log has none, or it is damaged.
-    """
-    try:
-        with zipfile.ZipFile(io.BytesIO(log.attachment("scene.mjz"))) as archive:
-            return archive.read("model.xml").decode()
-    except (zipfile.BadZipFile, KeyError) as error:
-        raise LogError(f"{log.path}: the attachment scene.mjz is damaged: {error!r}") from error
 
 
 def poses(log: Log, env: int, part: Part) -> Iterator[tuple[int, mujoco.MjData, bool]]:

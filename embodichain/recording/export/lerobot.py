@@ -7,6 +7,7 @@ observations are in `lerobot_episodes`.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -15,19 +16,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.lerobot_env import image_key
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.export.formats import Part, demonstrations
 from embodichain.recording.export.lerobot_writer import Feature, LeRobotWriter, whole_fps
+from embodichain.recording.export.meaning import (
+    describe_action,
+    instruction_of,
+    require_unique,
+    robot_of,
+)
 from embodichain.recording.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.log_error import LogError
 from embodichain.recording.playback import Playback, Span
-from embodichain.recording.recorded_log import RecordedLog
 from embodichain.recording.views.channels import scalar_joints
 
-__all__ = ["about_task", "write_lerobot"]
+__all__ = ["write_lerobot"]
 
+_log = logging.getLogger(__name__)
 _BLOCK_BYTES = 2**28
 """Approximate size of the data in memory at a time."""
 
@@ -64,8 +72,13 @@ def write_lerobot(log: Log, part: Part, path: Path) -> None:
     sources, cameras = _sources(log), dict(_cameras(log, part))
     features = {key: source.feature for key, source in sources.items()}
     sizes = {key: camera.size for key, camera in cameras.items()}
+    if "action" in features:
+        features["action"] = features["action"]._replace(info=describe_action(log))
+    else:
+        _log.warning("%s has no actions: the data set has no feature 'action'", log.path)
+    instruction = instruction_of(log)
     with ExitStack() as stack:
-        writer = LeRobotWriter(path, features, sizes, fps, *about_task(log))
+        writer = LeRobotWriter(path, features, sizes, fps, robot_of(log))
         stack.enter_context(writer)
         renderer = None
         if cameras:
@@ -80,18 +93,8 @@ def write_lerobot(log: Log, part: Part, path: Path) -> None:
                 playback = Playback(log, episode.env)
                 drawn = frames(renderer, playback, [*cameras.values()], span)
                 pictures = (frame.pictures for frame in drawn)
-            writer.add(values, source, pictures)
+            writer.add(values, source, instruction, pictures)
         writer.finish()
-
-
-def about_task(log: RecordedLog) -> tuple[str, str | None]:
-    """Return the sentence that describes a log's task, and its robot."""
-    task: Any = log.config.get("task")
-    task = task if isinstance(task, dict) else {}
-    robot, said = task.get("robot"), task.get("description")
-    uid = robot.get("uid") if isinstance(robot, dict) else None
-    sentence = said if isinstance(said, str) and said else log.task
-    return sentence, None if uid is None else str(uid)
 
 
 def _sources(log: Log) -> dict[str, _Source]:
@@ -160,8 +163,9 @@ def _cameras(log: Log, part: Part) -> Iterator[tuple[str, FilmCamera]]:
     if part.cameras is None:
         filmed = dict(_event_cameras(log, part.size))
         chosen |= {name if name not in chosen else f"{name}_film": c for name, c in filmed.items()}
+    keys = require_unique(chosen, image_key, "lerobot")
     for name, camera in chosen.items():
-        yield f"observation.images.{name.replace('/', '_')}", camera
+        yield f"observation.images.{keys[name]}", camera
 
 
 def _event_cameras(log: Log, size: tuple[int, int] | None) -> Iterator[tuple[str, FilmCamera]]:

@@ -18,8 +18,15 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.lerobot_env import image_key, lerobot_parts
 from embodichain.recording.demonstrations import Episode
 from embodichain.recording.export.episodes import DataSet
-from embodichain.recording.export.lerobot import about_task
 from embodichain.recording.export.lerobot_writer import Feature, LeRobotWriter, whole_fps
+from embodichain.recording.export.meaning import (
+    action_names,
+    describe_action,
+    instruction_of,
+    require_unique,
+    robot_of,
+)
+from embodichain.recording.recorded_log import RecordedLog
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["write_episodes"]
@@ -36,15 +43,17 @@ def write_episodes(data: DataSet, path: Path) -> None:
         LogError: If a log is damaged.
     """
     with data.log() as log:
-        fps, (sentence, robot) = whole_fps(log.dt), about_task(log)
+        fps, robot = whole_fps(log.dt), robot_of(log)
         task: Any = log.config["task"]
+        names = action_names(log, data.first.actions.shape[1])
+        features = {"action": Feature("float32", names, describe_action(log))}
+    if not names:
+        _log.warning("%s has no actions: the data set has no feature 'action'", data.first.task)
     parts = lerobot_parts(task, data.vectors)
     features = {
         key: Feature("float32", [column for name in names for column in data.columns(name)])
         for key, names in parts.items()
-    }
-    width = data.first.actions.shape[1]
-    features["action"] = Feature("float32", [f"action[{i}]" for i in range(width)])
+    } | features
     features["next.reward"] = Feature("float32", ["reward"])
     features["next.done"] = Feature("bool", ["done"])
     features["next.success"] = Feature("bool", ["success"])
@@ -52,8 +61,12 @@ def write_episodes(data: DataSet, path: Path) -> None:
     if not parts and not films:
         raise ConfigError(f"observation group {data.group!r} has nothing that LeRobot can read")
     sizes = {key: _size(data.pictures(data.first, name)) for name, key in films.items()}
-    with LeRobotWriter(path, features, sizes, fps, sentence, robot) as writer:
+    instructions: dict[Path, str] = {}
+    with LeRobotWriter(path, features, sizes, fps, robot) as writer:
         for episode in data:
+            if episode.path not in instructions:
+                with RecordedLog(episode.path) as log:
+                    instructions[episode.path] = instruction_of(log)
             values: dict[str, NDArray[np.generic]] = {
                 key: np.concatenate([data.vector(episode, n)[:-1] for n in names], axis=1)
                 for key, names in parts.items()
@@ -66,16 +79,18 @@ def write_episodes(data: DataSet, path: Path) -> None:
             values["next.success"] = success
             source: dict[str, int | str] = {"env": episode.env, "episode": episode.episode}
             source |= {"first_step": episode.first_step, "log": episode.path.name}
-            writer.add(values, source, _pictures(data, episode, list(films)))
+            pictures = _pictures(data, episode, list(films))
+            writer.add(values, source, instructions[episode.path], pictures)
         writer.finish()
 
 
 def _films(data: DataSet) -> Iterator[tuple[str, str]]:
     """The images that can be videos, with the keys of these."""
-    for name in data.images:
+    keys = require_unique(data.images, image_key, "lerobot")
+    for name, key in keys.items():
         values = data.pictures(data.first, name)
         if values.dtype == np.uint8 and values.shape[-1] in (1, 3):
-            yield name, f"observation.images.{image_key(name)}"
+            yield name, f"observation.images.{key}"
         else:
             what = f"{values.shape[-1]} channels of {values.dtype}"
             _log.warning("%s is left out: a video has 1 or 3 channels of uint8, not %s", name, what)

@@ -19,7 +19,7 @@ from embodichain.recording.export.formats import required
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.video import VideoFile, need_encoder
 
-__all__ = ["Feature", "LeRobotWriter", "merged", "of_pictures", "of_values", "whole_fps"]
+__all__ = ["Feature", "LeRobotWriter", "levels_of", "of_levels", "of_values", "whole_fps"]
 
 _VERSION = "v3.0"
 _CHUNK = 1000
@@ -42,6 +42,8 @@ _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 
 Stats = dict[str, NDArray[Any]]
 """min, max, mean, std, count and five quantiles of a feature."""
+Levels = NDArray[np.int64]
+"""(256, 3) how many pixels have each level of red, green and blue."""
 
 
 class Feature(NamedTuple):
@@ -50,10 +52,17 @@ class Feature(NamedTuple):
     Attributes:
         dtype: ``float32`` or ``bool``.
         names: Names of its columns.
+        info: What else the data set says of it.
     """
 
     dtype: str
     names: list[str]
+    info: Mapping[str, Any] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its entry in ``meta/info.json``."""
+        entry = {"dtype": self.dtype, "shape": [len(self.names)], "names": self.names}
+        return entry if self.info is None else {**entry, "info": dict(self.info)}
 
 
 def whole_fps(dt: float) -> int:
@@ -75,10 +84,9 @@ class LeRobotWriter:
 
     Args:
         root: The folder, which must not exist.
-        features: Features by key.
+        features: Features by key; those without columns are left out.
         cameras: Key of the video to width and height in pixels.
         fps: Frames a second.
-        task: The sentence that describes the task.
         robot: The type of robot; None if unknown.
 
     Raises:
@@ -92,7 +100,6 @@ class LeRobotWriter:
         features: Mapping[str, Feature],
         cameras: Mapping[str, tuple[int, int]],
         fps: int,
-        task: str,
         robot: str | None,
     ) -> None:
         self._pd: Any = required("pandas", "lerobot")
@@ -106,10 +113,14 @@ class LeRobotWriter:
                 )
         if cameras:
             need_encoder()
-        self._root, self._features, self._cameras = root, features, cameras
-        self._fps, self._task, self._robot = fps, task, robot
+        self._root, self._cameras = root, cameras
+        self._features = {key: feature for key, feature in features.items() if feature.names}
+        self._fps, self._robot = fps, robot
+        self._tasks: dict[str, int] = {}
         self._rows: list[dict[str, Any]] = []
         self._stats: list[dict[str, Stats]] = []
+        self._levels: dict[str, Levels] = {key: np.zeros((256, 3), np.int64) for key in cameras}
+        self._shown = dict.fromkeys(cameras, 0)
         self._total = 0
         self._data = root / _DATA.format(chunk_index=0, file_index=0)
         self._files = ExitStack()
@@ -129,21 +140,29 @@ class LeRobotWriter:
         self,
         values: Mapping[str, NDArray[Any]],
         source: Mapping[str, int | str],
+        task: str,
         pictures: Iterable[Sequence[NDArray[np.uint8]]] = (),
     ) -> None:
         """Add an episode.
 
         Args:
             values: Key to (T, K) values of each feature.
+            task: The sentence that says what to do.
             source: Where the episode comes from, for columns ``source/...`` of the episodes.
             pictures: For each frame, the (height, width, 3) RGB pictures of the cameras, in order.
         """
         columns = {k: values[k].astype(feature.dtype) for k, feature in self._features.items()}
         length, index = len(next(iter(columns.values()))), len(self._rows)
         frames = np.arange(length)
-        numbers = frames / self._fps, frames, np.full(length, index), frames + self._total, frames
-        for (key, kind), column in zip(_INDICES.items(), numbers, strict=True):
-            columns[key] = column.astype(kind)[:, None] * (key != "task_index")
+        numbers = {
+            "timestamp": frames / self._fps,
+            "frame_index": frames,
+            "episode_index": np.full(length, index),
+            "index": frames + self._total,
+            "task_index": np.full(length, self._tasks.setdefault(task, len(self._tasks))),
+        }
+        for key, kind in _INDICES.items():
+            columns[key] = numbers[key].astype(kind)[:, None]
         table = self._pa.table({key: self._array(column) for key, column in columns.items()})
         if self._parquet is None:
             opened = self._pq.ParquetWriter(self._data, table.schema)
@@ -151,6 +170,7 @@ class LeRobotWriter:
         self._parquet.write_table(table)
         row = {
             "episode_index": index,
+            "tasks": [task],
             "length": length,
             "data/chunk_index": 0,
             "data/file_index": 0,
@@ -195,20 +215,26 @@ class LeRobotWriter:
             at = f"videos/{key}"
             row |= {f"{at}/chunk_index": chunk, f"{at}/file_index": file}
             row |= {f"{at}/from_timestamp": 0.0, f"{at}/to_timestamp": length / self._fps}
-            stats[key] = of_pictures(np.array(kept))
+            levels = levels_of(np.array(kept))
+            stats[key] = of_levels(levels, len(kept))
+            self._levels[key] += levels
+            self._shown[key] += len(kept)
 
     def finish(self) -> None:
         """Write features, episodes and statistics; there must be an episode."""
         self._files.close()
         self._write_meta()
-        tasks = self._pd.DataFrame({"task_index": [0]}, index=[self._task])
+        tasks = self._pd.DataFrame(
+            {"task_index": [*self._tasks.values()]},
+            index=self._pd.Index([*self._tasks], name="task"),
+        )
         tasks.to_parquet(self._root / "meta/tasks.parquet")
         info = {
             "codebase_version": _VERSION,
             "robot_type": self._robot,
             "total_episodes": len(self._rows),
             "total_frames": self._total,
-            "total_tasks": 1,
+            "total_tasks": len(self._tasks),
             "chunks_size": _CHUNK,
             "data_files_size_in_mb": 100,
             "video_files_size_in_mb": 200,
@@ -216,10 +242,7 @@ class LeRobotWriter:
             "splits": {"train": f"0:{len(self._rows)}"},
             "data_path": _DATA,
             "video_path": _VIDEO if self._cameras else None,
-            "features": {
-                key: {"dtype": f.dtype, "shape": [len(f.names)], "names": f.names}
-                for key, f in self._features.items()
-            }
+            "features": {key: feature.to_dict() for key, feature in self._features.items()}
             | {key: {"dtype": kind, "shape": [1], "names": None} for key, kind in _INDICES.items()}
             | {key: _video_info(size, self._fps) for key, size in self._cameras.items()},
         }
@@ -227,11 +250,7 @@ class LeRobotWriter:
 
     def _write_meta(self) -> None:
         """Write the episodes with their statistics, and the overall statistics."""
-        place = {
-            "tasks": [self._task],
-            "meta/episodes/chunk_index": 0,
-            "meta/episodes/file_index": 0,
-        }
+        place = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
         table = [
             place
             | row
@@ -241,9 +260,18 @@ class LeRobotWriter:
         folder = self._root / "meta/episodes/chunk-000"
         folder.mkdir(parents=True)
         self._pq.write_table(self._pa.Table.from_pylist(table), folder / "file-000.parquet")
-        whole = {key: merged([own[key] for own in self._stats]) for key in self._stats[0]}
+        whole = {key: of_values(self._column(key)) for key in (*self._features, *_INDICES)}
+        whole |= {key: of_levels(self._levels[key], self._shown[key]) for key in self._cameras}
         tree = {key: {name: v.tolist() for name, v in s.items()} for key, s in whole.items()}
         (self._root / "meta/stats.json").write_text(json.dumps(tree, indent=4))
+
+    def _column(self, key: str) -> NDArray[Any]:
+        """(total, K) values of a feature in all frames, as they were written."""
+        column = self._pq.read_table(self._data, columns=[key])[key].combine_chunks()
+        if self._pa.types.is_fixed_size_list(column.type):
+            column = column.flatten()
+        values: NDArray[Any] = column.to_numpy(zero_copy_only=False)
+        return values.reshape(self._total, -1)
 
 
 def _video_info(size: tuple[int, int], fps: int) -> dict[str, Any]:
@@ -279,27 +307,36 @@ def of_values(values: NDArray[Any]) -> Stats:
     return stats | dict(zip(_QUANTILES, quantiles, strict=True))
 
 
-def of_pictures(pictures: NDArray[np.uint8]) -> Stats:
-    """Statistics of (n, height, width, 3) pictures, in 0 to 1 and by channel, each (3, 1, 1)."""
-    stats = of_values(pictures.reshape(-1, 3) / 255.0)
-    shaped = {name: values[:, None, None] for name, values in stats.items() if name != "count"}
-    return shaped | {"count": np.array([len(pictures)])}
+def levels_of(pictures: NDArray[np.uint8]) -> Levels:
+    """How many pixels of (n, height, width, 3) pictures have each level of each channel."""
+    channels = pictures.reshape(-1, 3).T
+    counted: Levels = np.stack([np.bincount(one, minlength=256) for one in channels], axis=1)
+    return counted
 
 
-def merged(parts: Sequence[Stats]) -> Stats:
-    """Combine statistics of parts; quantiles are weighted means of the parts' quantiles."""
-    counts = np.array([int(part["count"][0]) for part in parts])
-    of = {name: np.array([part[name] for part in parts]) for name in parts[0]}
-    mean: NDArray[Any]
-    mean, *quantiles = (
-        np.average(of[name], axis=0, weights=counts) for name in ("mean", *_QUANTILES)
-    )
-    squares = of["std"] ** 2 + (of["mean"] - mean) ** 2
-    return {
-        "min": of["min"].min(axis=0),
-        "max": of["max"].max(axis=0),
+def of_levels(levels: Levels, count: int) -> Stats:
+    """Statistics of pictures, in 0 to 1 and by channel, each (3, 1, 1).
+
+    Args:
+        levels: How many pixels have each level.
+        count: Number of the pictures.
+    """
+    value = np.arange(256)[:, None] / 255.0
+    there = levels > 0
+    total = levels.sum(axis=0)
+    mean = (levels * value).sum(axis=0) / total
+    stats: Stats = {
+        "min": value[there.argmax(axis=0), 0],
+        "max": value[255 - there[::-1].argmax(axis=0), 0],
         "mean": mean,
-        "std": np.sqrt(np.average(squares, axis=0, weights=counts)),
-        "count": np.array([int(counts.sum())]),
-        **dict(zip(_QUANTILES, quantiles, strict=True)),
+        "std": np.sqrt((levels * (value - mean) ** 2).sum(axis=0) / total),
     }
+    # Between the two pixels next to it in order, as numpy's quantiles.
+    below = levels.cumsum(axis=0)
+    for name, share in _QUANTILES.items():
+        place = share * (total - 1)
+        first = np.floor(place)
+        low, high = ((below <= at).sum(axis=0) for at in (first, np.ceil(place)))
+        stats[name] = (low + (place - first) * (high - low)) / 255.0
+    shaped = {name: values[:, None, None] for name, values in stats.items()}
+    return shaped | {"count": np.array([count])}

@@ -20,7 +20,7 @@ from embodichain.recording.api import Log
 from embodichain.recording.export.formats import Part, poses, required
 from embodichain.recording.views.channels import frame_names, scalar_joints
 from embodichain.recording.views.shapes import Shape, shapes
-from embodichain.utils.math import quat_multiply, quat_rotate
+from embodichain.utils.math import quat_multiply, quat_rotate, quat_to_rpy
 
 __all__ = ["urdf", "write_ros2"]
 
@@ -36,6 +36,8 @@ _LATCHED = """\
   avoid_ros_namespace_conventions: false
 """
 """Quality of service of topics that late subscribers also receive (ROS 2: transient local)."""
+_ENDLESS = 1e9
+"""Metres that a slide without a range may move: in a URDF each prismatic joint has a limit."""
 _ZERO, _UNIT = np.zeros(3), np.array([1.0, 0, 0, 0])
 
 
@@ -130,7 +132,8 @@ def _write_env(bag: _Bag, log: Log, env_id: int, part: Part) -> Iterator[None]:
 def urdf(model: mujoco.MjModel, env_id: int) -> str:
     """The compiled model as URDF: every body is a link with the name of its frame in `/tf`.
 
-    The root is the link ``env_I``. Primitives keep their shape; a mesh is replaced by its bounding
+    The root is the link ``env_I``. A hinge without a range is ``continuous``, a slide without one
+    has a limit of `_ENDLESS`. Primitives keep their shape; a mesh is replaced by its bounding
     box, because the description is a single string without files.
     """
     names, by_body = frame_names(model, env_id), dict[int, list[Shape]]()
@@ -184,8 +187,9 @@ def _add_joints(robot: Element, model: mujoco.MjModel, body: int, names: list[st
         name = model.joint(joint).name or f"joint_{joint}"
         made = _join(robot, name, kind, parent, child, pos, quat)
         SubElement(made, "axis", xyz=_text(axis))
-        if model.jnt_limited[joint]:
-            low, high = map(_text, model.jnt_range[joint])
+        ends = model.jnt_range[joint] if model.jnt_limited[joint] else (-_ENDLESS, _ENDLESS)
+        if kind != "continuous":
+            low, high = map(_text, ends)
             SubElement(made, "limit", lower=low, upper=high, effort="0", velocity="0")
         parent, pos, quat = child, _ZERO, _UNIT
     if parent != names[body]:
@@ -227,12 +231,7 @@ def _add_visuals(link: Element, model: mujoco.MjModel, shape: Shape) -> None:
 
 
 def _add_origin(owner: Element, pos: F64, quat: F64) -> None:
-    w, x, y, z = quat
-    # Roll, pitch, yaw about fixed axes: R = Rz(yaw) Ry(pitch) Rx(roll).
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    SubElement(owner, "origin", xyz=_text(pos), rpy=_text([roll, pitch, yaw]))
+    SubElement(owner, "origin", xyz=_text(pos), rpy=_text(quat_to_rpy(quat)))
 
 
 def _text(values: Any) -> str:

@@ -57,7 +57,9 @@ def write_rrd(log: Log, part: Part, path: Path) -> None:
     names = [name for name in log.columns if name in fields]
     offsets = _offsets(log) if len(envs) > 1 else {}
     places = np.array([offsets.get(env, np.zeros(3)) for env in envs])
-    recording = _Recording(log, _layout(log.model, envs, places, list(cameras)))
+    required("rerun", "rrd")
+    paths = {env: _camera_paths(log.model, env, cameras) for env in envs}
+    recording = _Recording(log, _layout(log.model, envs, places, paths[envs[0]]))
     recording.log("world", recording.rr.ViewCoordinates.RIGHT_HAND_Z_UP, None)
     for env, place in zip(envs, places, strict=True):
         _Scene(recording, log, env, place).send(part)
@@ -71,7 +73,7 @@ def write_rrd(log: Log, part: Part, path: Path) -> None:
     for env in envs:
         _send_rest(recording, log, env, first, last)
         if cameras:
-            _send_pictures(recording, log, env, part, cameras)
+            _send_pictures(recording, log, env, part, cameras, paths[env])
     recording.save(path)
 
 
@@ -149,14 +151,16 @@ class _Recording:
             self.columns(path, steps, flat.partition(np.full(len(values), values.shape[1])))
 
 
-def _layout(model: mujoco.MjModel, envs: Sequence[int], places: F64, cameras: Sequence[str]) -> Any:
+def _layout(
+    model: mujoco.MjModel, envs: Sequence[int], places: F64, cameras: Mapping[str, str]
+) -> Any:
     """Return the layout: the scene, and next to it joints, reward and events.
 
     Args:
         model: The scene's model.
         envs: The environments that are shown; curves are of the first one.
         places: (n, 3) positions of the environments, metres.
-        cameras: Names of the cameras with pictures.
+        cameras: Names of the cameras with pictures, to their paths.
     """
     rrb: Any = required("rerun.blueprint", "rrd")
     center = np.array(model.stat.center, np.float64) + places.mean(axis=0)
@@ -177,9 +181,7 @@ def _layout(model: mujoco.MjModel, envs: Sequence[int], places: F64, cameras: Se
     right = rrb.Vertical(joints, curves("reward", "reward"), tabs, row_shares=[2, 1, 1])
     left = rrb.Spatial3DView(origin="/world", name="scene", eye_controls=controls)
     if cameras:
-        images = [
-            rrb.Spatial2DView(origin=_camera_path(envs[0], name), name=name) for name in cameras
-        ]
+        images = [rrb.Spatial2DView(origin=path, name=name) for name, path in cameras.items()]
         left = rrb.Vertical(left, rrb.Horizontal(*images), row_shares=[2, 1])
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[3, 2]),
@@ -254,7 +256,12 @@ def _send_rest(recording: _Recording, log: Log, env: int, first: int, last: int)
 
 
 def _send_pictures(
-    recording: _Recording, log: Log, env: int, part: Part, cameras: Mapping[str, FilmCamera]
+    recording: _Recording,
+    log: Log,
+    env: int,
+    part: Part,
+    cameras: Mapping[str, FilmCamera],
+    paths: Mapping[str, str],
 ) -> None:
     """Send the pictures of an environment, at most `_PICTURES_HZ` a second."""
     span = span_of(log, env, part.episode, part.start, part.last)
@@ -263,16 +270,27 @@ def _send_pictures(
         drawn = frames(renderer, Playback(log, env), list(cameras.values()), span, every)
         for frame in drawn:
             for name, picture, placed in zip(cameras, frame.pictures, frame.cameras, strict=True):
-                path = _camera_path(env, name)
+                path = paths[name]
                 for archetype in _pinhole(recording.rr, picture.shape, placed):
                     recording.log(path, archetype, frame.step)
                 image = recording.rr.EncodedImage(contents=jpeg(picture), media_type="image/jpeg")
                 recording.log(path, image, frame.step)
 
 
-def _camera_path(env: int, name: str) -> str:
-    """Below the scene, so that Rerun shows the camera's frustum and picture there."""
-    return f"/world/env_{env}/camera/{name}"
+def _camera_paths(model: mujoco.MjModel, env: int, names: Iterable[str]) -> dict[str, str]:
+    r"""Path of each camera, below the scene, so that Rerun shows its frustum and picture there.
+
+    Rerun multiplies poses along a path, and has no lens below a lens: a camera is below nothing
+    that has either, so a name is one part of the path (``twins\/right``), and the part before it
+    is no body's.
+    """
+    rr: Any = required("rerun", "rrd")
+    bodies = {model.body(i).name.partition("/")[0] for i in range(model.nbody)}
+    group = "camera"
+    while group in bodies:
+        group += "_"
+    root = f"/world/env_{env}/{group}"
+    return {name: f"{root}/{rr.escape_entity_path_part(name)}" for name in names}
 
 
 def _pinhole(rr: Any, shape: tuple[int, ...], placed: Placed) -> tuple[Any, Any]:

@@ -21,10 +21,16 @@ from embodichain.recording.export.formats import (
     Part,
     about,
     demonstrations,
-    model_xml,
     required,
-    robomimic_env,
 )
+from embodichain.recording.export.hdf5_files import (
+    ModelFiles,
+    describe_root,
+    new_hdf5,
+    say_action,
+    say_task,
+)
+from embodichain.recording.export.meaning import require_unique
 from embodichain.recording.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.log_error import LogError
 from embodichain.recording.playback import Playback, Span
@@ -109,32 +115,38 @@ def write_hdf5(log: Log, part: Part, path: Path) -> None:
     qpos, qvel and act, flat, as in robosuite.
 
     Raises:
-        ConfigError: If h5py is not installed, the part has no episode, or there is no such camera.
+        ConfigError: If h5py is not installed, the part has no episode, there is no such camera, or
+            two have the same name in the file.
         LogError: If an episode has no states, as in a log with keyframes opened without `simulate`.
         RenderError: If there are cameras, and no OpenGL library works here.
     """
-    h5py: Any = required("h5py", "hdf5")
+    required("h5py", "hdf5")
     episodes = demonstrations(log, part)
-    attributes = {"model_file": model_xml(log)}
     fields = {*_OBS, *_STATE, "actions", "rewards", "terminated", "truncated"}
     names = [name for name in log.columns if name in fields]
     cameras = cameras_of(log, part.cameras, part.size)
+    keys = require_unique(cameras, lambda name: f"{name.replace('/', '_')}_image", "hdf5")
+    filmed = {keys[name]: camera for name, camera in cameras.items()}
     with ExitStack() as stack:
-        file = stack.enter_context(h5py.File(path, "x"))
+        file = stack.enter_context(new_hdf5(path, "hdf5"))
         renderer = stack.enter_context(closing(OffscreenRenderer(log.model))) if cameras else None
-        root = file.create_group("data")
+        root, models = file.create_group("data"), ModelFiles(file)
         for number, (episode, steps) in enumerate(episodes):
             data = log.read(names, episode.env, None, steps.start, steps.stop)
             if not len(data):
                 whose = f"episode {episode.episode} of environment {episode.env}"
                 raise LogError(f"{log.path} has no state of {whose}")
             demo = root.create_group(f"demo_{number}")
-            demo.attrs.update(attributes, env=episode.env, episode=episode.episode)
+            demo.attrs.update(env=episode.env, episode=episode.episode)
+            models.add(demo, log)
+            say_task(demo, log)
             _fill(demo, data)
+            say_action(demo["actions"], log)
             if renderer is not None:
-                _draw(demo, renderer, Playback(log, episode.env), cameras, steps)
+                _draw(demo, renderer, Playback(log, episode.env), filmed, steps)
         root.attrs["total"] = sum(int(demo.attrs["num_samples"]) for demo in root.values())
-        root.attrs.update(about(log), env_args=robomimic_env(log))
+        root.attrs.update(about(log))
+        describe_root(root, log)
 
 
 def _fill(demo: Any, data: LogArrays) -> None:
@@ -162,11 +174,11 @@ def _draw(
     cameras: Mapping[str, FilmCamera],
     steps: range,
 ) -> None:
-    """Write the pictures of one episode."""
+    """Write the pictures of one episode; `cameras` are by their key in ``obs``."""
     made = []
     for name, camera in cameras.items():
         width, height = camera.size
-        key, shape = f"obs/{name.replace('/', '_')}_image", (len(steps), height, width, 3)
+        key, shape = f"obs/{name}", (len(steps), height, width, 3)
         how = {"dtype": np.uint8, "chunks": (1, *shape[1:]), "compression": "gzip"}
         made.append(demo.create_dataset(key, shape, **how))
     drawn = frames(renderer, playback, list(cameras.values()), Span(steps.start, steps.stop - 1))

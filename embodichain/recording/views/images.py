@@ -43,6 +43,7 @@ class _Feed(NamedTuple):
     """One camera of one environment: its frame and topics, and the encoder of its colours."""
 
     env_id: int
+    name: str
     shot: Shot
     frame: str
     encode: Encoder
@@ -56,7 +57,8 @@ class Images:
     """Draws cameras of some environments and writes their pictures.
 
     The topics of a camera are ``/env_I/camera/NAME/`` with ``image``, ``depth``, ``mask`` and
-    ``calibration``; its frame ``env_I/camera/NAME`` has ROS's optical axes. Depth is in
+    ``calibration``, in OpenCV's and ROS's pixels, whose middles are whole numbers; its frame
+    ``env_I/camera/NAME`` has ROS's optical axes. Depth is in
     millimetres, 0 where nothing is hit or beyond 65.5 m; masks have the sensor's numbers of
     entities, and 65535 for the background.
 
@@ -86,7 +88,7 @@ class Images:
         self._env_ids = sorted(set(options.envs))
         cameras = camera_sensors(env)
         self._shots = _shots(env, cameras, options)
-        self._entities = {s.camera: c.index.entity_of_geom for c in cameras for s in shots_of(c)}
+        self._entities = {name: c.index.entity_of_geom for c in cameras for name in shots_of(c)}
         period = 1.0 / (options.rate * float(env.step_dt))
         self._every = max(1, math.ceil(period - 1e-9))
         self._rate = 1.0 / (self._every * float(env.step_dt))
@@ -112,12 +114,13 @@ class Images:
         self._feeds = [
             _Feed(
                 env_id,
+                name,
                 shot,
-                _frame(env_id, shot),
+                _frame(env_id, name),
                 encoder_of(how, shot.width, shot.height, self._rate),
             )
             for env_id in self._env_ids
-            for shot in self._shots
+            for name, shot in self._shots.items()
         ]
 
     def on_reset(self, env_ids: EnvIndex) -> None:
@@ -173,7 +176,7 @@ class Images:
         if "depth" in pictures:
             made.append(("depth", _numbers(_depth(pictures["depth"][0]))))
         if "mask" in pictures:
-            entities = self._entities[feed.shot.camera][pictures["mask"][0]]
+            entities = self._entities[feed.name][pictures["mask"][0]]
             values = np.where(entities < 0, _BACKGROUND, entities).astype(np.uint16)
             made.append(("mask", _numbers(values)))
         for name, message in made:
@@ -191,30 +194,35 @@ def image_topics(env: ObservedEnv, options: ImageOptions) -> list[str]:
     """
     shots = _shots(env, camera_sensors(env), options)
     ids = sorted(set(options.envs))
-    return [f"/{_frame(i, shot)}/image" for i in ids for shot in shots if "color" in shot.outputs]
+    coloured = [name for name, shot in shots.items() if "color" in shot.outputs]
+    return [f"/{_frame(i, name)}/image" for i in ids for name in coloured]
 
 
-def _frame(env_id: int, shot: Shot) -> str:
-    return f"env_{env_id}/camera/{shot.camera}"
+def _frame(env_id: int, name: str) -> str:
+    return f"env_{env_id}/camera/{name}"
 
 
-def _shots(env: ObservedEnv, cameras: list[Camera], options: ImageOptions) -> list[Shot]:
-    """How the wanted cameras are drawn.
+def _shots(env: ObservedEnv, cameras: list[Camera], options: ImageOptions) -> dict[str, Shot]:
+    """How the wanted cameras are drawn, by the name of the picture.
 
     Raises:
         ConfigError: If there is none, or one cannot be recorded in this way.
     """
     model = env.sim.engine.model
-    known = {shot.camera: shot for sensor in cameras for shot in shots_of(sensor)}
+    known = {name: shot for sensor in cameras for name, shot in shots_of(sensor).items()}
     names = list(known) if options.cameras is None else list(dict.fromkeys(options.cameras))
-    problems = check_images(options, model, list(known))
+    sensors = {
+        name: (int(model.camera(shot.camera).id), (shot.width, shot.height))
+        for name, shot in known.items()
+    }
+    problems = check_images(options, model, sensors)
     if problems:
         raise ConfigError(problems)
     known = {model.camera(i).name: _scene_shot(model, i) for i in range(model.ncam)} | known
     if options.size is None:
-        return [known[name] for name in names]
+        return {name: known[name] for name in names}
     width, height = options.size
-    return [replace(known[name], width=width, height=height) for name in names]
+    return {name: replace(known[name], width=width, height=height) for name in names}
 
 
 def _scene_shot(model: mujoco.MjModel, camera: int) -> Shot:
@@ -239,7 +247,9 @@ def _numbers(values: NDArray[np.uint16]) -> Any:
 
 
 def _calibration(shot: Shot, view: View) -> Any:
-    fx, fy, cx, cy = view.lens[0].tolist()
+    """The lens as OpenCV and ROS count pixels: the middle of the first one is at (0, 0)."""
+    fx, fy, *middle = view.lens[0].tolist()
+    cx, cy = (place - 0.5 for place in middle)
     return CameraCalibration(
         width=shot.width,
         height=shot.height,

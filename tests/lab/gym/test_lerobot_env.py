@@ -108,7 +108,9 @@ def test_an_environment_that_lerobot_cannot_use_is_refused(make_env):
 
 
 def test_features_and_first_frames_are_those_of_the_exported_data(tmp_path):
+    eye = "{sensor_type: camera, observe: true, width: 32, height: 24, data_types: [color, depth]}"
     keys = ["task=press_button", "task.max_episode_steps=2", "seed=5", "num_envs=2"]
+    keys.append(f"+task.sensors.eye={eye}")
     job = ["run", *keys, "episodes=1", "scene_png=false", "-q", f"output_dir={tmp_path}"]
     assert main(job) == 0
     log = (tmp_path / "latest").resolve() / "rollout.mcap"
@@ -127,6 +129,11 @@ def test_features_and_first_frames_are_those_of_the_exported_data(tmp_path):
         starts = [0, frames["episode_index"].index(1)]
         recorded = np.array([frames[f"observation.{key}"][i] for i in starts], np.float32)
         assert np.array_equal(obs[name], recorded)
+    eye = "observation.images.eye"
+    assert tuple(features[eye]["shape"]) == vector.features[eye][1] == (24, 32, 3)
+    seen = vector._batch.env.get_sensor("eye").read("color")
+    assert np.array_equal(obs["pixels"]["eye"], np.asarray(seen)[..., :3])
+    assert vector.single_observation_space["pixels"]["eye"].shape == (24, 32, 3)
     assert vector.single_action_space.shape == tuple(features["action"]["shape"])
     pictures = vector.call("render")
     assert len(pictures) == 2 and np.array_equal(vector.envs[1].render(), pictures[1])

@@ -19,6 +19,7 @@ from embodichain.utils.errors import ConfigError
 from tests.recording.live import NOISY, record_task
 
 LEROBOT_READER = Path(__file__).parents[2] / "helpers/lerobot_reader.py"
+ROBOMIMIC_READER = LEROBOT_READER.with_name("robomimic_reader.py")
 NEAR = "task.metrics.success.shape.below=0.3"
 
 
@@ -42,14 +43,17 @@ def test_robomimic_has_what_the_policy_saw(logs, tmp_path):
         assert len(root) == len(episodes)
         assert root.attrs["total"] == sum(map(len, episodes))
         args = json.loads(root.attrs["env_args"])
-        assert (args["env_name"], args["type"]) == ("reach", 2)
-        assert args["env_kwargs"]["task"]["max_episode_steps"] == 9
+        assert (args["env_kwargs"]["name"], args["type"]) == ("reach", 2)
+        assert args["env_kwargs"]["config"]["task"]["max_episode_steps"] == 9
         for number, episode in enumerate(episodes):
             demo = root[f"demo_{number}"]
             assert demo.attrs["num_samples"] == len(episode) == len(demo["actions"])
             assert (demo.attrs["log"], demo.attrs["env"]) == (episode.path.name, episode.env)
-            assert set(demo["obs"]) == set(demo["next_obs"]) == set(episode.groups["policy"])
-            for name in demo["obs"]:
+            names = set(episode.groups["policy"])
+            assert set(demo["obs"]) == set(demo["next_obs"]) == {*names, "flat"}
+            assert np.array_equal(demo["obs/flat"], episode.group()[:-1])
+            assert np.array_equal(demo["next_obs/flat"], episode.group()[1:])
+            for name in names:
                 values = episode.observations[name]
                 assert np.array_equal(demo["obs"][name], values[:-1])
                 assert np.array_equal(demo["next_obs"][name], values[1:])
@@ -166,7 +170,7 @@ def test_another_group_alone(logs, tmp_path):
     with h5py.File(path) as file:
         for number, episode in enumerate(episodes):
             demo = file[f"data/demo_{number}"]
-            assert list(demo["obs"]) == ["latest"]
+            assert list(demo["obs"]) == ["flat", "latest"]
             # What follows an action is observed with it as the last action.
             assert np.array_equal(demo["next_obs/latest"], demo["actions"])
             assert np.array_equal(demo["obs/latest"][1:], episode.actions[:-1])
@@ -194,4 +198,28 @@ def test_lerobot_itself_loads_observations(logs, tmp_path):
     assert np.array_equal(found["observation.environment_state"], to_goal)
     actions = np.concatenate([e.actions for e in episodes])
     assert np.array_equal(found["action"], actions)
-    assert found["mean/observation.environment_state"] == pytest.approx(to_goal.mean(axis=0))
+    assert found["action_names"].tolist() == [f"arm/Joint{i}" for i in range(1, 7)]
+    whole = {"observation.environment_state": to_goal, "action": actions}
+    for key, values in whole.items():
+        for name in ("min", "max", "mean", "std"):
+            expected = getattr(values.astype(np.float64), name)(axis=0)
+            assert found[f"{name}/{key}"] == pytest.approx(expected, rel=1e-5, abs=1e-7)
+        for name, share in {"q01": 0.01, "q50": 0.5, "q99": 0.99}.items():
+            expected = np.quantile(values.astype(np.float64), share, axis=0)
+            assert found[f"{name}/{key}"] == pytest.approx(expected, rel=1e-5, abs=1e-7)
+        assert found[f"count/{key}"].tolist() == [len(values)]
+
+
+@pytest.mark.skipif(
+    "ROBOMIMIC_PYTHON" not in os.environ,
+    reason="robomimic 0.3.0 needs torchvision, diffusers and the old package gym: an environment "
+    "of its own, with this package in it",
+)
+def test_robomimic_itself_makes_the_environment(logs, tmp_path):
+    path, out = export_episodes(logs, "robomimic", tmp_path / "set.hdf5"), tmp_path / "read.npz"
+    subprocess.run([os.environ["ROBOMIMIC_PYTHON"], ROBOMIMIC_READER, path, out], check=True)
+    found, (episode, *_) = dict(np.load(out)), list(read_episodes(logs))
+    assert found["action_dimension"] == 6
+    assert found["observation"].shape == episode.group()[0].shape
+    assert np.isfinite(found["rewards"]).all() and found["rewards"].shape == (5,)
+    assert found["length"] == len(episode)

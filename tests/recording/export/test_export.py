@@ -1,6 +1,7 @@
 import builtins
 import csv
 import importlib
+import io
 import json
 import xml.etree.ElementTree as ElementTree
 
@@ -70,11 +71,9 @@ def test_hdf5_is_one_demonstration_for_each_episode(log):
         demos = file["data"]
         assert len(demos) == len(episodes)
         assert demos.attrs["total"] == 24 * 3
-        assert json.loads(demos.attrs["env_args"]) == {
-            "env_name": "small",
-            "type": 2,
-            "env_kwargs": {"seed": 0},
-        }
+        args = json.loads(demos.attrs["env_args"])
+        assert args["env_kwargs"] == {"name": "small", "config": {"seed": 0}}
+        assert (args["type"], args["control_freq"]) == (2, 50)
         for number, episode in enumerate(episodes):
             demo = demos[f"demo_{number}"]
             steps = slice(episode.first_step, episode.last_step + 1)
@@ -176,26 +175,74 @@ URDF_MODEL = """
 """
 
 
-def test_the_urdf_moves_as_the_model_does():
-    """MuJoCo's own reader of URDF puts every link where the model has the body."""
-    model = mujoco.MjModel.from_xml_string(URDF_MODEL)
+TURNED = """
+<mujoco><worldbody>
+  <body name="a"><geom size=".1" mass="1"/>
+    <body name="b" pos="0 0 .05" quat=".5 -.5 .5 .5"><geom size=".1" mass="1"/>
+      <joint name="j1" axis="0 0 1" range="-90 90" limited="true"/>
+      <body name="c" pos="0 .2 0" quat="0.7071067811865476 0 -0.7071067811865476 0">
+        <geom type="box" size=".03 .01 .01" pos=".03 0 0" quat=".5 .5 .5 -.5" mass="1"/>
+        <joint name="j2" type="slide" axis="0 1 0"/></body>
+    </body>
+  </body>
+</worldbody></mujoco>
+"""
+"""Bodies, and a shape, that are turned by a pitch of exactly 90 degrees, and by another angle."""
+
+
+def poses_of(model, values):
+    """Position and rotation matrix of the bodies a, b and c, by MuJoCo."""
+    data = mujoco.MjData(model)
+    for name, value in values.items():
+        data.joint(name).qpos = value
+    mujoco.mj_kinematics(model, data)
+    return {name: (data.body(name).xpos, data.body(name).xmat) for name in "abc"}
+
+
+def by_mujoco(text, values):
+    """The same of a URDF, by MuJoCo's reader."""
     # It needs some mass in every link that moves, and would else fuse those that do not.
     bounds = '<compiler boundmass="1e-3" boundinertia="1e-3" fusestatic="false"/>'
-    text = urdf(model, 0).replace("<link", f"<mujoco>{bounds}</mujoco><link", 1)
-    again = mujoco.MjModel.from_xml_string(text)
+    made = text.replace("<link", f"<mujoco>{bounds}</mujoco><link", 1)
+    model = mujoco.MjModel.from_xml_string(made)
+    data = mujoco.MjData(model)
+    for name, value in values.items():
+        data.joint(name).qpos = value
+    mujoco.mj_kinematics(model, data)
+    return {n: (data.body(f"env_0/{n}").xpos, data.body(f"env_0/{n}").xmat) for n in "abc"}
+
+
+def by_yourdfpy(text, values):
+    """The same, by yourdfpy."""
+    yourdfpy = pytest.importorskip("yourdfpy")
+    robot = yourdfpy.URDF.load(io.BytesIO(text.encode()))
+    assert robot.validate()
+    robot.update_cfg(values)
+    at = {name: robot.get_transform(f"env_0/{name}", "env_0") for name in "abc"}
+    return {name: (pose[:3, 3], pose[:3, :3].ravel()) for name, pose in at.items()}
+
+
+@pytest.mark.parametrize("scene", [URDF_MODEL, TURNED], ids=["skew", "turned"])
+@pytest.mark.parametrize("reader", [by_mujoco, by_yourdfpy])
+def test_the_urdf_moves_as_the_model_does(scene, reader):
+    """Other programs' readers of URDF put every link where the model has the body."""
+    model = mujoco.MjModel.from_xml_string(scene)
+    text = urdf(model, 0)
     rng = np.random.default_rng(0)
     for _ in range(5):
-        data, other = mujoco.MjData(model), mujoco.MjData(again)
-        for joint in range(model.njnt):
-            value = rng.uniform(-1, 1)
-            data.joint(model.joint(joint).name).qpos = value
-            other.joint(model.joint(joint).name).qpos = value
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_kinematics(again, other)
-        for body in "abc":
-            expected, found = data.body(body), other.body(f"env_0/{body}")
-            assert found.xpos == pytest.approx(expected.xpos, abs=1e-9)
-            assert found.xmat == pytest.approx(expected.xmat, abs=1e-9)
+        values = {model.joint(i).name: rng.uniform(-1, 1) for i in range(model.njnt)}
+        found = reader(text, values)
+        for body, (pos, mat) in poses_of(model, values).items():
+            assert found[body][0] == pytest.approx(pos, abs=1e-9)
+            assert found[body][1] == pytest.approx(mat, abs=1e-9)
+
+
+def test_a_slide_of_a_urdf_has_a_limit():
+    text = urdf(mujoco.MjModel.from_xml_string(TURNED), 0)
+    joints = {joint.get("name"): joint for joint in ElementTree.fromstring(text).iter("joint")}
+    assert joints["j2"].get("type") == "prismatic"
+    limit = joints["j2"].find("limit")
+    assert (float(limit.get("lower")), float(limit.get("upper"))) == (-1e9, 1e9)
 
 
 @pytest.mark.parametrize("format", ["csv", "npz", "parquet"])

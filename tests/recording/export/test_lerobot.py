@@ -20,7 +20,7 @@ from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState
 from embodichain.recording import McapRecorder
 from embodichain.recording.export import Part, export
-from embodichain.recording.export.lerobot_writer import merged, of_pictures, of_values
+from embodichain.recording.export.lerobot_writer import levels_of, of_levels
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL, SmallEnv
 
@@ -209,21 +209,45 @@ def test_lerobot_itself_loads_the_data_set(filmed, tmp_path):
     assert found["mean/observation.images.front"].shape == (3, 1, 1)
 
 
-def test_statistics_of_parts_make_those_of_all():
+def test_statistics_are_of_all_frames(log, tmp_path):
+    # A target that stays for an episode: quantiles of episodes say nothing about those of frames.
+    root = export(log, "lerobot")
+    info, _, frames = read(root)
+    stats = json.loads((root / "meta/stats.json").read_text())
+    shares = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+    for key in info["features"]:
+        whole = np.array(frames[key].to_pylist(), np.float64).reshape(72, -1)
+        for name, share in shares.items():
+            assert stats[key][name] == pytest.approx(np.quantile(whole, share, axis=0)), key
+        for name in ("min", "max", "mean", "std"):
+            assert stats[key][name] == pytest.approx(getattr(whole, name)(axis=0)), key
+        assert stats[key]["count"] == [72]
+
+
+def test_statistics_of_pictures_are_those_of_their_pixels():
     rng = np.random.default_rng(0)
-    values = rng.normal(size=(300, 4)) * [1, 2, 3, 4] + 5
-    whole, found = of_values(values), merged([of_values(values[:50]), of_values(values[50:])])
-    for name in ("min", "max", "mean", "std", "count"):
-        assert found[name] == pytest.approx(whole[name])
-    assert found["q50"] == pytest.approx(whole["q50"], abs=0.5)
-    pictures = rng.integers(0, 256, (5, 20, 30, 3), np.uint8)
-    stats, pixels = of_pictures(pictures), pictures.reshape(-1, 3) / 255
+    pictures = rng.integers(3, 240, (5, 20, 30, 3), np.uint8) // np.array([1, 2, 3], np.uint8)
+    stats, pixels = of_levels(levels_of(pictures), 5), pictures.reshape(-1, 3) / 255
     assert stats["count"] == [5]
     for name, expected in {
-        **{"min": pixels.min(axis=0), "max": pixels.max(axis=0), "mean": pixels.mean(axis=0)},
-        **{"std": pixels.std(axis=0), "q10": np.quantile(pixels, 0.1, axis=0)},
+        **{name: getattr(pixels, name)(axis=0) for name in ("min", "max", "mean", "std")},
+        **{f"q{q:02d}": np.quantile(pixels, q / 100, axis=0) for q in (1, 10, 50, 90, 99)},
     }.items():
-        assert stats[name][:, 0, 0] == pytest.approx(expected)
+        assert stats[name][:, 0, 0] == pytest.approx(expected), name
+
+
+def test_pictures_of_episodes_are_counted_together(filmed, tmp_path):
+    root = export(filmed, "lerobot", tmp_path / "set")
+    _, episodes, _ = read(root)
+    key = "observation.images.front"
+    stats = json.loads((root / "meta/stats.json").read_text())[key]
+    own = [[np.ravel(row[f"stats/{key}/{name}"]) for row in episodes] for name in ("min", "max")]
+    assert np.array_equal(np.ravel(stats["min"]), np.min(own[0], axis=0))
+    assert np.array_equal(np.ravel(stats["max"]), np.max(own[1], axis=0))
+    counts = [row[f"stats/{key}/count"][0] for row in episodes]
+    assert stats["count"] == [sum(counts)]
+    means = np.array([np.ravel(row[f"stats/{key}/mean"]) for row in episodes])
+    assert np.ravel(stats["mean"]) == pytest.approx(np.average(means, axis=0, weights=counts))
 
 
 def test_frames_a_second_are_whole(record, tmp_path):

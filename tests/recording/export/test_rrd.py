@@ -1,8 +1,11 @@
 """Recordings for Rerun, read back with Rerun's own reader and command."""
 
 import os
+import socket
 import subprocess
 import sys
+import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
@@ -13,6 +16,7 @@ import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording.export import Part, export
 from embodichain.recording.views.shapes import mesh_of, shapes
+from tests.recording.live import record_task
 from tests.recording.scene import MODEL, SmallEnv
 
 pytest.importorskip("rerun")
@@ -206,3 +210,67 @@ def test_the_command(record, tmp_path, capsys):
     assert "log.rrd" in capsys.readouterr().out
     steps = [step for step, _ in read(tmp_path / "log.rrd")["/env_2/reward"]["Scalars:scalars"]]
     assert steps == list(range(8))
+
+
+@pytest.fixture
+def twins(tmp_path):
+    """A log with a stereo camera, and a body that is called as the cameras' part of the path."""
+    stereo = (
+        "{twins: {sensor_type: stereo_camera, width: 32, height: 24, "
+        "extrinsics: {eye: [2, 0, 1], target: [0, 0, 0.5]}}}"
+    )
+    body = "{shape: {shape_type: Sphere, radius: 0.1}, init_pos: [1, 2, 0.5]}"
+    overrides = [f"+task.sensors={stereo}", f"+task.objects.camera={body}"]
+    keys = ["task=reach", "task.max_episode_steps=3", *overrides]
+    path, _ = record_task(tmp_path / "twins.mcap", keys, 3)
+    with recording.open(path) as log:
+        yield log
+
+
+def test_no_camera_is_below_something_with_a_pose(twins, tmp_path):
+    found = read(export(twins, "rrd", tmp_path / "a.rrd", Part(env=0)))
+    lenses = [path for path, of in found.items() if "Pinhole:resolution" in of]
+    posed = [path for path, of in found.items() if "Transform3D:translation" in of]
+    assert len(lenses) == 2
+    for path in lenses:
+        above = [other for other in posed if path.startswith(f"{other}/")]
+        assert above == ["/world/env_0"]
+
+
+def test_the_viewer_draws_both_eyes_where_they_are(twins, tmp_path, monkeypatch):
+    """Rerun's own viewer, without a window: what it reports, and its graph of transforms."""
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    path = export(twins, "rrd", tmp_path / "a.rrd", Part(env=0))
+    with headless(path) as viewer:
+        views = viewer.get_state().views
+        graph = viewer.get_transform_graph(include_transforms=True)
+    assert {view.name for view in views} >= {"scene", "twins", "twins/right"}
+    assert [(view.name, view.reports) for view in views if view.reports] == []
+    frames = {frame["id"] for frame in graph["frames"]}
+    left, right = (f"tf#/world/env_0/camera_/{name}" for name in ("twins", "twins\\/right"))
+    assert {left, right} <= frames
+    parents = {edge["child"]: edge["parent"] for edge in graph["edges"]}
+    assert parents[left] == parents[right] == "tf#/world/env_0/camera_"
+
+
+@contextmanager
+def headless(path):
+    """A viewer that has opened a recording; skipped where it finds no Vulkan."""
+    from rerun.experimental import ViewerClient
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    try:
+        client = ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True)
+        client.open(str(path))
+        ends = time.monotonic() + 30
+        while not client.get_state().views and time.monotonic() < ends:
+            time.sleep(0.2)
+    except (ConnectionError, RuntimeError) as error:
+        pytest.skip(f"Rerun's viewer does not start here, it needs Vulkan: {error}")
+    try:
+        time.sleep(1.0)  # for its first pictures
+        yield client
+    finally:
+        client.quit()

@@ -338,7 +338,7 @@ def test_live_pictures_are_of_the_simulation():
         with Image.open(io.BytesIO(color.data)) as image:
             assert (image.format, image.size) == ("PNG", (64, 48))
         lens = client.until(CAMERA + "/calibration")[2]
-        assert list(lens.K) == pytest.approx([60, 0, 30, 0, 70, 25, 0, 0, 1])
+        assert list(lens.K) == pytest.approx([60, 0, 29.5, 0, 70, 24.5, 0, 0, 1])
         frames = []
         while "env_1/camera/front" not in frames:
             frames = [frame.child_frame_id for frame in client.until("/tf")[2].transforms]

@@ -142,8 +142,9 @@ def test_depth_and_mask_are_numbers(video):
 
 def test_the_camera_has_its_lens_and_its_frame(video):
     calibration = decoded(video, "/env_1/camera/front/calibration")[0]
-    assert list(calibration.K) == pytest.approx([60, 0, 30, 0, 70, 25, 0, 0, 1])
-    assert list(calibration.P) == pytest.approx([60, 0, 30, 0, 0, 70, 25, 0, 0, 0, 1, 0])
+    # The config's [60, 70, 30, 25] is from the corner; OpenCV's pixels have their middles there.
+    assert list(calibration.K) == pytest.approx([60, 0, 29.5, 0, 70, 24.5, 0, 0, 1])
+    assert list(calibration.P) == pytest.approx([60, 0, 29.5, 0, 0, 70, 24.5, 0, 0, 0, 1, 0])
     assert (calibration.width, calibration.height) == (64, 48)
     frames = [f for m in decoded(video, "/tf") for f in m.transforms]
     frame = next(f for f in frames if f.child_frame_id == "env_1/camera/front")
@@ -229,3 +230,57 @@ def test_a_run_records_them(tmp_path, capsys):
     assert len(decoded(path, "/env_0/camera/default/image")) == 2
     assert main(["run", *keys, "record.images.format=gif"]) == 2
     assert "record.images.format" in capsys.readouterr().err
+
+
+HALL = """<mujoco><worldbody>
+  <geom type="box" size=".3 .3 .3" pos="0 0 .3" rgba=".8 .2 .2 1"/>
+  <camera name="door" pos="0 -3 1" xyaxes="1 0 0 0 .3 1" resolution="64 48"/>
+</worldbody></mujoco>"""
+TWO = """
+description: One camera of a file in two sizes.
+scene: {fpath: hall.xml}
+max_episode_steps: 4
+sensors:
+  fine: {sensor_type: camera, camera: scene/door, width: 160, height: 120, data_types: [color]}
+  coarse: {sensor_type: camera, camera: scene/door, width: 40, height: 30, data_types: [color]}
+"""
+
+
+def test_sensors_of_one_camera_have_pictures_of_their_own(tmp_path, monkeypatch):
+    import h5py
+
+    import embodichain.recording as recording
+    from embodichain.recording.export import Part, export
+
+    (tmp_path / "conf/task").mkdir(parents=True)
+    (tmp_path / "hall.xml").write_text(HALL)
+    (tmp_path / "conf/task/hall.yaml").write_text(TWO)
+    monkeypatch.chdir(tmp_path)
+    keys = ["task=hall", "policy=zero", "episodes=1", "num_envs=1", "scene_png=false", "-q"]
+    for name, cameras in (("all", "null"), ("one", "[fine]")):
+        images = f"record.images={{cameras: {cameras}, format: jpeg}}"
+        assert main(["run", *keys, images, f"hydra.run.dir={tmp_path / name}"]) == 0
+    sizes = {"fine": (160, 120), "coarse": (40, 30)}
+    for run, names in (("all", ["fine", "coarse"]), ("one", ["fine"])):
+        topics = {channel.topic for channel in inspect(tmp_path / run / "rollout.mcap").channels}
+        images = {topic for topic in topics if topic.endswith("/image")}
+        assert images == {f"/env_0/camera/{name}/image" for name in names}
+        for name in names:
+            found = decoded(tmp_path / run / "rollout.mcap", f"/env_0/camera/{name}/image")
+            with Image.open(io.BytesIO(found[0].data)) as image:
+                assert image.size == sizes[name]
+    with recording.open(tmp_path / "all/rollout.mcap") as log:
+        with h5py.File(export(log, "hdf5", tmp_path / "all.hdf5")) as file:
+            shapes = {key: v.shape[1:3] for key, v in file["data/demo_0/obs"].items()}
+            assert {k: v for k, v in shapes.items() if "image" in k} == {
+                "fine_image": (120, 160),
+                "coarse_image": (30, 40),
+            }
+        features = json.loads(
+            (export(log, "lerobot", tmp_path / "set") / "meta/info.json").read_text()
+        )["features"]
+        assert features["observation.images.fine"]["shape"] == [120, 160, 3]
+        assert features["observation.images.coarse"]["shape"] == [30, 40, 3]
+        with pytest.raises(ConfigError, match=r"no camera 'fin'\. Did you mean 'fine'"):
+            export(log, "mp4", tmp_path / "x.mp4", Part(cameras=("fin",)))
+        assert export(log, "mp4", tmp_path / "x.mp4", Part(cameras=("fine",))).exists()

@@ -54,6 +54,7 @@ __all__ = [
     "entity_of_geom",
     "mount",
     "pair_offset",
+    "picture_names",
 ]
 
 RIGHT = "/right"
@@ -235,6 +236,15 @@ def check_memory(cfg: CameraCfg, num_envs: int) -> list[Problem]:
 
 
 # -- the model -------------------------------------------------------------------------------------
+
+
+def picture_names(uid: str, cfg: CameraCfg) -> dict[str, str]:
+    """Name of each picture of a sensor to the camera in the model that it is of.
+
+    Pictures are named after the sensor, since several sensors may use one camera of a file.
+    """
+    cameras = camera_names(uid, cfg)
+    return dict(zip((uid, uid + RIGHT)[: len(cameras)], cameras, strict=True))
 
 
 def camera_names(uid: str, cfg: CameraCfg) -> tuple[str, ...]:

@@ -84,10 +84,14 @@ class CompiledScene:
     terrain: Terrain | None = None
 
     @property
-    def camera_sensors(self) -> list[str]:
-        """Names in the model of the cameras that are sensors."""
+    def camera_sensors(self) -> dict[str, tuple[int, tuple[int, int]]]:
+        """Name of each picture of camera sensors to the id of the camera, and width and height."""
         found = [index for index in self.sensors.values() if isinstance(index, CameraIndex)]
-        return [self.model.camera(i).name for index in found for i in index.ids]
+        return {
+            name: (camera, index.size)
+            for index in found
+            for name, camera in zip(index.pictures, index.ids, strict=True)
+        }
 
 
 SceneParts = tuple[

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.cameras import (
     add_camera,
-    camera_names,
     check_memory,
     entity_of_geom,
+    picture_names,
 )
 from embodichain.lab.sim.compiler.index import EntityIndex, Ids, Mask
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid
@@ -118,10 +118,14 @@ class CameraIndex(SensorIndex):
     Attributes:
         ids: MuJoCo's ids of its cameras: one, or left and right.
         entity_of_geom: (ngeom + 1,) int32 number in masks of each geom; the last is -1.
+        pictures: Name of each of its pictures, ``UID`` or ``UID/right``, in the order of `ids`.
+        size: Width and height in pixels.
     """
 
     ids: tuple[int, ...] = ()
     entity_of_geom: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    pictures: tuple[str, ...] = ()
+    size: tuple[int, int] = (0, 0)
 
 
 def add_sensor(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
@@ -200,8 +204,13 @@ def index_sensor(
     """
     cfg, count = plan.cfg, len(plan.names)
     if isinstance(cfg, CameraCfg):
-        ids = tuple(int(model.camera(name).id) for name in camera_names(plan.uid, cfg))
-        return CameraIndex(ids=ids, entity_of_geom=entity_of_geom(model, entities))
+        named = picture_names(plan.uid, cfg)
+        return CameraIndex(
+            ids=tuple(int(model.camera(name).id) for name in named.values()),
+            entity_of_geom=entity_of_geom(model, entities),
+            pictures=tuple(named),
+            size=(cfg.width, cfg.height),
+        )
     if isinstance(cfg, RayCastCfg):
         return SensorIndex(geoms=_targets(model, cfg, entities))
     if isinstance(cfg, JointTorqueSensorCfg):

@@ -131,6 +131,7 @@ class ClassicRenderer:
             found["color"] = color
         if not {"depth", "mask"} & set(view.outputs):
             return found
+        self._take_transparent()
         scene.flags[_NUMBERED] = 1
         depth = np.empty((height, width), np.float32)
         mujoco.mjr_render(rect, scene, context)
@@ -143,6 +144,12 @@ class ClassicRenderer:
         metres[mask < 0] = 0.0
         both = {"depth": metres[::-1].astype(np.float32), "mask": mask[::-1]}
         return found | {name: both[name] for name in view.outputs if name in both}
+
+    def _take_transparent(self) -> None:
+        """Take what light passes out of the scene until it is filled again."""
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.rgba[3] < 1.0:
+                geom.type = int(mujoco.mjtGeom.mjGEOM_NONE)
 
     def _geoms(self, pixels: NDArray[np.uint8]) -> NDArray[np.int32]:
         """(H, W) geom ids of a picture whose colours are numbers in the scene, plus 1; else -1."""

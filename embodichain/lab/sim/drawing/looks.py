@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.drawing.geometry import geom_scales
 from embodichain.lab.sim.drawing.views import DrawnState
 
-__all__ = ["SurfaceTable", "Unchanged"]
+__all__ = ["SurfaceTable", "Unchanged", "opaque_geoms"]
 
 _DEFAULT_COLOUR = np.array([0.5, 0.5, 0.5, 1.0])
 _DEFAULT_FINISH = 0.5, 0.5, 0.0
@@ -98,10 +98,7 @@ class SurfaceTable:
             found: NDArray[Any] = fields[name][env, material]
             return found
 
-        # A geom's own colour counts where it is another than MuJoCo's default.
-        own = fields["geom_rgba"][env, geom]
-        default = np.isclose(own, _DEFAULT_COLOUR, atol=1e-6).all(axis=1)
-        table[env, geom, 1] = np.where(default[:, None], of("mat_rgba"), own)
+        table[env, geom, 1] = _shown_colour(fields["geom_rgba"][env, geom], of("mat_rgba"))
         for column, name in enumerate(("mat_specular", "mat_shininess", "mat_emission")):
             table[env, geom, 2, column] = of(name)
         texture = of("mat_texid")[:, _RGB]
@@ -112,3 +109,32 @@ class SurfaceTable:
         table[env, geom, 3, 2] = self._layers[texture, 1]
         table[env, geom, 3, :2] = repeat
         table[env, geom, 3, 3] = uniform
+
+
+def opaque_geoms(state: DrawnState, model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """(N or 1, ngeom) bool: geoms without any transparency, which alone are in depth and masks.
+
+    Args:
+        state: The environments.
+        model: The compiled scene.
+    """
+    names = ["geom_rgba", "geom_matid", "mat_rgba"] if model.nmat else ["geom_rgba"]
+    fields = {name: np.asarray(state.model_values(name)) for name in names}
+    count = max(len(value) for value in fields.values())
+    rgba = fields["geom_rgba"].reshape(len(fields["geom_rgba"]), -1, 4)
+    rgba = np.broadcast_to(rgba, (count, model.ngeom, 4)).copy()
+    if model.nmat:
+        ids = np.broadcast_to(fields["geom_matid"].reshape(-1, model.ngeom), (count, model.ngeom))
+        env, geom = np.nonzero(ids >= 0)
+        materials = np.broadcast_to(
+            fields["mat_rgba"].reshape(-1, model.nmat, 4), (count, model.nmat, 4)
+        )
+        rgba[env, geom] = _shown_colour(rgba[env, geom], materials[env, ids[env, geom]])
+    opaque: NDArray[np.bool_] = rgba[..., 3] >= 1.0
+    return opaque
+
+
+def _shown_colour(own: NDArray[Any], material: NDArray[Any]) -> NDArray[Any]:
+    """(n, 4) a geom's own colour where it is another than MuJoCo's default, else its material's."""
+    default = np.isclose(own, _DEFAULT_COLOUR, atol=1e-6).all(axis=1)
+    return np.where(default[:, None], material, own)

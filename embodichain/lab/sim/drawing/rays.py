@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import mujoco
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drawing.geometry import VISIBLE_GROUPS
+from embodichain.lab.sim.drawing.looks import opaque_geoms
 from embodichain.lab.sim.drawing.views import DrawnState, Pictures, View
 from embodichain.utils.errors import RenderError
 
@@ -41,7 +42,7 @@ class CastingState(Protocol):
 class RayRenderer:
     """Draws depth and masks with a ray through the middle of each pixel.
 
-    Geoms of visible groups are hit, unless their alpha is 0; meshes and round shapes are exact.
+    Opaque geoms of visible groups are hit; meshes and round shapes are exact.
     It costs more than OpenGL, but for small images.
 
     Args:
@@ -51,7 +52,8 @@ class RayRenderer:
     about = "rays of MuJoCo, depth and masks only"
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self._geoms: NDArray[np.bool_] = np.asarray(model.geom_group) < VISIBLE_GROUPS
+        self._model = model
+        self._visible: NDArray[np.bool_] = np.asarray(model.geom_group) < VISIBLE_GROUPS
 
     def draw(
         self, state: DrawnState, views: Sequence[View], envs: NDArray[np.int64] | None = None
@@ -67,7 +69,8 @@ class RayRenderer:
             raise RenderError("stored states need OpenGL, and rays draw here")
         wanted = np.arange(state.num_envs) if envs is None else envs
         rows, places = np.unique(wanted, return_inverse=True)  # rays are cast in sorted ones
-        drawn = [_draw(state, view, rows, self._geoms) for view in views]
+        geoms = opaque_geoms(state, self._model) & self._visible
+        drawn = [_draw(state, view, rows, geoms) for view in views]
         if np.array_equal(rows, wanted):
             return drawn
         return [{name: values[places] for name, values in made.items()} for made in drawn]
@@ -79,16 +82,21 @@ class RayRenderer:
 def _draw(
     state: CastingState, view: View, rows: NDArray[np.int64], geoms: NDArray[np.bool_]
 ) -> Pictures:
-    """Draw a view of n environments, as many at once as memory allows."""
+    """Draw a view of n environments, as many at once as memory allows.
+
+    Args:
+        state: The environments.
+        view: The view.
+        rows: (n,) which of them.
+        geoms: (N or 1, ngeom) the geoms that are hit.
+    """
     optics = view.optics
     pixels = optics.width * optics.height
     depth = np.empty((len(rows), pixels), np.float32)
     mask = np.empty((len(rows), pixels), np.int32)
-    most = max(1, _RAYS_AT_ONCE // pixels)
-    for start in range(0, len(rows), most):
-        part = slice(start, start + most)
+    for part, hit_there in _parts(rows, geoms, max(1, _RAYS_AT_ONCE // pixels)):
         eye, ray = _rays(view, rows[part])
-        found = state.cast_rays(eye + optics.near * ray, ray, geoms, rows[part])
+        found = state.cast_rays(eye + optics.near * ray, ray, hit_there, rows[part])
         # Rays are 1 m long along the axis, so that distances in their lengths are depths.
         along = found.distance + optics.near
         hit = (found.distance >= 0.0) & (along <= optics.far)
@@ -96,6 +104,21 @@ def _draw(
     size = len(rows), optics.height, optics.width
     made = {"depth": depth.reshape(size), "mask": mask.reshape(size)}
     return {name: made[name] for name in view.outputs}
+
+
+def _parts(
+    rows: NDArray[np.int64], geoms: NDArray[np.bool_], most: int
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
+    """Yield places in `rows`, at most so many at once, and (ngeom,) the geoms that are hit there.
+
+    Rays are cast at the same geoms in all environments of a call.
+    """
+    kinds, kind_of = np.unique(geoms, axis=0, return_inverse=True)
+    kind_of = np.broadcast_to(kind_of.reshape(-1), max(len(geoms), int(rows.max(initial=0)) + 1))
+    for number, kind in enumerate(kinds):
+        places = np.flatnonzero(kind_of[rows] == number)
+        for start in range(0, len(places), most):
+            yield places[start : start + most], kind
 
 
 def _rays(view: View, rows: NDArray[np.int64]) -> tuple[F64, F64]:

@@ -6,7 +6,7 @@ environments.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -53,6 +53,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Camera", "StereoCamera"]
 
+PixelOrigin = Literal["corner", "centre"]
+_FIRST_PIXEL = {"corner": 0.0, "centre": 0.5}
+"""Where pixels are counted from, to where the middle of the first pixel is in a config's."""
 _BY_DEPTH = frozenset({"depth", "distance", "normal", "position", "disparity"})
 
 
@@ -336,9 +339,15 @@ class Camera(BaseSensor):
             raise ValueError(f"{self.uid}: fx and fy must be positive, got {lens[:, :2].tolist()}")
         self.write_intrinsics(lens, ids, side)
 
-    def get_intrinsics(self) -> Any:
-        """(N, 3, 3) matrices ((fx, 0, cx), (0, fy, cy), (0, 0, 1)), pixels."""
-        return _matrices(self.read_intrinsics())
+    def get_intrinsics(self, pixel_origin: PixelOrigin = "corner") -> Any:
+        """(N, 3, 3) matrices ((fx, 0, cx), (0, fy, cy), (0, 0, 1)), pixels.
+
+        Args:
+            pixel_origin: Where the pixel in the top left corner is at (0, 0): at its ``corner``, as
+                in configs, so that the middle of a picture is at (width / 2, height / 2); or at its
+                ``centre``, as in OpenCV, ROS and Open3D, half a pixel less.
+        """
+        return _matrices(self.read_intrinsics(), pixel_origin)
 
 
 class StereoCamera(Camera):
@@ -409,9 +418,12 @@ class StereoCamera(Camera):
         right = intrinsics if right_intrinsics is None else right_intrinsics
         self._set_intrinsics(right, env_ids, 1)
 
-    def get_intrinsics(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Matrices (N, 3, 3) of the left and of the right camera, pixels."""
-        return _matrices(self.read_intrinsics(0)), _matrices(self.read_intrinsics(1))
+    def get_intrinsics(
+        self, pixel_origin: PixelOrigin = "corner"
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Matrices (N, 3, 3) of the left and of the right camera, pixels; see `Camera`."""
+        left, right = (_matrices(self.read_intrinsics(i), pixel_origin) for i in (0, 1))
+        return left, right
 
 
 def _pose_tensor(pose: tuple[F64, F64], to_matrix: bool) -> torch.Tensor:
@@ -419,9 +431,13 @@ def _pose_tensor(pose: tuple[F64, F64], to_matrix: bool) -> torch.Tensor:
     return to_tensor(pose_to_matrix(rows) if to_matrix else rows)
 
 
-def _matrices(lens: F64) -> torch.Tensor:
+def _matrices(lens: F64, pixel_origin: PixelOrigin) -> torch.Tensor:
+    if pixel_origin not in _FIRST_PIXEL:
+        there = " or ".join(map(repr, _FIRST_PIXEL))
+        raise ValueError(f"pixel_origin is {there}, got {pixel_origin!r}")
+    shift = _FIRST_PIXEL[pixel_origin]
     found = zeros((len(lens), 3, 3), lens)
     found[:, 0, 0], found[:, 1, 1] = lens[:, 0], lens[:, 1]
-    found[:, 0, 2], found[:, 1, 2] = lens[:, 2], lens[:, 3]
+    found[:, 0, 2], found[:, 1, 2] = lens[:, 2] - shift, lens[:, 3] - shift
     found[:, 2, 2] = 1.0
     return to_tensor(found)

@@ -7,6 +7,7 @@ import pytest
 
 from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
 from embodichain.lab.sim.drawing.classic import ClassicRenderer
+from embodichain.lab.sim.drawing.rays import RayRenderer
 from embodichain.lab.sim.drawing.views import View, Viewpoint, view_of
 from embodichain.lab.sim.engine.cpu import CpuEngine
 
@@ -213,3 +214,24 @@ def test_a_scene_without_anything_is_its_background(light):
         assert pictures["color"].min() > 100  # pale, not black
         assert (pictures["depth"] == 0).all() and (pictures["mask"] == -1).all()
     renderer.close()
+
+
+@pytest.mark.parametrize("renderer_class", [BatchRenderer, ClassicRenderer, RayRenderer])
+def test_what_light_passes_is_in_no_depth_and_no_mask(renderer_class):
+    # From above, 3 m over the origin: a pane at 1 m, a pane of a material at 0.5 m, the floor's top
+    # at 0.1 m. In the second environment the upper pane is opaque.
+    world = """<geom name="floor" type="box" size="5 5 .1"/>
+      <geom name="pane" type="box" size="2 2 .01" pos="0 0 1" rgba="1 0 0 .4"/>
+      <geom name="tinted" type="box" size="2 2 .01" pos="0 0 .5" material="glass"/>"""
+    model = scene(world, '<material name="glass" rgba="0 0 1 .5"/>')
+    engine = CpuEngine(model, 2)
+    pane = model.geom("pane").id
+    engine.write_model("geom_rgba", 1.0, np.array([1]), np.array([4 * pane + 3]))
+    renderer = renderer_class(model)
+    size = SIZE, SIZE
+    outputs = ("depth", "mask")
+    view = view_of(engine, ABOVE, *size, near=0.05, far=50.0, outputs=outputs, look="fast")
+    (found,) = renderer.draw(engine, [view])
+    renderer.close()
+    assert middle(found["mask"]).tolist() == [model.geom("floor").id, pane]
+    assert middle(found["depth"]) == pytest.approx([2.9, 1.99], abs=2e-4)

@@ -65,6 +65,25 @@ def test_points_land_on_their_pixels(scene, lens):
     np.testing.assert_allclose(matrix, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], rtol=1e-5)
 
 
+def test_clouds_are_where_they_should_be_by_the_formula_of_opencv(scene):
+    keys = {"fovy": 50.0, "data_types": ["depth", "position"]}
+    sim = scene([ball(*item) for item in POINTS.items()], [camera(**keys)], num_envs=1)
+    eye = sim.get_sensor("eye")
+    depth, position = (eye.read(name)[0] for name in ("depth", "position"))
+    (fx, _, cx), (_, fy, cy), _ = eye.get_intrinsics("centre")[0].numpy()
+    v, u = np.indices(depth.shape)
+    right, down = (u - cx) / fx * depth, (v - cy) / fy * depth
+    # The camera looks along x from (0, 0, 1): its right is -y, and down is -z.
+    cloud = np.stack([depth, -right, 1.0 - down], axis=-1)
+    seen = depth > 0
+    assert seen.any()
+    np.testing.assert_allclose(cloud[seen], position[seen], atol=2e-6)
+    half = eye.get_intrinsics()[0, :2, 2] - eye.get_intrinsics("centre")[0, :2, 2]
+    assert half.tolist() == [0.5, 0.5]
+    with pytest.raises(ValueError, match="pixel_origin is 'corner' or 'centre', got 'center'"):
+        eye.get_intrinsics("center")
+
+
 def test_up_rolls_the_picture(scene):
     ups = {"z": None, "y": (0, 1, 0), "down": (0, 0, -1)}
     sensors = [

@@ -294,6 +294,10 @@ class ActionManager(Manager[ActionTermCfg]):
             found += [f"{name}/{column}" for column in self._columns(term)]
         return tuple(found)
 
+    def columns_of(self, name: str) -> tuple[str, ...]:
+        """Name of each column of a term's slice, or its number."""
+        return self._columns(self.terms[name])
+
     @staticmethod
     def _columns(term: BuiltTerm[ActionTermCfg]) -> tuple[str, ...]:
         """Name of each column of a term's slice, or its number."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -17,8 +17,18 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import Draws
     from embodichain.lab.sim.compiler.names import NamedBy
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.objects.articulation import Articulation
 
-__all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform", "finite_limits"]
+__all__ = [
+    "ActionMeaning",
+    "ActionTerm",
+    "CommandMarker",
+    "CommandTerm",
+    "Term",
+    "Uniform",
+    "finite_limits",
+    "joint_units",
+]
 
 
 class Term:
@@ -81,6 +91,54 @@ def finite_limits(
     return low, high
 
 
+@dataclass(frozen=True, slots=True)
+class ActionMeaning:
+    """What the columns of an action term command, for tables, logs and data sets.
+
+    Attributes:
+        quantity: What is commanded, such as ``joint position``: of all columns, or of each.
+        mode: ``absolute``, or ``delta``: a change from `reference` in each control step.
+        reference: What a delta is added to, ``target`` or ``qpos``.
+        frame: The axes of a pose or a motion: ``base``, ``world`` or ``tool``.
+        units: The unit of the value: of all columns, or of each.
+    """
+
+    quantity: str | tuple[str, ...] = ""
+    mode: Literal["", "absolute", "delta"] = ""
+    reference: str = ""
+    frame: str = ""
+    units: str | tuple[str, ...] = ""
+
+    def of(self, part: Literal["quantity", "units"], count: int) -> tuple[str, ...]:
+        """A part for each of `count` columns."""
+        given = self.quantity if part == "quantity" else self.units
+        return (given,) * count if isinstance(given, str) else given
+
+
+def joint_units(
+    asset: Articulation,
+    joint_ids: Iterable[int],
+    control: Literal["position", "velocity", "effort"] = "position",
+) -> tuple[str, ...]:
+    """Units of hinges and slides: rad, rad/s or N m, and m, m/s or N.
+
+    Args:
+        asset: The articulation.
+        joint_ids: Indices of its joints.
+        control: The quantity.
+    """
+    turns, slides = _UNITS[control]
+    parsed = asset.parsed
+    kinds = parsed.model.jnt_type
+    hinge = {name: int(kinds[parsed.model.joint(name).id]) == _HINGE for name in parsed.joint_names}
+    return tuple(turns if hinge[parsed.joint_names[i]] else slides for i in joint_ids)
+
+
+_HINGE = 3
+"""MuJoCo's ``mjJNT_HINGE``; MuJoCo itself is not imported for tables of terms."""
+_UNITS = {"position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "effort": ("N m", "N")}
+
+
 class ActionTerm(Term):
     """Base of action terms; subclasses take ``(env, **params)``.
 
@@ -121,6 +179,10 @@ class ActionTerm(Term):
         Words stand for what is no number; the default is empty words.
         """
         return [""] * self.action_dim, [""] * self.action_dim
+
+    def meaning(self) -> ActionMeaning:
+        """What the columns command; data sets say it. The default says nothing."""
+        return ActionMeaning()
 
     def home(self) -> NDArray[np.float64]:
         """(A,) the action that goes to the initial state; policies explore around it."""

@@ -5,12 +5,13 @@ Poses are in the environment's frame, unless a name says otherwise; quaternions 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint
+from embodichain.lab.gym.envs.managers.term import ActionMeaning
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
 from embodichain.utils.arrays import contiguous, may_be_set
 from embodichain.utils.math import (
@@ -19,6 +20,7 @@ from embodichain.utils.math import (
     quat_multiply,
     quat_rotate,
     quat_to_rotvec,
+    quat_to_rpy,
     rotvec_to_quat,
 )
 
@@ -31,19 +33,41 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
-__all__ = ["AbsolutePose", "MotionColumns", "RelativePose", "in_axes", "motion_between"]
+__all__ = [
+    "AbsolutePose",
+    "MotionColumns",
+    "RelativePose",
+    "in_axes",
+    "meaning_of_motions",
+    "meaning_of_poses",
+    "motion_between",
+]
 
+_PLACE = ("x", "y", "z")
 _QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
 
 
-def _quat_to_rpy(quat: F64) -> F64:
-    """Roll, pitch, yaw about fixed axes (R = Rz Ry Rx), (..., 3), of wxyz quaternions."""
-    w, x, y, z = contiguous(np.moveaxis(quat, -1, 0))
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    angles: F64 = np.stack([roll, pitch, yaw], axis=-1)
-    return angles
+def meaning_of_poses(names: Sequence[str], frame: str) -> ActionMeaning:
+    """What the columns of poses command: metres, and a quaternion or angles about fixed axes."""
+    quantities = tuple("tool position" if name in _PLACE else "tool orientation" for name in names)
+    units = {**dict.fromkeys(_PLACE, "m"), **dict.fromkeys(_ANGLES, "rad")}
+    return ActionMeaning(
+        quantity=quantities,
+        mode="absolute",
+        frame=frame,
+        units=tuple(units.get(name, "") for name in names),
+    )
+
+
+def meaning_of_motions(names: Sequence[str], frame: str, reference: str) -> ActionMeaning:
+    """What the columns of motions command: metres, and a rotation vector in rad."""
+    return ActionMeaning(
+        quantity=tuple("tool position" if name in _PLACE else "tool rotation" for name in names),
+        mode="delta",
+        reference=reference,
+        frame=frame,
+        units=tuple("m" if name in _PLACE else "rad" for name in names),
+    )
 
 
 class AbsolutePose:
@@ -94,7 +118,7 @@ class AbsolutePose:
 
     def action_at(self, pos: F64, quat: F64) -> F64:
         """(n, A) the action for a pose (n, 3), (n, 4) in `frame`."""
-        turned = {"quat": quat, "rpy": _quat_to_rpy(quat)}.get(self._rotation, quat[:, :0])
+        turned = {"quat": quat, "rpy": quat_to_rpy(quat)}.get(self._rotation, quat[:, :0])
         action = np.concatenate([pos, turned], axis=1)
         within: F64 = np.minimum(np.maximum(action, self.low), self.high)
         return within

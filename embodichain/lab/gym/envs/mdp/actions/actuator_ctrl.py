@@ -11,7 +11,7 @@ from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.param_types import Whole
 from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
+from embodichain.lab.gym.envs.managers.term import ActionMeaning, ActionTerm, finite_limits
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
 from embodichain.lab.sim.compiler.names import NamedBy, match_every
 from embodichain.utils.errors import ConfigError, Problem
@@ -120,6 +120,10 @@ class ActuatorCtrl(ActionTerm):
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """Of controls, in their units."""
         return self._affine.centre.tolist(), self._affine.scale.tolist()
+
+    def meaning(self) -> ActionMeaning:
+        """Controls, whose units the actuators of the file define."""
+        return ActionMeaning(quantity="control", mode="absolute")
 
     def home(self) -> F64:
         """(A,) the action for the initial controls, within the bounds."""

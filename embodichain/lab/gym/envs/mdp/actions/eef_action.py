@@ -15,6 +15,7 @@ from embodichain.lab.gym.envs.managers.param_types import Arm, Box3, UnitInterva
 from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint, per_joint
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import ActionMeaning
 from embodichain.lab.gym.envs.mdp._tools import (
     arm_solver,
     moving_joints,
@@ -25,6 +26,8 @@ from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
     AbsolutePose,
     MotionColumns,
     in_axes,
+    meaning_of_motions,
+    meaning_of_poses,
     motion_between,
 )
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
@@ -215,6 +218,10 @@ class EefPose(EefTerm):
         """Of the pose itself, in m and as of `rotation`."""
         return [0.0] * self.action_dim, [1.0] * self.action_dim
 
+    def meaning(self) -> ActionMeaning:
+        """Poses of the tool in `frame`."""
+        return meaning_of_poses(self.names, "world" if self._world else "base")
+
     def home(self) -> F64:
         """(A,) the action that goes to the tool's initial pose."""
         return self._poses.home
@@ -287,6 +294,11 @@ class EefDeltaPose(EefTerm):
         """About the pose measured or targeted, in m and rad."""
         about = "qpos" if self._measured else "target"
         return [about] * self.action_dim, self._columns.scale.tolist()
+
+    def meaning(self) -> ActionMeaning:
+        """Motions of the tool along and about the axes of `frame`."""
+        reference = "qpos" if self._measured else "target"
+        return meaning_of_motions(self.names, self._frame, reference)
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets by (N, A) actions."""

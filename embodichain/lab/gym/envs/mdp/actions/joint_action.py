@@ -22,7 +22,12 @@ from embodichain.lab.gym.envs.managers.per_name import (
 )
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
+from embodichain.lab.gym.envs.managers.term import (
+    ActionMeaning,
+    ActionTerm,
+    finite_limits,
+    joint_units,
+)
 from embodichain.lab.gym.envs.mdp._tools import arm_solver, usual_speeds
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -421,6 +426,16 @@ class JointAction(JointTerm):
     def _write_read(self, value: F64) -> None:
         """Write targets for what encoders read; the joints go there less their `encoder_bias`."""
         self._write_targets(value - self._asset.drives.encoder_bias[:, self._ids])
+
+    def meaning(self) -> ActionMeaning:
+        """Positions, velocities or efforts of joints; about ``qpos`` and ``target`` changes."""
+        moves = self._from in ("qpos", "target")
+        return ActionMeaning(
+            quantity=f"joint {self._control}",
+            mode="delta" if moves else "absolute",
+            reference=self._from if moves else "",
+            units=joint_units(self._asset, self._ids, self._control),
+        )
 
     def _write_relative(self, value: F64) -> None:
         self._write_targets(self._reference() + value)

@@ -10,6 +10,7 @@ import numpy as np
 from embodichain.lab.gym.envs.managers.param_types import Arm, Box3, NonNegative, Positive
 from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint, per_joint
 from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import ActionMeaning
 from embodichain.lab.gym.envs.mdp._tools import (
     arm_solver,
     moving_joints,
@@ -19,6 +20,8 @@ from embodichain.lab.gym.envs.mdp._tools import (
 from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
     AbsolutePose,
     RelativePose,
+    meaning_of_motions,
+    meaning_of_poses,
     motion_between,
 )
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Efforts, JointTerm
@@ -273,6 +276,12 @@ class OperationalSpace(JointTerm):
             return [0.0] * self.action_dim, [1.0] * self.action_dim
         about = "qpos" if self._measured else "target"
         return [about] * self.action_dim, self._poses.scale.tolist()
+
+    def meaning(self) -> ActionMeaning:
+        """Poses of the tool in `frame`, or motions along and about its axes."""
+        if isinstance(self._poses, AbsolutePose):
+            return meaning_of_poses(self.names, self._frame)
+        return meaning_of_motions(self.names, self._frame, "qpos" if self._measured else "target")
 
     def home(self) -> F64:
         """(A,) the action for the tool's initial pose; of ``delta``, no motion."""

@@ -13,7 +13,7 @@ from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.param_types import Positive, Range, Vec3, Whole
 from embodichain.lab.gym.envs.managers.per_name import PerJoint, per_joint
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.managers.term import finite_limits
+from embodichain.lab.gym.envs.managers.term import ActionMeaning, finite_limits, joint_units
 from embodichain.lab.gym.envs.mdp.actions.actuator_ctrl import picked_controls
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.utils.errors import ConfigError, Problem
@@ -232,6 +232,17 @@ class ParallelGripper(JointTerm):
         if (centre == centre[0]).all() and (scale == scale[0]).all():
             return [float(centre[0])], [float(scale[0])]
         return [_in_words(centre)], [_in_words(scale)]
+
+    def meaning(self) -> ActionMeaning:
+        """The command of all fingers: positions of joints, or controls of actuators."""
+        if self._controls is not None:
+            return ActionMeaning(quantity="gripper control", mode="absolute")
+        units = set(joint_units(self._asset, self._ids))
+        return ActionMeaning(
+            quantity="gripper position",
+            mode="absolute",
+            units=units.pop() if len(units) == 1 else "",
+        )
 
     def home(self) -> F64:
         """(1,) the action nearest to the initial state."""

@@ -160,7 +160,7 @@ def camera_pose(env: TermContext, sensor: CameraOf) -> F64:
 
 @quantity("observation")
 def camera_intrinsics(env: TermContext, sensor: CameraOf, side: Side = "left") -> F64:
-    """(N, 4) fx, fy, cx, cy of a camera, pixels.
+    """(N, 4) fx, fy, cx, cy of a camera, pixels from the picture's top left corner.
 
     Args:
         sensor: A camera.
