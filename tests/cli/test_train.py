@@ -150,3 +150,19 @@ def test_films(trained, capsys, monkeypatch):
     assert main(["train", *TINY, "video=true"]) == 2
     assert "pip install 'embodichain[video]'" in capsys.readouterr().err
     assert len(list(Path("outputs").rglob("checkpoints"))) == before
+
+
+def test_a_training_that_dies_leaves_a_summary(tmp_path, monkeypatch, capsys):
+    from embodichain.learning import session
+
+    def broken(self, *arguments):
+        raise RuntimeError("the network has gone")
+
+    monkeypatch.setattr(session.Session, "learn", broken)
+    assert main(["train", *TINY, "--quiet", "eval.episodes=0", f"output_dir={tmp_path}"]) == 1
+    (path,) = tmp_path.glob("*/*/summary.json")
+    summary = json.loads(path.read_text())
+    assert (summary["status"], summary["task"], summary["seed"]) == ("failed", "reach", 5)
+    assert summary["error"] == "RuntimeError('the network has gone')"
+    assert main(["report", str(path.parent)]) == 0
+    assert "the network has gone" in (path.parent / "report.html").read_text()
