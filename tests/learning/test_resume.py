@@ -417,3 +417,14 @@ def test_only_few_keys_may_change(tmp_path, monkeypatch, capsys):
     assert "no --multirun" in capsys.readouterr().err
     assert main(["train", "resume=nowhere"]) == 2
     assert "'nowhere' is no training's folder" in capsys.readouterr().err
+
+
+def test_a_buffer_with_less_memory_goes_on_too(tmp_path, caplog):
+    lines = ("algo=sac", "algo.buffer_size=100", "algo.optimize_memory_usage=true", *OFF, KEEP)
+    whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
+    train(config(*lines, FOUR), whole)
+    assert "an episode that is cut off counts as terminated" in caplog.text
+    assert "next_observations" not in kept(whole)["arrays"]
+    train(config(*lines, TWO), first)
+    train(config(*lines, FOUR, f"resume={first}"), second)
+    np.testing.assert_array_equal(everything(second), everything(whole))
