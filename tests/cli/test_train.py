@@ -166,3 +166,11 @@ def test_a_training_that_dies_leaves_a_summary(tmp_path, monkeypatch, capsys):
     assert summary["error"] == "RuntimeError('the network has gone')"
     assert main(["report", str(path.parent)]) == 0
     assert "the network has gone" in (path.parent / "report.html").read_text()
+
+
+def test_the_report_says_which_episodes_of_the_log_count(trained, tmp_path):
+    page = tmp_path / "page.html"
+    assert main(["report", str(trained), "-o", str(page)]) == 0
+    text = page.read_text()
+    assert "8, of which 6 count: the first of each environment" in text
+    assert "<th>counted</th>" in text
