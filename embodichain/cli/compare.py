@@ -17,9 +17,9 @@ from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.learning.comparison import Group
-    from embodichain.learning.statistics import Estimate
+    from embodichain.learning.statistics import SeedEstimate
 
-__all__ = ["command", "comparison_table"]
+__all__ = ["command", "comparison_table", "mean_of_seeds", "too_few_seeds"]
 
 _COLUMNS = {
     "success": "success_rate",
@@ -30,6 +30,8 @@ _COLUMNS = {
     "seconds": "train_seconds",
     "env steps": "env_steps",
 }
+_COSTS = ("steps/s", "seconds", "env steps")
+"""Columns that are no results: without an interval, the mean alone is shown."""
 
 
 @verb(
@@ -65,6 +67,8 @@ def command(runs: tuple[str, ...], output: str | None, json: bool) -> None:
         print_json({"groups": data, "picture": output})
         return
     print_table(*comparison_table(groups))
+    for note in too_few_seeds(groups):
+        sys.stdout.write(f"{note}\n")
     if output is not None:
         sys.stdout.write(f"{output}\n")
 
@@ -79,7 +83,7 @@ def comparison_table(groups: Sequence[Group]) -> tuple[str, list[dict[str, Any]]
         {
             **{"runs": label, "seeds": len(group.runs)},
             **{
-                title: _cell(found[name], share="success" in title)
+                title: _cell(title, found[name])
                 for title, name in _COLUMNS.items()
                 if any(other[name] for other in numbers)
             },
@@ -89,7 +93,19 @@ def comparison_table(groups: Sequence[Group]) -> tuple[str, list[dict[str, Any]]
     return f"trainings{common and f' of {common}'}: mean over seeds [95 % interval]", rows
 
 
-def _numbers(group: Group) -> dict[str, Estimate | None]:
+def too_few_seeds(groups: Sequence[Group]) -> list[str]:
+    """Return a sentence if groups have too few seeds for an interval, so that points are shown."""
+    from embodichain.learning.statistics import LEAST_SEEDS
+
+    few = sorted({len(group.runs) for group in groups if len(group.runs) < LEAST_SEEDS})
+    if not few:
+        return []
+    seeds = "1 seed" if few == [1] else f"{' or '.join(map(str, few))} seeds"
+    points = "" if few == [1] else ": in parentheses is the value of each"
+    return [f"no interval from {seeds}, it needs at least {LEAST_SEEDS}{points}"]
+
+
+def _numbers(group: Group) -> dict[str, SeedEstimate | None]:
     return {name: group.number(name) for name in _COLUMNS.values()}
 
 
@@ -119,10 +135,19 @@ def _path(name: str) -> Path:
     return path.resolve()
 
 
-def _cell(found: Estimate | None, *, share: bool) -> str | None:
-    """A mean with its interval."""
+def _cell(title: str, found: SeedEstimate | None) -> str | None:
     if found is None:
         return None
+    if found.mean_interval is None and title in _COSTS:
+        return number(found.mean)
+    return mean_of_seeds(found, share="success" in title)
+
+
+def mean_of_seeds(found: SeedEstimate, *, share: bool = False) -> str:
+    """Return a mean with its interval, or with the value of each of too few seeds."""
     form: Callable[[float], str] = "{:.1%}".format if share else number
-    ends = found.mean_interval
-    return form(found.mean) + (f" [{form(ends[0])}, {form(ends[1])}]" if ends is not None else "")
+    ends, values = found.mean_interval, found.values
+    if ends is not None:
+        return f"{form(found.mean)} [{form(ends[0])}, {form(ends[1])}]"
+    points = ", ".join(form(value).rstrip("%") for value in values)
+    return form(found.mean) + (f" ({points})" if len(values) > 1 else "")

@@ -26,7 +26,7 @@ __all__ = ["EXTRAS", "Check", "command"]
 
 EXTRAS = {
     "robots": ("robots of example-robot-data", "example-robot-data"),
-    "rsl_rl": ("trainings on the environment's device: algo=rsl_rl_ppo", "rsl-rl-lib"),
+    "rsl-rl": ("trainings on the environment's device: algo=rsl_rl_ppo", "rsl-rl-lib"),
     "skrl": ("trainings on the environment's device: algo=skrl_ppo", "skrl"),
     "gpu": ("MuJoCo Warp: sim.engine=warp, device=cuda", "mujoco-warp", "warp-lang"),
     "decompose": ("convex parts of meshes: collision: decompose", "coacd"),

@@ -6,8 +6,11 @@ The evaluation at the end of `train` uses the same functions.
 from __future__ import annotations
 
 import dataclasses
+import json
+import logging
 from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +18,9 @@ from embodichain.cli.app import command_line, overrides, verb
 from embodichain.cli.jobs import FRESH, Job, execute, job_options, policy_of
 from embodichain.cli.output import number, print_facts, print_json, to_json
 from embodichain.cli.reporting import ProgressDisplay
-from embodichain.cli.trained import one_target, take
+from embodichain.cli.trained import Target, one_target, take
+from embodichain.cli.unread_keys import refuse_unread
+from embodichain.config.run_folder import CHECKPOINT, SUMMARY
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -33,6 +38,7 @@ __all__ = [
     "result_rows",
 ]
 
+_log = logging.getLogger(__name__)
 EVAL_FILE = "eval.json"
 _EPISODES = "100"
 _WORDS = {"true": True, "false": False}
@@ -72,6 +78,7 @@ def command(**kwargs: Any) -> None:
 
     options = SimpleNamespace(**kwargs)
     target, lines = one_target("evaluate", options.words)
+    refuse_unread("eval", lines)
     episodes = _integer("episodes", take(lines, "episodes", _EPISODES), least=1)
     word = take(lines, "deterministic", "true")
     if word.lower() not in _WORDS:
@@ -88,7 +95,30 @@ def command(**kwargs: Any) -> None:
         raise ConfigError([Problem("seed", message)])
     asked = Asked(episodes, seed, _WORDS[word.lower()])
     config = evaluation_config(resolved, asked, trim=trim)
-    execute(config, lambda job: _evaluate(job, asked), command_line())
+    same = _same_as(target, asked, config)
+    execute(config, lambda job: _evaluate(job, asked, same), command_line())
+
+
+def _same_as(target: Target, asked: Asked, config: Resolved) -> str | None:
+    """A sentence if the training's own evaluation played the same episodes of the same policy."""
+    from embodichain.config.schema import LARGEST_TRAINING_SEED
+
+    summary_file = None if target.run is None else target.run / SUMMARY
+    if summary_file is None or not summary_file.is_file() or target.file is None:
+        return None
+    try:
+        before = json.loads(summary_file.read_text(encoding="utf-8")).get("eval")
+    except (OSError, ValueError):  # it is no result of this evaluation
+        return None
+    if not before or target.file.name != Path(CHECKPOINT).name or not asked.deterministic:
+        return None
+    mine = (asked.seed, asked.episodes, int(config.tree["num_envs"]))
+    if mine != (before.get("seed"), before.get("episodes"), before.get("num_envs")):
+        return None
+    if config.overrides and any(line.startswith("task") for line in config.overrides):
+        return None
+    other = (asked.seed + 1) % (LARGEST_TRAINING_SEED + 1)
+    return f"the same episodes as at the end of the training, no confirmation: seed={other}"
 
 
 def _integer(key: str, word: str, *, least: int) -> int:
@@ -98,15 +128,22 @@ def _integer(key: str, word: str, *, least: int) -> int:
     raise ConfigError([Problem(key, f"must be an integer of at least {least}, got {word!r}")])
 
 
-def _evaluate(job: Job, asked: Asked) -> float | None:
+def _evaluate(job: Job, asked: Asked, same: str | None) -> float | None:
     """Evaluate, write `eval.json` and print the results."""
     result = evaluate_job(job, asked)
     result |= job.film(result["log"])
+    if same is not None and job.quiet:
+        _log.warning(same)
+    elif same is not None:
+        _log.info(same)
     if job.root.json:
         print_json(result)
     elif not job.quiet:
         interval = f"{result['confidence']:.0%} intervals"
-        print_facts(f"{result['task']}  ([low, high]: {interval})", result_rows(result))
+        policy, episodes, *rows = result_rows(result)
+        note = [("note", same)] if same is not None else []
+        title = f"{result['task']}  ([low, high]: {interval})"
+        print_facts(title, [policy, episodes, *note, *rows])
     return objective_of(result)
 
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.cli.app import command_line, split_overrides
 from embodichain.cli.process import Interrupted, StopFlag
 from embodichain.cli.reporting import ProgressDisplay, log_to, warn_if_public
+from embodichain.cli.unread_keys import refuse_unread
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils import platforms
@@ -242,6 +243,7 @@ def start(verb: Verb, body: Body, options: Any) -> None:
     from embodichain.config.override_text import readable
 
     overrides = [*map(readable, split_overrides(options.words)), *job_options(options)]
+    refuse_unread(verb, overrides)
     if options.gym_config is not None:
         from embodichain.config.gym_config import override_of
 

@@ -11,6 +11,7 @@ from embodichain.cli.app import command_line, overrides, verb
 from embodichain.cli.jobs import FRESH, execute, job_options
 from embodichain.cli.run import run_job
 from embodichain.cli.trained import one_target, take
+from embodichain.cli.unread_keys import refuse_unread
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]
@@ -35,6 +36,7 @@ def command(**kwargs: Any) -> None:
     """Show episodes of one policy."""
     options = SimpleNamespace(**kwargs)
     target, lines = one_target("play", options.words)
+    refuse_unread("play", lines)
     typed = take(lines, "episodes", _EPISODES)
     keys = {line.partition("=")[0] for line in lines}
     lines += [f"{key}={value}" for key, value in _DEFAULTS.items() if key not in keys]

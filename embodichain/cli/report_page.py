@@ -10,6 +10,7 @@ import base64
 import importlib.util
 import json
 import shlex
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from importlib import resources
@@ -71,6 +72,8 @@ def page_of(folder: Path) -> str:
     status = str(outcome.get("status", "finished" if outcome else "unfinished"))
     task = str(outcome.get("task", folder.name.partition("_")[2]))
     episodes = log.episodes if log is not None else []
+    # The first episodes of each environment count, see `evaluate`.
+    quota = Counter((evaluated.get("per_episode") or {}).get("env") or ())
     context = {
         "title": f"{task}: {kind}",
         "task": task,
@@ -88,11 +91,12 @@ def page_of(folder: Path) -> str:
         "rewards": _rewards(summary, evaluated),
         "episodes": [
             {name: number(getattr(episode, name)) for name in _EPISODE}
+            | ({"counted": number(episode.episode < quota[episode.env])} if quota else {})
             for episode in episodes[:_MOST_EPISODES]
         ],
         "more_episodes": max(len(episodes) - _MOST_EPISODES, 0),
         "commands": _commands(folder, kind, task, config, has_log=log is not None),
-        "log": _log_facts(log),
+        "log": _log_facts(log, evaluated),
         "config": _text(folder / CONFIG),
         "overrides": "\n".join(map(str, _yaml(folder / "overrides.yaml") or [])),
         "messages": "\n".join(_text(folder / "run.log").splitlines()[-_MOST_MESSAGES:]),
@@ -205,16 +209,19 @@ def _rewards(
     return [(name, number(value), value / most) for name, value in known.items()]
 
 
-def _log_facts(log: LogSummary | None) -> Rows:
+def _log_facts(log: LogSummary | None, evaluated: Mapping[str, Any]) -> Rows:
     if log is None:
         return []
+    ended = f"{len(log.episodes):,}"
+    if "episodes" in evaluated:
+        ended += f", of which {evaluated['episodes']:,} count: the first of each environment"
     header = log.header
     return [
         ("file", f"{log.path.name}, {log.nbytes / 1e6:.2f} MB"),
         ("recorded with", header.recorded_with),
         ("environments", f"{header.num_envs}, seed {header.seed}"),
         ("steps", f"{log.steps:,} control steps = {log.duration_s:.2f} s simulated"),
-        ("episodes that ended", f"{len(log.episodes):,}"),
+        ("episodes that ended", ended),
         ("verifiable", header.unverifiable and f"no: {header.unverifiable}" or "yes"),
     ]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from embodichain.cli.compare import comparison_table
+from embodichain.cli.compare import comparison_table, mean_of_seeds, too_few_seeds
 from embodichain.cli.output import number, print_table
 from embodichain.cli.sweep_jobs import is_finished
 from embodichain.config.locate import display_path
@@ -53,7 +53,7 @@ def report_sweep(folder: Path, *, quiet: bool) -> None:
         return
     print_table(*comparison_table(groups))
     sys.stdout.flush()
-    lines = [*notes, *_best(folder, groups), str(page)]
+    lines = [*too_few_seeds(groups), *notes, *_best(folder, groups), str(page)]
     sys.stderr.write("".join(f"{line}\n" for line in lines))
 
 
@@ -112,11 +112,10 @@ def _best(folder: Path, groups: Sequence[Group]) -> list[str]:
     if best is None or len(groups) < 2:
         return []
     found = best.number("objective")
-    ends = found.mean_interval if found is not None else None
-    interval = "" if ends is None else f" [{number(ends[0])}, {number(ends[1])}]"
     label = short_labels(groups)[1][list(groups).index(best)]
-    mean = "-" if found is None else number(found.mean)
-    return [f"best objective {mean}{interval}: {label} ({len(best.runs)} seeds)"]
+    mean = "-" if found is None else mean_of_seeds(found)
+    seeds = "1 seed" if len(best.runs) == 1 else f"{len(best.runs)} seeds"
+    return [f"best objective {mean}: {label} ({seeds})"]
 
 
 def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
@@ -129,7 +128,7 @@ def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
     labels = short_labels(groups)[1]
     means = {i: x.mean for i, group in enumerate(groups) if (x := group.number("objective"))}
     drawn = sorted(sorted(means, key=lambda i: -means[i])[:_MOST_CURVES])
-    said = list(notes)
+    said = [*too_few_seeds(groups), *notes]
     if len(groups) > len(drawn):
         said.append(f"curves of the {len(drawn)} groups with the largest objective")
     try:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +18,10 @@ from embodichain.cli.app import command_line, job_arguments, verb
 from embodichain.cli.demonstrations import read_dataset
 from embodichain.cli.eval import Asked, brief_rows, evaluate_job, evaluation_config
 from embodichain.cli.jobs import Job, execute, start
-from embodichain.cli.output import print_facts, print_json
+from embodichain.cli.output import print_facts, print_json, to_json
 from embodichain.cli.process import Interrupted, started
 from embodichain.cli.resuming import parsed_changes, resumed_folder, resumption, with_changes
+from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def _learn(job: Job) -> dict[str, Any]:
     root = job.root
     algo = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
     about = job.resolved.task_name, algo, root.total_timesteps or 0
-    with Dashboard(*about, quiet=job.quiet) as display:
+    with _said_if_failed(job, algo), Dashboard(*about, quiet=job.quiet) as display:
 
         def progress(statistics: TrainStatistics) -> None:
             if job.stop.is_stopped():
@@ -117,6 +118,23 @@ def _learn(job: Job) -> dict[str, Any]:
         raise Interrupted.by(job.stop.stopped, message)
     summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
     return {**summary, "folder": str(job.folder)}
+
+
+@contextmanager
+def _said_if_failed(job: Job, algo: str) -> Iterator[None]:
+    """Write a `summary.json` if the training dies of an exception; that is raised again."""
+    from embodichain.config.run_folder import SUMMARY
+
+    try:
+        yield
+    except Exception as error:
+        about = {"task": job.resolved.task_name, "algo": algo, "seed": job.root.seed}
+        failed = {**about, "folder": str(job.folder), "status": "failed", "error": repr(error)}
+        try:
+            write_text(job.folder / SUMMARY, to_json(failed, indent=2) + "\n")
+        except OSError as second:  # a full disk fails here too; the first error is reported
+            _log.error("%s could not be written: %s", SUMMARY, second)
+        raise
 
 
 def _evaluate(job: Job, evaluated: Resolved, asked: Asked) -> dict[str, Any]:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
 from embodichain.config.factory import make
 from embodichain.config.gymnasium_ids import task_id
+from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.cfg import NO_LIMIT
 from embodichain.lab.gym.envs.episodes import parse_mode
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.vector import NumpyVectorEnv
@@ -48,6 +52,42 @@ class TaskEnv(SingleEnv):
         if wrong:
             raise ConfigError(_BATCHES.format(wrong=", ".join(wrong), id=task_id(task), task=task))
         super().__init__(make(task, 1, [_HOST, *overrides], **kwargs), flatten)
+        self._spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Gymnasium's spec with the task's ``max_episode_steps``, which wrappers read from it.
+
+        The environment itself ends its episodes: Gymnasium adds no `TimeLimit` for it.
+        """
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = _with_limit(spec, self.env)
+
+
+class TaskVectorEnv(NumpyVectorEnv):
+    """A batch of environments of a YAML task, with the task's limit in its `spec`."""
+
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Gymnasium's spec with the task's ``max_episode_steps``."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = _with_limit(spec, self.env)
+
+
+def _with_limit(spec: EnvSpec | None, env: BaseEnv) -> EnvSpec | None:
+    if spec is None or spec.max_episode_steps is not None or env.max_episode_steps == NO_LIMIT:
+        return spec
+    own = copy.copy(spec)
+    own.max_episode_steps = env.max_episode_steps
+    return own
 
 
 _BATCHES = (
@@ -85,4 +125,4 @@ def make_task_vec(
     lines = [_HOST, *overrides]
     if max_episode_steps is not None:
         lines.append(f"task.max_episode_steps={max_episode_steps}")
-    return NumpyVectorEnv(make(task, num_envs, lines, **kwargs), mode, flatten)
+    return TaskVectorEnv(make(task, num_envs, lines, **kwargs), mode, flatten)

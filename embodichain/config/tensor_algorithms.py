@@ -18,7 +18,7 @@ from embodichain.utils.configclass import configclass
 
 __all__ = ["PUBLISHED_STEPS", "TENSOR_ALGORITHMS", "RslRlPpoCfg", "SkrlPpoCfg", "TensorAlgoCfg"]
 
-TENSOR_ALGORITHMS = {"rsl_rl_ppo": ("rsl_rl", "rsl_rl"), "skrl_ppo": ("skrl", "skrl")}
+TENSOR_ALGORITHMS = {"rsl_rl_ppo": ("rsl_rl", "rsl-rl"), "skrl_ppo": ("skrl", "skrl")}
 """Algorithm -> the package that it needs, and the extra that installs it."""
 
 PUBLISHED_STEPS = 24

@@ -196,6 +196,13 @@ class Algorithm:
         if str(arguments["policy"]).startswith("Mlp") and not vector:
             message = f"{arguments['policy']} takes a flat vector, the observation is an image: "
             raise ConfigError([Problem("algo.policy", message + "use CnnPolicy")])
+        if arguments.get("optimize_memory_usage"):
+            # Its buffer has no room for the last observation of an episode that is cut off.
+            arguments["replay_buffer_kwargs"] = {"handle_timeout_termination": False}
+            _log.warning(
+                "algo.optimize_memory_usage: an episode that is cut off counts as terminated, as "
+                "its last observation is not kept"
+            )
         if self.critic_groups:
             keys = {"actor_keys": vec_env.actor_keys, "critic_keys": vec_env.critic_keys}
             policy = algorithm_class(self.name).policy_aliases[arguments["policy"]]

@@ -5,6 +5,7 @@ It steps the environment only to evaluate the policy while it learns.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
@@ -97,6 +98,8 @@ class BehaviorCloning(BaseAlgorithm):
         self.ignore = ignore
         self.max_grad_norm = max_grad_norm
         self.play_every: int | None = None
+        self.after_row: Callable[[], None] | None = None
+        self._next_play: int | None = None
         self._data: _Batches | None = None
         self._held_out: _Batches | None = None
         if _init_setup_model:
@@ -172,16 +175,20 @@ class BehaviorCloning(BaseAlgorithm):
         )
         watch.on_training_start(locals(), globals())
         every = self.play_every or total
-        row, next_play = -(-total // _ROWS), self.num_timesteps + every
+        row = -(-total // _ROWS)
+        if self._next_play is None or reset_num_timesteps:
+            self._next_play = self.num_timesteps + every
         while self.num_timesteps < total:
             self._train(data, min(self.num_timesteps + row, total), watch)
             watch.on_rollout_start()
-            if self.num_timesteps >= min(next_play, total):
-                next_play = self.num_timesteps + every
+            if self.num_timesteps >= min(self._next_play, total):
+                self._next_play = self.num_timesteps + every
                 self._play(watch)
             watch.on_rollout_end()
             self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
             self.logger.dump(step=self.num_timesteps)
+            if self.after_row is not None:
+                self.after_row()
         watch.on_training_end()
         return self
 
@@ -252,7 +259,7 @@ class BehaviorCloning(BaseAlgorithm):
             self.logger.record("rollout/success_rate", safe_mean(successes))
 
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "_data", "_held_out"]
+        return [*super()._excluded_save_params(), "_data", "_held_out", "after_row"]
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
         return ["policy", "policy.optimizer"], []

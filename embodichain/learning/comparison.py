@@ -15,7 +15,8 @@ import yaml
 from numpy.typing import NDArray
 
 from embodichain.config.run_folder import SUMMARY
-from embodichain.learning.statistics import Estimate, bootstrap, estimate
+from embodichain.learning.episodes import EPISODE_WINDOW
+from embodichain.learning.statistics import SeedEstimate, over_seeds
 from embodichain.utils.errors import ConfigError
 
 __all__ = [
@@ -36,6 +37,8 @@ PROGRESS = "progress.csv"
 STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
 LENGTH = "rollout/ep_len_mean"
 """Columns of Stable-Baselines3's logger."""
+_ROW_EPISODES = 100
+"""Episodes that a row of `progress.csv` has its success rate from, once so many have ended."""
 # Keys that may differ in a group: the seed, and keys that change no number. `hydra` configures how
 # a sweep runs: launcher, sweeper, folders.
 _APART = (
@@ -65,6 +68,7 @@ class TrainedRun:
         seed: The training's seed.
         numbers: ``success_rate``, ``mean_return``, ``env_steps_per_second``, ``train_seconds``,
             ``env_steps``, ``objective``, ``eval_return``, ``eval_success``, as far as known.
+        trials: Episodes behind each of the numbers that is a success rate.
         curves: Column of `progress.csv` -> curve; empty without that file.
     """
 
@@ -72,6 +76,7 @@ class TrainedRun:
     parts: tuple[str, ...]
     seed: int | None
     numbers: dict[str, float]
+    trials: dict[str, int]
     curves: dict[str, Curve]
 
     @property
@@ -87,9 +92,12 @@ class Group:
     label: str
     runs: tuple[TrainedRun, ...]
 
-    def number(self, name: str) -> Estimate | None:
-        """Summarize a number over the runs; the intervals are over seeds."""
-        return estimate([run.numbers[name] for run in self.runs if name in run.numbers])
+    def number(self, name: str) -> SeedEstimate | None:
+        """Summarize a number over the runs; the interval is over seeds."""
+        known = [run for run in self.runs if name in run.numbers]
+        are_rates = any(name in run.trials for run in known)
+        trials = [run.trials.get(name, 0) for run in known] if are_rates else None
+        return over_seeds([run.numbers[name] for run in known], trials)
 
 
 def is_training(folder: Path) -> bool:
@@ -133,11 +141,23 @@ def read_run(folder: Path) -> TrainedRun:
         if part.get(value) is not None:
             numbers[f"eval_{name}"] = float(part[value])
     task, algo = str(summary.get("task")), str(summary.get("algo"))
+    trials: dict[str, int] = {}
+    if "success_rate" in numbers:
+        window = summary.get("num_envs") if algo == "bc" else EPISODE_WINDOW
+        trials["success_rate"] = min(int(summary.get("episodes") or 0), int(window or 0))
+    if "eval_success" in numbers:
+        trials["eval_success"] = int((evaluated.get("success") or {}).get("trials") or 0)
+    objective = numbers.get("objective")
+    same = (n for n in ("eval_success", "success_rate") if n in trials and numbers[n] == objective)
+    rate = next(same, None)  # of tasks without success it is a return
+    if rate is not None:
+        trials["objective"] = trials[rate]
     return TrainedRun(
         folder=folder,
         parts=(task, algo, *_overrides(folder)),
         seed=summary.get("seed"),
         numbers=numbers,
+        trials=trials,
         curves=read_curves(folder / PROGRESS),
     )
 
@@ -193,16 +213,19 @@ def short_labels(groups: Sequence[Group]) -> tuple[str, list[str]]:
     ]
 
 
-def band(curves: Sequence[Curve], points: int = 200) -> tuple[F64, F64, F64, F64]:
+def band(
+    curves: Sequence[Curve], points: int = 200, *, share: bool = False
+) -> tuple[F64, F64, F64 | None, F64 | None]:
     """Average curves of several seeds.
 
     Args:
         curves: At least one; averaged over the range of steps that they share.
         points: Number of steps at which the curves are linearly interpolated.
+        share: Whether the values are rates.
 
     Returns:
-        Steps, mean, and low and high end of the 95 % bootstrap interval, each (points,). With one
-        curve both ends equal the curve.
+        Steps, mean, and low and high end of the 95 % interval of `over_seeds`, each (points,). Too
+        few seeds have no interval: None.
 
     Raises:
         ValueError: If the curves have no steps in common.
@@ -214,7 +237,12 @@ def band(curves: Sequence[Curve], points: int = 200) -> tuple[F64, F64, F64, F64
     steps = np.linspace(first, last, points)
     rows = np.stack([np.interp(steps, curve.steps, curve.values) for curve in curves])
     mean: F64 = rows.mean(axis=0)
-    low, high = bootstrap(rows, np.mean) or (mean, mean)
+    trials = np.full(len(curves), _ROW_EPISODES) if share else None
+    found = [over_seeds(column, trials) for column in rows.T]
+    ends = [x.mean_interval for x in found if x is not None and x.mean_interval is not None]
+    if not ends:
+        return steps, mean, None, None
+    low, high = np.array(ends, np.float64).T
     return steps, mean, low, high
 
 

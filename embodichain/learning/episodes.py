@@ -27,6 +27,8 @@ class TrainStatistics:
         episodes: Episodes finished.
         fractions: Share of the wall time by part (`TimeSplit.fractions`); empty at first.
         best: Environment steps and score of the best checkpoint; None before the first.
+        next_checkpoint: Environment steps at which a checkpoint is due; None before the first
+            rollout.
     """
 
     def __init__(self, total_timesteps: int, window: int = EPISODE_WINDOW) -> None:
@@ -35,6 +37,7 @@ class TrainStatistics:
         self.episodes = 0
         self.fractions: dict[str, float] = {}
         self.best: tuple[int, tuple[float, float]] | None = None
+        self.next_checkpoint: int | None = None
         self._returns: deque[float] = deque(maxlen=window)
         self._lengths: deque[int] = deque(maxlen=window)
         self._successes: deque[bool] = deque(maxlen=window)
@@ -102,6 +105,8 @@ class TrainStatistics:
             "lengths": list(self._lengths),
             "successes": list(self._successes),
             "seconds": self.seconds,
+            "best": self.best,
+            "next_checkpoint": self.next_checkpoint,
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -111,6 +116,8 @@ class TrainStatistics:
         self._lengths.extend(saved["lengths"])
         self._successes.extend(saved["successes"])
         self._before = saved["seconds"]
+        self.best = saved["best"]
+        self.next_checkpoint = saved["next_checkpoint"]
 
     @property
     def score(self) -> tuple[float, float] | None:

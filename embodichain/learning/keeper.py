@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +15,7 @@ from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.normalization import statistics_path
 from embodichain.learning.plain_state import read_tree
 from embodichain.learning.training_state import buffer_path
+from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 __all__ = [
@@ -28,6 +31,9 @@ __all__ = [
 BEST = "best.zip"
 _STEP = "step_{:012d}.zip"
 _STATE = ".state.npz"
+_SCORE = "score"
+"""Key of the best checkpoint's note with its score, see `TrainStatistics.score`."""
+_log = logging.getLogger(__name__)
 
 
 class Saved(Protocol):
@@ -74,7 +80,6 @@ class CheckpointKeeper:
         self._note = note
         self._every, self._keep = every, keep
         self._written = sorted(self._folder.glob("step_*.zip"))  # a job may continue in its folder
-        self._next: int | None = None
 
     @property
     def best(self) -> str | None:
@@ -82,33 +87,70 @@ class CheckpointKeeper:
         path = self._folder / BEST
         return f"{CHECKPOINTS}/{BEST}" if path.is_file() else None
 
+    def resume(self, checkpoint: Path) -> None:
+        """Continue from a checkpoint whose state the training has restored.
+
+        The best checkpoint of its folder remains the best: it is copied if this is another folder.
+        """
+        statistics = self._session.statistics
+        if statistics.next_checkpoint is not None:  # it may be due earlier than it was
+            due = self._session.env_steps + self._every
+            statistics.next_checkpoint = min(statistics.next_checkpoint, due)
+        best = checkpoint.with_name(BEST)
+        if not best.is_file():
+            if statistics.best is not None:
+                _log.warning("%s is missing: the best checkpoint is looked for anew", best)
+            statistics.best = None
+            return
+        note = read_note(best)
+        if _SCORE in note:  # later than the state if the process was killed between the two
+            success, mean_return = note[_SCORE]
+            found = int(note["env_steps"]), (float(success), float(mean_return))
+            if statistics.best is None or found[1] > statistics.best[1]:
+                statistics.best = found
+        if self._folder.resolve() != best.parent.resolve():
+            self._folder.mkdir(parents=True, exist_ok=True)
+            beside = [of(best) for of in (statistics_path, stage_path)]
+            for path in (*(path for path in beside if path.is_file()), best):  # the zip last
+                with atomic_file(self._folder / path.name) as copy:
+                    shutil.copyfile(path, copy)
+
     def boundary(self) -> None:
         """Write a checkpoint if one is due, and delete the oldest; call it before each rollout."""
-        steps = self._session.env_steps
-        if self._next is None:  # the first rollout, or the first after a resume
-            self._next = steps + self._every
-        if steps < self._next:
+        steps, statistics = self._session.env_steps, self._session.statistics
+        if statistics.next_checkpoint is None:  # the first rollout
+            statistics.next_checkpoint = steps + self._every
+        if steps < statistics.next_checkpoint:
             return
-        self._next = steps + self._every
+        statistics.next_checkpoint = steps + self._every
         self._judge()
         if self._keep == 0:
             return
-        self._written.append(self._write(_STEP.format(steps), resumable=True))
+        path = self._folder / _STEP.format(steps)
+        if path in self._written:  # one without a state was passed over
+            self._written.remove(path)
+        self._write(path.name, resumable=True)
+        self._written.append(path)
         while len(self._written) > self._keep:
             _remove(self._written.pop(0))
 
-    def final(self, *, resumable: bool, rolling: bool) -> str:
+    def final(self, *, finished: bool, resumable: bool) -> str:
         """Write the final checkpoint.
 
+        It may be the best one only if the training is finished. An interruption is no moment at
+        which an uninterrupted training would be judged: resumed, both have the same best.
+
         Args:
+            finished: Whether all steps were taken.
             resumable: Whether the model is between two rollouts, so that training can be resumed.
-            rolling: Whether the next rollout has begun.
 
         Returns:
             Its path, relative to the run's folder.
         """
-        self._judge()
-        self._write(FINAL, resumable=resumable, rolling=rolling)
+        if finished:
+            self._judge()
+        # An interrupted training has begun its next rollout.
+        self._write(FINAL, resumable=resumable, rolling=not finished)
         return f"{CHECKPOINTS}/{FINAL}"
 
     def _judge(self) -> None:
@@ -117,14 +159,20 @@ class CheckpointKeeper:
         score = statistics.score
         if score is not None and (statistics.best is None or score > statistics.best[1]):
             statistics.best = steps, score
-            self._write(BEST, resumable=False)
+            self._write(BEST, resumable=False, more={_SCORE: list(score)})
 
-    def _write(self, name: str, *, resumable: bool, rolling: bool = True) -> Path:
-        session, path = self._session, self._folder / name
+    def _write(
+        self,
+        name: str,
+        *,
+        resumable: bool,
+        rolling: bool = True,
+        more: Mapping[str, Any] | None = None,
+    ) -> None:
+        session = self._session
         self._folder.mkdir(parents=True, exist_ok=True)
-        note = {**self._note, "env_steps": session.env_steps}
-        session.save(path, note, resumable=resumable, rolling=rolling)
-        return path
+        note = {**self._note, "env_steps": session.env_steps, **(more or {})}
+        session.save(self._folder / name, note, resumable=resumable, rolling=rolling)
 
 
 def find_resumable(run: Path) -> tuple[Path, dict[str, Any]]:

@@ -88,7 +88,9 @@ def _draw_curriculum(axes: Any, stages: Mapping[str, Curve]) -> None:
 
 
 def plot_curves(groups: Sequence[Group], path: Path) -> None:
-    """Draw the curves of every group with 95 % intervals over its seeds, into a new file.
+    """Draw the mean curve of every group with a 95 % interval over its seeds, into a new file.
+
+    A group with too few seeds for an interval has a thin line for each.
 
     Args:
         groups: The groups to compare.
@@ -170,15 +172,19 @@ def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:
         if not curves:
             continue
         try:
-            steps, mean, low, high = band(curves)
+            steps, mean, low, high = band(curves, share=name == SUCCESS)
         except ValueError as error:
             raise ConfigError(f"{group.label}: {error}") from error
         single = all(len(curve.steps) == 1 for curve in curves)
         axes.plot(steps, mean, color=f"C{number}", marker="o" if single else "")
         last_step = max(last_step, float(steps[-1]))
-        drawn += [*low.tolist(), *high.tolist()]
-        if len(curves) > 1:
+        if low is not None and high is not None:
+            drawn += [*low.tolist(), *high.tolist()]
             axes.fill_between(steps, low, high, alpha=0.2, color=f"C{number}", linewidth=0)
+            continue
+        for curve in curves:  # too few for an interval
+            drawn += curve.values.tolist()
+            axes.plot(curve.steps, curve.values, alpha=0.4, color=f"C{number}", linewidth=0.7)
     axes.set_ylabel(_TITLES[name])
     set_axes(axes, last_step, drawn, share=name == SUCCESS)
 

@@ -1,12 +1,12 @@
 """PPO of rsl_rl on tensors of the environment: `RslRlVecEnv`, and `RslRlPpo` for `train`.
 
-Only this module imports rsl_rl (extra `rsl_rl`).
+Only this module imports rsl_rl (extra `rsl-rl`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import torch
@@ -19,6 +19,9 @@ from torch import Tensor
 
 from embodichain.config.tensor_algorithms import PUBLISHED_STEPS, RslRlPpoCfg
 from embodichain.learning.tensor_env import GROUP, Groups, TensorEnv, TensorStep
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
 
 __all__ = ["RslRlPpo", "RslRlVecEnv"]
 
@@ -57,8 +60,40 @@ class RslRlVecEnv(VecEnv):  # type: ignore[misc]
 
     @property
     def episode_length_buf(self) -> Tensor:
-        """(N,) control steps of the current episodes; it cannot be set."""
+        """(N,) control steps of the current episodes; a copy.
+
+        Setting it lets episodes end earlier, as a runner does that begins with
+        ``learn(N, init_at_random_ep_len=True)``. A fresh environment is reset first.
+
+        Raises:
+            ValueError: If it is not (N,), or a number is negative.
+        """
         return self.env.base.elapsed_steps
+
+    @episode_length_buf.setter
+    def episode_length_buf(self, steps: Tensor) -> None:
+        self.get_observations()
+        self.env.base.elapsed_steps = steps
+
+    @property
+    def unwrapped(self) -> BaseEnv:
+        """The environment without wrappers."""
+        return self.env.base
+
+    def reset(self) -> tuple[TensorDict, dict[str, Any]]:
+        """Reset all environments; return the observations and no extras."""
+        self._groups = self.env.reset()
+        return observations(self._groups), {}
+
+    def seed(self, seed: int = -1) -> int:
+        """Reset all environments with a seed (-1 draws one), as Isaac Lab's; return it."""
+        drawn = seed if seed >= 0 else int(torch.randint(2**31, ()))
+        self._groups = self.env.reset(seed=drawn)
+        return drawn
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.env.env.close()
 
     def get_observations(self) -> TensorDict:
         """Return the current observations."""

@@ -26,7 +26,7 @@ from embodichain.learning.keeper import state_path
 from embodichain.learning.normalization import load_statistics, save_statistics, statistics_path
 from embodichain.learning.plain_state import write_tree
 from embodichain.learning.tensor_env import TensorEnv
-from embodichain.learning.train_logs import log_episode, log_interval, make_logger
+from embodichain.learning.train_logs import log_episode, log_interval, make_logger, rows_apart
 from embodichain.learning.training_state import (
     buffer_of,
     buffer_path,
@@ -73,6 +73,7 @@ class Session:
     writers: tuple[KVWriter, ...] = ()
     replay_buffer: bool = False
     _restored: dict[str, Any] | None = None
+    _logged: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
         self._buffer = buffer_of(self.model) if self.replay_buffer else None
@@ -101,6 +102,7 @@ class Session:
         try:
             restore(self.model, self.vec_env, state["training"])
             self.statistics.load_state_dict(state["statistics"])
+            self._logged = state["logged"]
         except KeyError as error:
             message = (
                 f"no training can continue from {checkpoint}: its state has no {error}. Other code"
@@ -137,12 +139,17 @@ class Session:
             on_boundary()
 
         judged = isinstance(model, BehaviorCloning)
-        if judged:  # its environments do not train: they judge at the first stage
-            self.vec_env.base.hold_curriculum()
         watch = _Watch(self.vec_env, self.statistics, progress, boundary, judged=judged)
-        logger = make_logger(self.run_dir, self.writers, model.num_timesteps)
+        if isinstance(model, BehaviorCloning):
+            self.vec_env.base.hold_curriculum()  # its environments judge at the first stage
+            model.after_row = watch.boundary
+        every = rows_apart(model, total)
+        logger = make_logger(self.run_dir, self.writers, model.num_timesteps, every)
+        if self._logged is not None:
+            logger.load_state_dict(self._logged)
+        self._logger = logger
         model.set_logger(logger)
-        interval, new = log_interval(model, total), self._restored is None
+        interval, new = log_interval(model), self._restored is None
         if self._restored is not None:
             restore_generators(model, self._restored)
         self.statistics.begin()
@@ -169,6 +176,7 @@ class Session:
             state: dict[str, Any] = {"env_steps": steps, "replay_buffer": self._buffer is not None}
             state["training"] = capture(model, self.vec_env, rolling=rolling)
             state["statistics"] = self.statistics.state_dict()
+            state["logged"] = self._logger.state_dict()
             write_tree(state_path(path), state)
         save_stage(path, self.vec_env.base)
         save_checkpoint(model, path, note)
@@ -185,8 +193,8 @@ class Session:
 class _Watch(BaseCallback):
     """Counts steps and episodes; calls `on_boundary` between an update and the next rollout.
 
-    With `judged`, a rollout evaluates the updates before it: `on_boundary` is called between the
-    rollout and the next update instead.
+    With `judged`, a rollout evaluates the updates before it: `boundary` is to be called between
+    the rollout and the next update instead.
     """
 
     def __init__(
@@ -208,16 +216,20 @@ class _Watch(BaseCallback):
         self._on_boundary = on_boundary
         self._judged = judged
 
+    def boundary(self) -> None:
+        """Called between an update and the next rollout: calls `on_boundary`, and stops."""
+        self._on_boundary()
+        if self.stopped is not None:
+            raise self.stopped
+
     def _on_training_start(self) -> None:
         if self._judged:
             self._on_boundary()
 
     def _on_rollout_start(self) -> None:
         if not self._judged:
-            self._on_boundary()
+            self.boundary()
         self._split.rollout_begins(self._env)
-        if self.stopped is not None:
-            raise self.stopped
 
     def _on_step(self) -> bool:
         statistics = self._statistics
@@ -240,8 +252,6 @@ class _Watch(BaseCallback):
             self.logger.record(f"time/{name}_fraction", round(value, 4))
         for name, value in self._env.base.curriculum_manager.values.items():
             self.logger.record(f"Curriculum/{name}", value)
-        if self._judged:
-            self._on_boundary()
 
     def end(self) -> None:
         """Called when learning ended, normally or not: counts the time since the last rollout."""

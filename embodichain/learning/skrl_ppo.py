@@ -121,6 +121,7 @@ class SkrlPpo:
     def __init__(self, cfg: SkrlPpoCfg, env: TensorEnv) -> None:
         self._env, device = env, env.device
         self.steps = cfg.rollouts or PUBLISHED_STEPS
+        self._bootstraps = cfg.time_limit_bootstrap
         about: dict[str, Any] = {"observation_space": env.spaces[GROUP], "device": device}
         about |= {"state_space": state_space(env), "action_space": env.action_space}
         self._policy = _Policy(cfg, about)
@@ -151,6 +152,9 @@ class SkrlPpo:
 
     def record(self, step: TensorStep) -> None:
         """Store what the last actions led to."""
+        # Without a value at the limit, an episode that is cut off ends there: skrl's returns would
+        # go on into the next episode, as they only stop where one terminated.
+        ended = step.terminated if self._bootstraps else step.done
         self._agent.record_transition(
             observations=self._seen[GROUP],
             states=state_of(self._env, self._seen),
@@ -158,7 +162,7 @@ class SkrlPpo:
             rewards=step.reward[:, None].clone(),  # skrl adds the value of what was cut off to it
             next_observations=step.final[GROUP],
             next_states=state_of(self._env, step.final),
-            terminated=step.terminated[:, None],
+            terminated=ended[:, None],
             truncated=step.time_out[:, None],
             infos=step.info,
             timestep=0,

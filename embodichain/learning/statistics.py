@@ -1,4 +1,4 @@
-"""Statistics of evaluations: interquartile mean, bootstrap and Wilson intervals.
+"""Statistics of evaluations: interquartile mean, intervals over episodes and over seeds.
 
 scipy computes them. It is imported at the first use, since that takes half as long as torch.
 """
@@ -12,10 +12,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["CONFIDENCE", "Estimate", "Rate", "bootstrap", "estimate", "iqm", "rate"]
+__all__ = [
+    "CONFIDENCE",
+    "LEAST_SEEDS",
+    "Estimate",
+    "Rate",
+    "SeedEstimate",
+    "bootstrap",
+    "estimate",
+    "iqm",
+    "over_seeds",
+    "rate",
+]
 
 CONFIDENCE = 0.95
 """Confidence level: approximate share of repetitions whose interval contains the true value."""
+LEAST_SEEDS = 5
+"""Seeds below which an interval over them says nothing: a t interval of two is 9 standard
+deviations wide, and a bootstrap's is their smallest and largest value."""
 RESAMPLES = 2000
 """Resamples of a bootstrap; its ends then vary by a few percent of its width."""
 _SEED = 0  # of the bootstrap's separate generator: the same values give the same interval
@@ -64,6 +78,32 @@ class Rate:
     count: int
     trials: int
     interval: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SeedEstimate:
+    """A summary of a number over trainings that differ by their seed.
+
+    Attributes:
+        mean: Mean over the seeds.
+        median: Median.
+        std: Standard deviation of the values (divided by their number less one); None with one.
+        min: The smallest.
+        max: The largest.
+        values: The number of each seed.
+        mean_interval: 95 % interval of the mean, (low, high), see `over_seeds`; None below
+            `LEAST_SEEDS` seeds.
+        note: Why there is no interval; None if there is one.
+    """
+
+    mean: float
+    median: float
+    std: float | None
+    min: float
+    max: float
+    values: tuple[float, ...]
+    mean_interval: tuple[float, float] | None
+    note: str | None
 
 
 def iqm(values: ArrayLike, axis: int = -1) -> F64:
@@ -142,6 +182,60 @@ def _interval(data: F64, statistic: Callable[..., Any]) -> tuple[float, float] |
     return None if found is None else (float(found[0]), float(found[1]))
 
 
+def over_seeds(values: ArrayLike, trials: ArrayLike | None = None) -> SeedEstimate | None:
+    """Summarize a number over seeds: their mean, with an interval for what further seeds would do.
+
+    The interval is the wider of two: Student's t interval over the seeds, for what differs from
+    seed to seed, and of a rate Wilson's over the episodes of all seeds, as seeds that happen to
+    agree (all at 0 %) still played only so many. That of a rate is clipped to [0, 1].
+
+    Args:
+        values: (n,) the number of each seed, a mean over its episodes.
+        trials: (n,) for a rate, the episodes of each seed; 0 where unknown.
+
+    Returns:
+        The summary; None without values.
+    """
+    from scipy.stats import t
+
+    data = np.asarray(values, np.float64)
+    if not data.size:
+        return None
+    std = float(data.std(ddof=1)) if data.size > 1 else None
+    mean, interval, note = float(data.mean()), None, None
+    if std is None or data.size < LEAST_SEEDS:
+        seeds = "1 seed" if data.size == 1 else f"{data.size} seeds"
+        note = f"{seeds}: an interval over seeds needs at least {LEAST_SEEDS}"
+    else:
+        half = float(t.ppf(0.5 + CONFIDENCE / 2, data.size - 1)) * std / data.size**0.5
+        interval = mean - half, mean + half
+        if trials is not None:
+            interval = max(interval[0], 0.0), min(interval[1], 1.0)
+            played = np.asarray(trials, np.int64)
+            if played.any():
+                pooled = _wilson(int(np.rint(data * played).sum()), int(played.sum()))
+                wider = pooled[1] - pooled[0] > interval[1] - interval[0]
+                interval = pooled if wider else interval
+    return SeedEstimate(
+        mean=mean,
+        median=float(np.median(data)),
+        std=std,
+        min=float(data.min()),
+        max=float(data.max()),
+        values=tuple(data.tolist()),
+        mean_interval=interval,
+        note=note,
+    )
+
+
+def _wilson(count: int, trials: int) -> tuple[float, float]:
+    """Wilson's 95 % score interval of a rate (Wilson, 1927)."""
+    from scipy.stats import binomtest
+
+    ends = binomtest(count, trials).proportion_ci(CONFIDENCE, method="wilson")
+    return float(ends.low), float(ends.high)
+
+
 def rate(happened: ArrayLike) -> Rate | None:
     """Summarize booleans with Wilson's 95 % score interval (Wilson, 1927); None if there are none.
 
@@ -150,11 +244,8 @@ def rate(happened: ArrayLike) -> Rate | None:
     Args:
         happened: (n,) booleans.
     """
-    from scipy.stats import binomtest
-
     data = np.asarray(happened, np.bool_)
     trials, count = int(data.size), int(data.sum())
     if not trials:
         return None
-    ends = binomtest(count, trials).proportion_ci(CONFIDENCE, method="wilson")
-    return Rate(count / trials, count, trials, (float(ends.low), float(ends.high)))
+    return Rate(count / trials, count, trials, _wilson(count, trials))

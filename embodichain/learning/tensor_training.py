@@ -152,6 +152,7 @@ class TensorSession:
     def __post_init__(self) -> None:
         self._recorder = EpisodeRecorder(self.vec_env)
         self._generators: dict[str, Any] | None = None
+        self._logged: dict[str, Any] | None = None
 
     @property
     def env_steps(self) -> int:
@@ -178,6 +179,7 @@ class TensorSession:
             self._recorder.returns = saved["returns"].to(device)
             self._generators = saved["generators"]
             self.statistics.load_state_dict(state["statistics"])
+            self._logged = state["logged"]
         except (KeyError, RuntimeError, ValueError) as error:
             why = " ".join(str(error).split())
             message = f"no training can continue from {checkpoint}, its state does not fit: {why}"
@@ -189,14 +191,17 @@ class TensorSession:
     ) -> tuple[KeyboardInterrupt | None, bool]:
         """Learn until all steps are taken or the training is stopped; see `Session.learn`."""
         statistics, split = self.statistics, TimeSplit()
-        logger = make_logger(self.run_dir, self.writers, statistics.env_steps)
         rollout = self.learner.steps * self.vec_env.num_envs
         every = max(1, statistics.total_timesteps // rollout // MOST_ROWS)
+        logger = make_logger(self.run_dir, self.writers, statistics.env_steps, every)
+        if self._logged is not None:
+            logger.load_state_dict(self._logged)
+        self._logger = logger
         if self._generators is None:
             self._groups = self.vec_env.reset(seed=self.seed)
         else:
             _set_generators(self._generators)
-        stopped, iteration = None, 0
+        stopped = None
         statistics.begin()
         try:
             while statistics.env_steps < statistics.total_timesteps:
@@ -209,10 +214,8 @@ class TensorSession:
                 split.rollout_ends(self.vec_env)
                 statistics.fractions = split.fractions
                 losses = self.learner.update(self._groups)
-                iteration += 1
                 self._log(logger, ended, losses)
-                if iteration % every == 0:
-                    logger.dump(step=statistics.env_steps)
+                logger.dump(step=statistics.env_steps)
         except KeyboardInterrupt as error:
             return error, False
         finally:
@@ -276,7 +279,9 @@ class TensorSession:
                 "generators": _get_generators(self.vec_env.device),
             }
             state = {"env_steps": self.env_steps, "replay_buffer": False, "training": training}
-            write_tree(state_path(path), {**state, "statistics": self.statistics.state_dict()})
+            state["statistics"] = self.statistics.state_dict()
+            state["logged"] = self._logger.state_dict()
+            write_tree(state_path(path), state)
         save_stage(path, self.vec_env.base)
         low, high = self.vec_env.low.cpu(), self.vec_env.high.cpu()
         about = PolicyMetadata(

@@ -328,11 +328,12 @@ def _learn(
     else:
         buffer = root.checkpoint.replay_buffer
         session = Session(model, vec_env, statistics, run_dir, writers, buffer)
+    keeper = CheckpointKeeper(session, note, every, root.checkpoint.keep)
     if found is not None:
         session.resume(*found)
-    keeper = CheckpointKeeper(session, note, every, root.checkpoint.keep)
+        keeper.resume(found[0])
     interrupt, resumable = session.learn(keeper.boundary, progress)
-    checkpoint = keeper.final(resumable=resumable, rolling=interrupt is not None)
+    checkpoint = keeper.final(finished=interrupt is None, resumable=resumable)
     summary = TrainSummary(
         task=task,
         algo=algorithm.name,

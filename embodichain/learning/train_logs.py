@@ -17,6 +17,7 @@ from stable_baselines3.common.logger import (
     KVWriter,
     Logger,
     TensorBoardOutputFormat,
+    filter_excluded_keys,
 )
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
@@ -32,21 +33,66 @@ if TYPE_CHECKING:
 __all__ = [
     "MOST_ROWS",
     "TENSORBOARD",
+    "TrainLogger",
     "WandbWriter",
     "check_wandb",
     "log_episode",
     "log_interval",
     "make_logger",
+    "rows_apart",
     "wandb_writers",
 ]
 
 TENSORBOARD = "tensorboard"
 MOST_ROWS = 200
 """Most rows of `progress.csv`, about."""
+_ITERATIONS = "time/iterations"
 _log = logging.getLogger(__name__)
 
 
-def make_logger(run_dir: Path, writers: Sequence[KVWriter] = (), env_steps: int = 0) -> Logger:
+class TrainLogger(Logger):
+    """Stable-Baselines3's logger, of which a resumed training writes the same rows.
+
+    Args:
+        folder: The run's folder.
+        output_formats: Where rows are written.
+        every: Write each so-manieth row; the others' values go into the next that is written.
+
+    Attributes:
+        rows: Rows so far, written or not, including those before a resume.
+    """
+
+    def __init__(self, folder: str, output_formats: list[KVWriter], every: int = 1) -> None:
+        super().__init__(folder, output_formats)
+        self.rows = 0
+        self._every = every
+
+    def dump(self, step: int = 0) -> None:
+        """Write the values as a row, if it is due."""
+        self.rows += 1
+        if _ITERATIONS in self.name_to_value:  # counted since `learn` was called
+            self.record(_ITERATIONS, self.rows, exclude="tensorboard")
+        if self.rows % self._every == 0:
+            super().dump(step)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what is not yet written, for resuming the training."""
+        values: dict[str, Any] = dict(self.name_to_value)
+        excluded = dict(self.name_to_excluded)
+        counts = dict(self.name_to_count)
+        return {"rows": self.rows, "values": values, "counts": counts, "excluded": excluded}
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        """Continue from a `state_dict`."""
+        self.rows = saved["rows"]
+        self.name_to_value.update(saved["values"])
+        self.name_to_count.update(saved["counts"])
+        self.name_to_excluded.update(saved["excluded"])
+
+
+def make_logger(
+    run_dir: Path, writers: Sequence[KVWriter] = (), env_steps: int = 0, every: int = 1
+) -> TrainLogger:
     """Return a logger for a run's folder; event files need an installed `tensorboard`.
 
     Args:
@@ -54,13 +100,14 @@ def make_logger(run_dir: Path, writers: Sequence[KVWriter] = (), env_steps: int 
         writers: Further outputs of the same numbers.
         env_steps: Environment steps that the training has taken already. If it continues in its
             folder, rows of `progress.csv` up to there are kept.
+        every: Write each so-manieth row.
     """
     formats: list[KVWriter] = [_ContinuedCsv(run_dir / PROGRESS, env_steps)]
     if importlib.util.find_spec("tensorboard") is not None:
         formats.append(TensorBoardOutputFormat(str(run_dir / TENSORBOARD)))
     else:
         _log.info("no event files: pip install tensorboard")
-    return Logger(folder=str(run_dir), output_formats=[*formats, *writers])
+    return TrainLogger(str(run_dir), [*formats, *writers], every)
 
 
 class _ContinuedCsv(CSVOutputFormat):
@@ -85,16 +132,40 @@ class _ContinuedCsv(CSVOutputFormat):
         self.file = path.open("r+", encoding="utf-8")
         self.file.seek(0, os.SEEK_END)
 
+    def write(
+        self,
+        key_values: dict[str, Any],
+        key_excluded: dict[str, tuple[str, ...]],
+        step: int = 0,
+    ) -> None:
+        """Write a row; new columns are sorted, since a set of names has a random order."""
+        names = filter_excluded_keys(key_values, key_excluded, "csv").keys()
+        fresh = sorted(names - set(self.keys))
+        if fresh:
+            self.keys.extend(fresh)
+            self.file.seek(0)
+            rows = self.file.read().splitlines()[1:]
+            lines = [",".join(self.keys), *(row + "," * len(fresh) for row in rows)]
+            self.file.seek(0)
+            self.file.write("\n".join(lines) + "\n")
+        super().write(key_values, key_excluded, step)
 
-def log_interval(model: BaseAlgorithm, total_timesteps: int) -> int:
-    """Return the `log_interval` for Stable-Baselines3 that gives at most about 200 rows.
 
-    It is in rollouts for on-policy algorithms, in episodes for the others.
+def log_interval(model: BaseAlgorithm) -> int:
+    """Return the `log_interval` for Stable-Baselines3.
+
+    For on-policy algorithms it is each rollout, of which the logger skips some (`rows_apart`), for
+    the others some episodes.
     """
+    return 1 if isinstance(model, OnPolicyAlgorithm) else max(4, model.n_envs)
+
+
+def rows_apart(model: BaseAlgorithm, total_timesteps: int) -> int:
+    """Return how many rows of a model's log make one that is written, of at most about 200."""
     if isinstance(model, OnPolicyAlgorithm):
         rollouts = total_timesteps // (model.n_steps * model.n_envs)
         return max(1, rollouts // MOST_ROWS)
-    return max(4, model.n_envs)
+    return 1
 
 
 def log_episode(logger: Logger, info: Mapping[str, Any]) -> None:

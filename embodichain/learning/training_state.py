@@ -38,7 +38,7 @@ __all__ = [
     "save_buffer",
 ]
 
-_COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_n_calls")
+_COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_n_calls", "_next_play")
 _LAST = ("_last_obs", "_last_episode_starts", "_last_original_obs")
 _MEMORY = "_last_lstm_states"
 _BUFFERS = ("ep_info_buffer", "ep_success_buffer")

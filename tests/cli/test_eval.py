@@ -137,7 +137,16 @@ def test_eval_of_other_policies(here: Path, capsys: pytest.CaptureFixture[str]) 
         (["eval", "RUN", "seed=4294967296"], "seed: must be from 0 to 4294967295"),
         (["eval", "RUN", "deterministic=perhaps"], "deterministic: must be true or false"),
         (["eval", "RUN", "task.max_episode_steps=x"], "command line: task.max_episode_steps"),
-        (["eval", "RUN", "algo=ppo"], "algo: 'algo=ppo' does not change a run that was made"),
+        (["eval", "RUN", "algo=ppo"], "algo: `eval` does not read it: a policy is played"),
+        (["eval", "RUN", "eval.episodes=2"], "eval.episodes: it is of `train`, for the evaluation"),
+        (["eval", "RUN", "max_steps=2"], "max_steps: `eval` does not read it"),
+        (["eval", "zero", "task=reach", "policy=random"], "policy: `eval` does not read it"),
+        (["play", "RUN", "+algo.gamma=0.5"], "algo.gamma: `play` does not read it"),
+        (["play", "RUN", "eval.seed=2"], "eval.seed: it is of `train`"),
+        (["run", "task=reach", "total_timesteps=9"], "total_timesteps: `run` does not read it"),
+        (["run", "task=reach", "eval.episodes=9"], "what a run plays is episodes=9"),
+        (["train", "task=reach", "max_steps=9"], "max_steps: `train` does not read it"),
+        (["train", "-m", "task=reach", "seed=1,2", "episodes=9"], "has eval.episodes=9"),
         (["eval", "RUN", "task=cart_pole"], "has observations (21,), this task has (4,)"),
         (["export", "policy", "zero"], "policy: only zips of trainings are exported"),
         (["export", "policy"], "export what?"),
@@ -197,3 +206,23 @@ def test_export_goes_into_the_runs_folder(
     assert re.match(r".*policy\.onnx: reach, ppo, at most .* from", capsys.readouterr().out)
     found = told(capsys, "eval", str(run / "policy.onnx"), "episodes=1", "record=none")
     assert found["task"] == "reach"
+
+
+def test_eval_after_train_says_that_its_episodes_are_the_same(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keys = ["num_envs=4", "total_timesteps=64", "algo.n_steps=8", "algo.batch_size=16", "seed=5"]
+    keys += ["task.max_episode_steps=12", "eval.episodes=6", "record=none", "--quiet"]
+    assert main(["train", "task=reach", *keys]) == 0
+    (run,) = [path.parent for path in here.glob("outputs/*/*/summary.json")]
+    own = json.loads((run / "summary.json").read_text())["eval"]
+    same = "the same episodes as at the end of the training, no confirmation: seed=6"
+    assert main(["eval", str(run), "episodes=6", "record=none", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["returns"] == own["returns"] and same in err
+    for other in ("seed=6", "episodes=4", "deterministic=false", "num_envs=2"):
+        words = [str(run), *(["episodes=6"] if "episodes" not in other else []), other]
+        assert main(["eval", *words, "record=none", "--json"]) == 0
+        assert "same episodes" not in capsys.readouterr().err
+    assert main(["eval", str(run), "episodes=6", "record=none"]) == 0
+    assert same in " ".join(capsys.readouterr().out.split())

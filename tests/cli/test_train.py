@@ -150,3 +150,27 @@ def test_films(trained, capsys, monkeypatch):
     assert main(["train", *TINY, "video=true"]) == 2
     assert "pip install 'embodichain[video]'" in capsys.readouterr().err
     assert len(list(Path("outputs").rglob("checkpoints"))) == before
+
+
+def test_a_training_that_dies_leaves_a_summary(tmp_path, monkeypatch, capsys):
+    from embodichain.learning import session
+
+    def broken(self, *arguments):
+        raise RuntimeError("the network has gone")
+
+    monkeypatch.setattr(session.Session, "learn", broken)
+    assert main(["train", *TINY, "--quiet", "eval.episodes=0", f"output_dir={tmp_path}"]) == 1
+    (path,) = tmp_path.glob("*/*/summary.json")
+    summary = json.loads(path.read_text())
+    assert (summary["status"], summary["task"], summary["seed"]) == ("failed", "reach", 5)
+    assert summary["error"] == "RuntimeError('the network has gone')"
+    assert main(["report", str(path.parent)]) == 0
+    assert "the network has gone" in (path.parent / "report.html").read_text()
+
+
+def test_the_report_says_which_episodes_of_the_log_count(trained, tmp_path):
+    page = tmp_path / "page.html"
+    assert main(["report", str(trained), "-o", str(page)]) == 0
+    text = page.read_text()
+    assert "8, of which 6 count: the first of each environment" in text
+    assert "<th>counted</th>" in text

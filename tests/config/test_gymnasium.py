@@ -303,3 +303,17 @@ def test_nothing_that_is_given_is_dropped() -> None:
         gym.make(REACH, overides=["seed=1"])
     with pytest.raises(ValueError, match="unknown autoreset_mode 'SAMESTEP'"):
         gym.make_vec(REACH, autoreset_mode="SAMESTEP")
+
+
+def test_the_spec_has_the_tasks_limit_without_a_wrapper() -> None:
+    env = gym.make(REACH, overrides=["task.max_episode_steps=5"])
+    assert env.spec.max_episode_steps == env.unwrapped.spec.max_episode_steps == 5
+    assert "TimeLimit" not in str(env)
+    timed = gym.wrappers.TimeAwareObservation(env)
+    timed.reset(seed=0)
+    counts = [timed.step(env.action_space.sample())[0][-1] for _ in range(5)]
+    assert counts == [1, 2, 3, 4, 5]
+    env.close()
+    vector = gym.make_vec(REACH, num_envs=2, max_episode_steps=7)
+    assert vector.spec.max_episode_steps == 7
+    vector.close()

@@ -2,6 +2,7 @@
 
 import csv
 import logging
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from embodichain.learning.chunks import blend
 from embodichain.learning.train import train
 from embodichain.utils.errors import ConfigError
 from tests.learning.recorded import record
-from tests.learning.test_resume import everything
+from tests.learning.test_resume import content, everything
 
 STEPS = 12
 REACH = (
@@ -141,6 +142,10 @@ def test_resumed_equals_uninterrupted(tmp_path):
             tmp_path,
             episodes=lambda env: demonstrations(env)[:5],
         )
+    rows, best = Path("progress.csv"), Path("checkpoints/best.zip")  # judged at the same moments
+    train(config(few, all_, f"resume={first}"), first, episodes=demonstrations)
+    np.testing.assert_equal(content(first / rows), content(whole / rows))
+    np.testing.assert_equal(content(first / best), content(whole / best))
 
 
 def test_blend_averages_what_was_predicted_for_the_step():

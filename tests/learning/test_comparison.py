@@ -18,7 +18,6 @@ from embodichain.learning.comparison import (
     read_run,
 )
 from embodichain.learning.plots import plot_curves, set_axes
-from embodichain.learning.statistics import bootstrap
 from embodichain.utils.errors import ConfigError
 
 
@@ -60,7 +59,8 @@ def test_runs_that_differ_by_their_seed_are_one_group(make_run):
     assert [r.seed for r in groups[0].runs] == [0, 1, 2]
     success = groups[0].number("success_rate")
     assert success.mean == pytest.approx(0.7)
-    assert success.mean_interval == bootstrap([0.9, 0.5, 0.7], np.mean)
+    assert success.values == (0.9, 0.5, 0.7)
+    assert success.mean_interval is None and "3 seeds" in success.note
     assert groups[1].number("success_rate").mean_interval is None
     assert groups[1].number("eval_return") is None
 
@@ -100,10 +100,16 @@ def test_band_by_hand():
     at, mean, low, high = band(curves, points=3)
     assert at.tolist() == [0, 5, 10]  # as far as the shorter one goes
     np.testing.assert_allclose(mean, [1.0, 1.5, 2.0])
-    np.testing.assert_allclose(low, [0.0, 0.5, 1.0])  # two curves: as often both the lower one
-    np.testing.assert_allclose(high, [2.0, 2.5, 3.0])
-    _, mean, low, high = band(curves[:1])
-    assert (low == mean).all() and (high == mean).all()
+    assert low is None and high is None  # of two seeds
+    five = [Curve(steps, np.array([value, 0.0, 1.0])) for value in (1.0, 2.0, 3.0, 4.0, 5.0)]
+    _, mean, low, high = band(five, points=3)
+    half = 2.776445 * np.sqrt(2.5 / 5)  # Student's t of 4 degrees of freedom
+    np.testing.assert_allclose([low[0], high[0]], [3 - half, 3 + half], rtol=1e-6)
+    assert low[1] == high[1] == 0.0
+    shares = [Curve(steps, np.zeros(3)) for _ in range(5)]
+    _, _, low, high = band(shares, points=2, share=True)
+    np.testing.assert_allclose(high, 3.841459 / (500 + 3.841459), rtol=1e-6)  # 0 of 500 episodes
+    assert (low == 0.0).all()
     with pytest.raises(ValueError, match="no steps in common"):
         band([curves[0], Curve(np.array([30.0]), np.array([1.0]))])
 
@@ -114,7 +120,8 @@ def test_picture_and_table(make_run, tmp_path, capsys):
     assert main(["compare", *folders, "-o", str(out)]) == 0
     text = capsys.readouterr().out
     assert "reach ppo" in text
-    assert "60.0% [50.0%, 70.0%]" in text
+    assert "60.0% (50.0, 60.0, 70.0)" in text
+    assert "no interval from 3 seeds, it needs at least 5" in text
     picture = np.asarray(Image.open(out).convert("RGB"))
     assert picture.std() > 5  # something is drawn
     before = out.read_bytes()
@@ -130,7 +137,26 @@ def test_json_holds_seeds_and_intervals(make_run, capsys):
     data = json.loads(capsys.readouterr().out)
     assert data["groups"][0]["seeds"] == [0, 1]
     assert data["groups"][0]["numbers"]["mean_return"]["mean"] == -9.5
-    assert data["groups"][0]["numbers"]["mean_return"]["mean_interval"] == [-10.0, -9.0]
+    assert data["groups"][0]["numbers"]["mean_return"]["values"] == [-10.0, -9.0]
+    assert data["groups"][0]["numbers"]["mean_return"]["mean_interval"] is None
+
+
+def test_seeds_that_agree_have_the_interval_of_their_episodes(make_run, capsys):
+    for i in range(5):
+        found = {"success": {"rate": 0.0, "count": 0, "trials": 16}, "returns": {"mean": 1.0 * i}}
+        make_run(f"s{i}", seed=i, success=0.0, episodes=40, eval=found, objective=0.0)
+    folders = sorted((make_run("other", seed=9).parent).glob("s*"))
+    assert main(["compare", *map(str, folders), "--json"]) == 0
+    numbers = json.loads(capsys.readouterr().out)["groups"][0]["numbers"]
+    high = 3.841459 / (80 + 3.841459)  # Wilson, 0 of 5 x 16: z^2 / (n + z^2)
+    assert numbers["eval_success"]["mean_interval"] == pytest.approx([0.0, high], rel=1e-6)
+    high = 3.841459 / (200 + 3.841459)  # 40 episodes of each training
+    assert numbers["success_rate"]["mean_interval"] == pytest.approx([0.0, high], rel=1e-6)
+    half = 2.7764451 * np.sqrt(2.5 / 5)  # a return has no range and no Wilson's interval
+    assert numbers["eval_return"]["mean_interval"] == pytest.approx([2 - half, 2 + half], rel=1e-6)
+    assert main(["compare", *map(str, folders)]) == 0
+    text = capsys.readouterr().out
+    assert "0.0% [0.0%, 4.6%]" in text and "no interval" not in text
 
 
 def test_mistakes(make_run, tmp_path, capsys, monkeypatch):

@@ -1,11 +1,14 @@
 """A training interrupted and resumed equals the uninterrupted one, to the bit."""
 
+import csv
+import io
 import json
 import shutil
 import signal
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,7 @@ import pytest
 import torch
 
 from embodichain.config import resolve
+from embodichain.learning.checkpoint import read_note
 from embodichain.learning.keeper import find_resumable, state_path
 from embodichain.learning.normalization import load_statistics
 from embodichain.learning.plain_state import read_tree, write_tree
@@ -91,6 +95,114 @@ def test_resumed_equals_uninterrupted(tmp_path, algo):
     assert summary.resumed_from == str(first / "checkpoints/final.zip")
     np.testing.assert_array_equal(everything(second), everything(whole))
     assert same_log_columns(second) == same_log_columns(whole)
+
+
+# A step pays less and less, so the first checkpoint has the best score.
+FADING = (
+    "task.metrics.success.shape.below=1e-9",
+    "+task.rewards.pay={func: constant, weight: 9}",
+    "+task.curriculum.fade={func: modify_reward_weight,"
+    " params: {term_name: pay, weight: 0, num_steps: 100, interpolate: true}}",
+)
+OF_THE_CLOCK = {
+    *("time/fps", "time/time_elapsed", "time/physics_fraction", "time/environment_fraction"),
+    *("time/policy_fraction", "time/update_fraction", "train_seconds", "env_steps_per_second"),
+    *("time_fractions", "resumed_from", "seconds", "t"),
+}
+
+
+def without_clock(tree):
+    """A tree of plain values as path -> value, without what is of the wall time."""
+    if isinstance(tree, dict):
+        items = [(key, value) for key, value in tree.items() if key not in OF_THE_CLOCK]
+    elif isinstance(tree, (list, tuple)):
+        items = list(enumerate(tree))
+    else:
+        return {"": tree.detach().numpy() if isinstance(tree, torch.Tensor) else tree}
+    return {
+        f"/{key}{path}": leaf for key, value in items for path, leaf in without_clock(value).items()
+    }
+
+
+def content(path):
+    """What a file of a training says, apart from the wall time."""
+    if path.suffix == ".zip":
+        note = read_note(path)
+        with zipfile.ZipFile(path) as archive:
+            torch_files = [name for name in archive.namelist() if name.endswith(".pth")]
+            networks = {n: torch.load(io.BytesIO(archive.read(n))) for n in torch_files}
+        return without_clock({"note": note, "networks": networks})
+    if path.suffix == ".npz":
+        return without_clock(read_tree(path))
+    if path.suffix == ".json":
+        return without_clock(json.loads(path.read_text()))
+    if path.suffix == ".csv":
+        with path.open(newline="") as stream:
+            return without_clock(list(csv.DictReader(stream)))
+    return {"": path.read_bytes()}
+
+
+@pytest.mark.parametrize(
+    "algo",
+    [
+        (*PPO[:3], *BOTH, "algo.learning_rate=lin_1e-3"),
+        ("algo=rsl_rl_ppo", "algo.num_steps_per_env=8", "algo.num_mini_batches=2"),
+        pytest.param(
+            (
+                *("algo=sac", "algo.normalize=obs", "algo.buffer_size=500"),
+                *(
+                    "algo.learning_starts=16",
+                    "algo.batch_size=16",
+                    "algo.policy_kwargs.net_arch=[8]",
+                ),
+                "checkpoint.replay_buffer=true",
+            ),
+            marks=pytest.mark.unmeasured,
+        ),
+    ],
+    ids=["ppo", "rsl_rl", "sac"],
+)
+def test_stopped_five_times_it_leaves_the_same_files(tmp_path, algo):
+    if "algo=rsl_rl_ppo" in algo:
+        pytest.importorskip("rsl_rl")
+    whole, cut = folder(tmp_path, "whole"), folder(tmp_path, "cut")
+    lines = (*algo, *FADING, "total_timesteps=352", "checkpoint.every_steps=48")
+    train(config(*lines), whole)
+    for steps in (36, 100, 136, 208, 300):
+
+        def stop(statistics, steps=steps):
+            if statistics.env_steps >= steps:
+                raise KeyboardInterrupt
+
+        again = [f"resume={cut}"] if (cut / "summary.json").exists() else []
+        with pytest.raises(KeyboardInterrupt):
+            train(config(*lines, *again), cut, stop)
+    train(config(*lines, f"resume={cut}"), cut)
+
+    def files(run):
+        found = {path.relative_to(run) for path in run.rglob("*") if path.is_file()}
+        return {path for path in found if path.parts[0] != "tensorboard"}  # one for each start
+
+    assert files(cut) == files(whole)
+    for path in sorted(files(whole)):
+        np.testing.assert_equal(content(cut / path), content(whole / path), str(path))
+    first = 64 if "algo=sac" not in algo else 48  # a rollout of PPO is 32 steps
+    assert read_note(cut / "checkpoints/best.zip")["env_steps"] == first
+
+
+def test_the_best_checkpoint_comes_along_into_another_folder(tmp_path):
+    first, second, third = (folder(tmp_path, n) for n in ("first", "second", "third"))
+    lines = (*PPO[:3], *BOTH, *FADING, "checkpoint.every_steps=32")
+    train(config(*lines, "total_timesteps=96"), first)
+    summary = train(config(*lines, FOUR, f"resume={first}"), second)
+    assert summary.best == "checkpoints/best.zip"
+    for name in ("best.zip", "best.normalize.npz", "best.curriculum.npz"):
+        before, after = (run / "checkpoints" / name for run in (first, second))
+        assert before.read_bytes() == after.read_bytes()
+    (second / "checkpoints/best.zip").unlink()
+    longer = config(*lines, "total_timesteps=160", f"resume={second}")
+    train(longer, third)
+    assert read_note(third / "checkpoints/best.zip")["env_steps"] == 160
 
 
 def test_a_finished_training_can_be_made_longer(tmp_path):
@@ -305,3 +417,14 @@ def test_only_few_keys_may_change(tmp_path, monkeypatch, capsys):
     assert "no --multirun" in capsys.readouterr().err
     assert main(["train", "resume=nowhere"]) == 2
     assert "'nowhere' is no training's folder" in capsys.readouterr().err
+
+
+def test_a_buffer_with_less_memory_goes_on_too(tmp_path, caplog):
+    lines = ("algo=sac", "algo.buffer_size=100", "algo.optimize_memory_usage=true", *OFF, KEEP)
+    whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
+    train(config(*lines, FOUR), whole)
+    assert "an episode that is cut off counts as terminated" in caplog.text
+    assert "next_observations" not in kept(whole)["arrays"]
+    train(config(*lines, TWO), first)
+    train(config(*lines, FOUR, f"resume={first}"), second)
+    np.testing.assert_array_equal(everything(second), everything(whole))

@@ -53,8 +53,20 @@ def test_it_is_an_environment_of_rsl_rl(reach):
     for _ in range(4):
         obs, _, dones, extras = env.step(torch.zeros(3, 6))
     assert dones.all() and extras["time_outs"].all()
-    with pytest.raises(AttributeError):
-        env.episode_length_buf = torch.zeros(3)
+    env.episode_length_buf = torch.tensor([4, 0, 3])
+    _, _, dones, _ = env.step(torch.zeros(3, 6))
+    assert dones.tolist() == [True, False, False]  # of 5 steps
+    assert env.episode_length_buf.tolist() == [0, 1, 4]
+    with pytest.raises(ValueError, match=r"elapsed_steps must be \(3,\)"):
+        env.episode_length_buf = torch.zeros(2)
+    with pytest.raises(ValueError, match="must not be negative"):
+        env.episode_length_buf = torch.full((3,), -1)
+    obs, extras = env.reset()
+    assert env.episode_length_buf.tolist() == [0, 0, 0] and extras == {}
+    assert torch.equal(env.get_observations()["policy"], obs["policy"])
+    assert env.unwrapped is reach
+    assert env.seed(7) == 7
+    env.close()
 
 
 def test_the_runner_of_rsl_rl_learns_in_it(reach, tmp_path, capsys):
@@ -71,7 +83,7 @@ def test_the_runner_of_rsl_rl_learns_in_it(reach, tmp_path, capsys):
     }
     runner = OnPolicyRunner(env, cfg, str(tmp_path), "cpu")
     before = [p.detach().clone() for p in runner.alg.actor.parameters()]
-    runner.learn(2)
+    runner.learn(2, init_at_random_ep_len=True)
     after = list(runner.alg.actor.parameters())
     assert not any(torch.equal(a, b) for a, b in zip(before, after, strict=True))
     assert runner.alg.critic.obs_dim == runner.alg.actor.obs_dim + 3 == 21

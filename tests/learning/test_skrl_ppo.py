@@ -123,6 +123,22 @@ def test_what_is_cut_off_is_bootstrapped_from_its_last_observation():
     assert step.reward.tolist() == [1.0, 1.0]  # the environment's own tensor is unchanged
 
 
+def test_without_a_value_at_the_limit_returns_end_there():
+    """Both environments are cut off in step 2 of 3; rewards are 1, nothing of step 3 is in them."""
+    env = TensorEnv(CountingEnv([0, 0], limit=2))
+    made = learner(env, rollouts=3, discount_factor=0.9, time_limit_bootstrap=False)
+    groups = env.reset()
+    with torch.no_grad():
+        for _ in range(3):
+            made.act(groups)
+            step = env.step(torch.tensor([[1.0, 0.0]] * 2))
+            made.record(step)
+            groups = step.groups
+    made.update(groups)
+    returns = made._agent.memory.get_tensor_by_name("returns")
+    assert returns[1].flatten().tolist() == pytest.approx([1.0, 1.0], rel=1e-5)
+
+
 def test_an_update_tells_its_losses():
     env = TensorEnv(CountingEnv([0] * 4))
     made = learner(env, rollouts=4)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from embodichain.learning.statistics import bootstrap, estimate, iqm, rate
+from embodichain.learning.statistics import bootstrap, estimate, iqm, over_seeds, rate
 
 
 def test_interquartile_mean_by_hand():
@@ -74,3 +74,42 @@ def test_rate_as_scipy(count, trials):
     expected = scipy.stats.binomtest(count, trials).proportion_ci(method="wilson")
     assert (found.rate, found.count, found.trials) == (count / trials, count, trials)
     assert found.interval == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_few_seeds_are_points_and_a_sentence(count):
+    found = over_seeds([0.0] * count, [20] * count)
+    assert found.values == (0.0,) * count
+    assert found.mean_interval is None
+    assert found.note == f"{count} seed{'s' * (count > 1)}: an interval over seeds needs at least 5"
+    assert over_seeds([]) is None
+
+
+def test_an_interval_over_seeds_by_hand():
+    # Apart from each other: Student's t, 2.776445 of 4 degrees of freedom, clipped at 1.
+    rates = [1.0, 1.0, 1.0, 1.0, 0.5]
+    half = 2.776445 * np.std(rates, ddof=1) / np.sqrt(5)
+    found = over_seeds(rates, [100] * 5)
+    assert found.mean_interval == pytest.approx((0.9 - half, 1.0), rel=1e-6)
+    # At one: Wilson's of all episodes, z^2 / (n + z^2) below 1.
+    found = over_seeds([1.0] * 5, [16, 16, 16, 16, 36])
+    assert found.mean_interval == pytest.approx((100 / (100 + 3.841459), 1.0), rel=1e-6)
+    # A return is not clipped.
+    assert over_seeds([1.0, 1.0, 1.0, 1.0, 9.0]).mean_interval[0] < 0.0
+
+
+@pytest.mark.parametrize("seeds", [5, 10])
+@pytest.mark.parametrize(
+    ("mean", "std"), [(0.5, 0.1), (0.8, 0.1), (0.9, 0.05), (0.1, 0.0), (0.0, 0.0), (1.0, 0.0)]
+)
+def test_the_interval_covers_the_mean_of_all_seeds(seeds, mean, std):
+    # Studies with `seeds` trainings, each with its own true rate, played for 20 episodes.
+    rng = np.random.default_rng(7)
+    true = np.full((2000, seeds), mean)
+    if std:
+        total = mean * (1 - mean) / std**2 - 1
+        true = rng.beta(mean * total, (1 - mean) * total, size=true.shape)
+    rates = rng.binomial(20, true) / 20
+    ends = [over_seeds(row, np.full(seeds, 20)).mean_interval for row in rates]
+    low, high = np.array(ends).T
+    assert ((low <= mean) & (mean <= high)).mean() >= 0.93

@@ -151,6 +151,15 @@ class EnvReads:
         """
         return tensor_of(self.episodes.count)
 
+    @elapsed_steps.setter
+    def elapsed_steps(self, steps: torch.Tensor) -> None:
+        counted, given = self.episodes.elapsed, torch.as_tensor(steps)
+        if given.shape != counted.shape:
+            raise ValueError(f"elapsed_steps must be {tuple(counted.shape)}, got {given.shape}")
+        if not self.arrays.on_device and (given < 0).any():
+            raise ValueError("elapsed_steps must not be negative")
+        counted[:] = self.arrays.of(given.to(torch.int32))
+
     @property
     def episode_ids(self) -> torch.Tensor:
         """(N,) int64 number of the current episode, from 0; -1 before the first reset. A copy."""
