@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs import restoring, scene_setup
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.envs.env_reads import EnvReads
 from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals
 from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks, set_extensions
@@ -59,6 +60,7 @@ from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.arrays import as_env_ids, tensor_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.random import first_seed
+from embodichain.utils.uncopied import Uncopied
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
@@ -71,7 +73,7 @@ Info = dict[str, Any]
 _ZERO = np.float32(0.0)
 
 
-class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
+class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
     """N environments of one task, declared in an `EnvCfg`, built by overridden hooks, or both.
 
     Observations are nested mappings of float32 tensors (N, ...), see `TensorMapping`;
@@ -254,6 +256,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         Raises:
             ValueError: If the indices or the mask are invalid.
         """
+        require_open(self._closed)
         options = dict(options or {})
         ids = self.arrays.environments(reset_ids(options, self.num_envs), self.num_envs)
         if seed is not None:
@@ -270,6 +273,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             seed: The seed.
             startup: Whether the next reset, of all environments, runs startup events again.
         """
+        require_open(self._closed)
         self.streams.reseed(seed)
         seed_globals(self, self.streams.seed)
         self._startup_due = startup and self._startup is not None
@@ -363,7 +367,9 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             TypeError: If the action has the wrong type.
             ValueError: If its shape or device is wrong or it is not finite; no state has changed.
             gymnasium.error.ResetNeeded: If `reset` has not been called.
+            gymnasium.error.ClosedEnvironmentError: After `close`, as all that needs the simulation.
         """
+        require_open(self._closed)
         if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
         self.curriculum_manager.before_step()
@@ -479,6 +485,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             RenderError: If no OpenGL library works; names the package to install.
             ValueError: If there is no such view or camera.
         """
+        require_open(self._closed)
         return self.sim.render(camera=view) if self.render_mode == "rgb_array" else None
 
     def restore(
@@ -507,6 +514,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         Raises:
             ConfigError: If the log has no such moment, or it is of another scene.
         """
+        require_open(self._closed)
         snapshot = restoring.snapshot_of(log, env, episode, step)
         found = as_env_ids(env_ids, self.num_envs)
         ids = self.arrays.every(self.num_envs) if found is None else found
@@ -523,6 +531,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         Subclasses that add state extend it.
         """
+        require_open(self._closed)
         return restoring.state_of(self)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -531,6 +540,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         Raises:
             ValueError: If the number of environments differs.
         """
+        require_open(self._closed)
         restoring.load_state(self, saved)
         self.arrays_moved = True
 
