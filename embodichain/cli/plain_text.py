@@ -26,7 +26,7 @@ _FIRST_BYTE, _LAST_BYTE = 0xDC80, 0xDCFF
 
 
 def _replace(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Return what is written for characters that an encoding lacks: plain ones, or ``\\xNN``."""
+    r"""Return what is written for characters that an encoding lacks: plain ones, or ``\xNN``."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     wrong = error.object[error.start]
