@@ -435,6 +435,10 @@ def log_of(name: str) -> Path:
     path = newest_run("outputs", LOG, SHARDS) if name == "last" else Path(name)
     if path is None:
         raise ConfigError("no run in outputs has a log yet: embodichain run task=NAME")
+    if name == "last":
+        from embodichain.cli.last import take_last
+
+        take_last(path)
     if not path.is_dir():
         return path
     log = path.resolve() / LOG

@@ -9,14 +9,19 @@ from __future__ import annotations
 import ctypes
 import os
 import weakref
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.cpu import HostEngine
+from typing import Any, Protocol
 
 __all__ = ["guard_against_forks"]
 
-_engines: weakref.WeakSet[HostEngine] = weakref.WeakSet()
+
+class _Threaded(Protocol):
+    """An engine whose batch has threads."""
+
+    def lose_threads(self, instead: Any) -> None:
+        """Use another object instead of the batch."""
+
+
+_engines: weakref.WeakSet[_Threaded] = weakref.WeakSet()
 """The engines of this process whose batch has threads."""
 
 
@@ -32,7 +37,7 @@ class _ForkedBatch:
         )
 
 
-def guard_against_forks(engine: HostEngine) -> None:
+def guard_against_forks(engine: _Threaded) -> None:
     """Have an engine raise RuntimeError where it would hang in a forked process.
 
     Args:
