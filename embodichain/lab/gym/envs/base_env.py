@@ -7,6 +7,7 @@ moments), `StateDump` (environments that diverged), and the managers of terms.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,7 +59,7 @@ from embodichain.lab.gym.envs.step_observation import StepObservation, observe
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.arrays import as_env_ids, tensor_of
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import first_seed
 from embodichain.utils.uncopied import Uncopied
 
@@ -108,6 +109,9 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
     single_action_space: gym.Space[Any]
     single_observation_space: gym.Space[Any]
     managers: dict[str, Manager[Any]]
+    command_manager: CommandManager
+    observation_manager: ObservationManager
+    event_manager: EventManager
 
     def __init__(
         self,
@@ -182,17 +186,32 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
     def _build_managers(self) -> None:
         cfg = self.cfg
         # Commands first: other terms look them up when built. Curricula last: they look up all.
-        self.command_manager = CommandManager(self, cfg.commands)
-        self.observation_manager = ObservationManager(self, cfg.observations)
-        self.event_manager = EventManager(self, cfg.events)
-        self.action_manager = ActionManager(self, cfg.actions)
-        self.reward_manager = RewardManager(self, cfg.rewards, cfg.reward_floor)
-        self.termination_manager = TerminationManager(self, cfg.terminations)
-        self.metric_manager = MetricManager(self, cfg.metrics)
-        built: list[Manager[Any]] = [self.command_manager, self.observation_manager]
-        built += [self.event_manager, self.action_manager, self.reward_manager]
-        built += [self.termination_manager, self.metric_manager]
-        self.managers = {manager.section: manager for manager in built}
+        # What is wrong in one section does not hide what is wrong in the next.
+        self.managers = {}
+        problems: list[Problem] = []
+        makers: dict[str, Callable[[], Manager[Any]]] = {
+            "command_manager": lambda: CommandManager(self, cfg.commands),
+            "observation_manager": lambda: ObservationManager(self, cfg.observations),
+            "event_manager": lambda: EventManager(self, cfg.events),
+            "action_manager": lambda: ActionManager(self, cfg.actions),
+            "reward_manager": lambda: RewardManager(self, cfg.rewards, cfg.reward_floor),
+            "termination_manager": lambda: TerminationManager(self, cfg.terminations),
+            "metric_manager": lambda: MetricManager(self, cfg.metrics),
+        }
+        for name, make in makers.items():
+            try:
+                manager = make()
+            except ConfigError as error:
+                problems += error.problems
+            except Exception as error:
+                if problems:  # it may look up what could not be built
+                    raise ConfigError(problems) from error
+                raise
+            else:
+                setattr(self, name, manager)
+                self.managers[manager.section] = manager
+        if problems:
+            raise ConfigError(problems)
         self.curriculum_manager = CurriculumManager(self, cfg.curriculum)
         self.managers["curriculum"] = self.curriculum_manager
 
