@@ -11,6 +11,7 @@ import lazy_loader
 
 from embodichain.compat import names
 from embodichain.config.gymnasium_ids import register_with_gymnasium
+from embodichain.utils.on_disk import require_files
 
 if TYPE_CHECKING:
     from embodichain.config.factory import make
@@ -21,6 +22,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.fac
 
 __all__ = ["__version__", "make"]
 
+require_files(__file__)
 names.install()
 
 from embodichain.utils.plugins import TERM_MODULES  # noqa: E402  (found by the hook)

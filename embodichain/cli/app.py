@@ -21,6 +21,7 @@ import click
 from click.shell_completion import BashComplete, add_completion_class, shell_complete
 
 from embodichain.cli import process
+from embodichain.cli.plain_text import degrading_text
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -233,17 +234,18 @@ def main(argv: list[str] | None = None) -> int:
         0 ok, 1 the run failed, 2 the input is wrong, 130 interrupted.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if _COMPLETE in os.environ:
-        return shell_complete(_cli, {}, "embodichain", _COMPLETE, os.environ[_COMPLETE])
-    try:
-        return call(arguments)
-    except SystemExit as stop:  # raised by Hydra
-        return stop.code if isinstance(stop.code, int) else process.OK
-    except BrokenPipeError:  # the pipe's reader closed it; redirection as in Python's manual
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return process.FAILED
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (reported, with an exit code)
-        return process.report(error, full="--traceback" in arguments)
+    with degrading_text():
+        if _COMPLETE in os.environ:
+            return shell_complete(_cli, {}, "embodichain", _COMPLETE, os.environ[_COMPLETE])
+        try:
+            return call(arguments)
+        except SystemExit as stop:  # raised by Hydra
+            return stop.code if isinstance(stop.code, int) else process.OK
+        except BrokenPipeError:  # the pipe's reader closed it; redirection as in Python's manual
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return process.FAILED
+        except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (reported, with a code)
+            return process.report(error, full="--traceback" in arguments)
 
 
 def call(arguments: list[str]) -> int:
@@ -465,6 +467,10 @@ def log_of(name: str) -> Path:
     path = newest_run("outputs", LOG, SHARDS) if name == "last" else Path(name)
     if path is None:
         raise ConfigError("no run in outputs has a log yet: embodichain run task=NAME")
+    if name == "last":
+        from embodichain.cli.last import take_last
+
+        take_last(path)
     if not path.is_dir():
         return path
     log = path.resolve() / LOG

@@ -12,6 +12,7 @@ import click
 from embodichain.cli.app import command_line, complete_last, overrides, verb
 from embodichain.cli.collect import MAY_CHANGE, collect_job
 from embodichain.cli.jobs import execute, job_options
+from embodichain.cli.last import take_last
 from embodichain.cli.resuming import parsed_changes, with_changes
 from embodichain.utils.errors import ConfigError
 
@@ -52,6 +53,8 @@ def _source(name: str) -> Path:
     path = newest_run("outputs", LOG) if name == "last" else Path(name)
     if path is None:
         raise ConfigError("no run in outputs has a log yet: embodichain collect task=NAME")
+    if name == "last":
+        take_last(path)
     if not path.exists():
         raise ConfigError(f"there is no {name!r}")
     return path.resolve()

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.cli.app import command_line, job_arguments, verb
 from embodichain.cli.jobs import Job, execute, policy_name, policy_of, start
 from embodichain.cli.output import print_facts, print_json, to_json
-from embodichain.cli.process import started
-from embodichain.cli.reporting import ProgressDisplay
+from embodichain.cli.reporting import ProgressDisplay, episodes_of
 from embodichain.cli.resuming import parsed_changes, resumed_folder, resumption, with_changes
 from embodichain.config.run_folder import CONFIG, LOG, SUMMARY, newest_run
 from embodichain.utils.atomic import write_text
@@ -165,7 +164,7 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
             raise ConfigError([Problem("record.format", "a collection is a log")])
         rules = EndRules(root.collect.success_steps, root.collect.wait_steps)
         collector = Collector(env, policy, recorder, writer, attempts, rules, collected)
-        started()
+        job.begin()
         counted = _play(job, env, collector)
     finally:
         env.close()  # finishes the log too
@@ -187,7 +186,8 @@ def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
         """Successes per second since the start or the resumption."""
         return (collected.successes - before) / max(time.perf_counter() - start, 1e-9)
 
-    with ProgressDisplay(task, wanted, "successes", quiet=job.quiet) as display:
+    unit = episodes_of(env.num_envs, "successes")
+    with ProgressDisplay(task, wanted, unit, quiet=job.quiet) as display:
         try:
             for steps, _ in enumerate(collector.play(), 1):
                 if env.sim.is_window_open:  # in real time

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from embodichain.cli.app import complete_last, verb
+from embodichain.cli.last import take_last
 from embodichain.cli.output import number, print_json, print_table
-from embodichain.config.run_folder import CHECKPOINT, newest_run
+from embodichain.config.run_folder import CHECKPOINT, newest_run, whole_run
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -128,6 +129,8 @@ def _trainings(names: Sequence[str]) -> list[Path]:
 
 def _path(name: str) -> Path:
     path = newest_run("outputs", CHECKPOINT) if name == "last" else Path(name)
+    if path is not None and name == "last":
+        path = take_last(whole_run(path))
     if path is None:
         raise ConfigError("no training in outputs yet: embodichain train task=NAME")
     if not path.exists():

@@ -119,6 +119,7 @@ class _Page:
             policy = policy_of(job.root, env)
             view = job.attach_viewer(env, policy)
             obs, _ = env.reset()
+            job.begin()
             if view is None or self._wait(job, view):
                 last_seen = time.monotonic()
                 for _ in play(env, policy, obs, counted):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.cli.app import command_line, overrides, verb
 from embodichain.cli.jobs import FRESH, Job, execute, job_options, policy_of
 from embodichain.cli.output import number, print_facts, print_json, to_json
-from embodichain.cli.reporting import ProgressDisplay
+from embodichain.cli.reporting import ProgressDisplay, episodes_of
 from embodichain.cli.trained import Target, one_target, take
 from embodichain.cli.unread_keys import refuse_unread
 from embodichain.config.run_folder import CHECKPOINT, SUMMARY
@@ -192,7 +192,9 @@ def evaluate_job(job: Job, asked: Asked) -> dict[str, Any]:
         policy = policy_of(job.root, env, deterministic=asked.deterministic)
         recorder = job.attach_log(env)
         job.attach_viewer(env, realtime=False, resets=False)
-        with ProgressDisplay(task, asked.episodes, "episodes", quiet=job.quiet) as display:
+        job.begin()
+        unit = episodes_of(env.num_envs)
+        with ProgressDisplay(task, asked.episodes, unit, quiet=job.quiet) as display:
 
             def watch(counted: EpisodeStatistics) -> bool:
                 if display.due or counted.complete:

@@ -10,19 +10,22 @@ import logging
 import os
 import shlex
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.app import command_line, split_overrides
-from embodichain.cli.process import Interrupted, StopFlag
+from embodichain.cli.last import take_last, with_paths
+from embodichain.cli.process import Interrupted, StopFlag, started
 from embodichain.cli.reporting import ProgressDisplay, log_to, warn_if_public
 from embodichain.cli.unread_keys import refuse_unread
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils import platforms
+from embodichain.utils.errors import ConfigError, RenderError
 from embodichain.utils.platforms import LIMITED
 
 if TYPE_CHECKING:
@@ -73,11 +76,18 @@ class Job:
         resolved: The config.
         folder: The run folder, not shared with other runs.
         stop: Set by a signal; the job then ends after the current control step.
+        began: Set by `begin`.
     """
 
     resolved: Resolved
     folder: Path
     stop: StopFlag
+    began: threading.Event = field(default_factory=threading.Event)
+
+    def begin(self) -> None:
+        """Note that all is built: from now on the folder stays, whatever happens."""
+        self.began.set()
+        started()
 
     @property
     def root(self) -> RootCfg:
@@ -307,7 +317,7 @@ def execute(
         resolved: The config.
         body: The work of the job.
         command: The command line, as typed.
-        folder: The run folder; None claims a new one.
+        folder: The run folder; None claims a new one, which a refused job does not leave.
         verb: The verb of the job.
         goes_on: Whether the folder belongs to this job already; its config stays.
 
@@ -316,24 +326,56 @@ def execute(
         Interrupted: A signal came; the files are complete up to that step.
         Exception: Any exception of `body`.
     """
-    from embodichain.config.resolved import write_record
-    from embodichain.config.run_folder import claim
+    from embodichain.config.run_folder import abandon, claim, latest_of
 
-    resolved = resolved.pinned()
+    resolved = _pinned(resolved)
     if resolved.tree["sim"]["engine"] == "warp":
         from embodichain.config.factory import with_warp_values
 
         with resolved.locating():
             resolved = with_warp_values(resolved, verb)
+    root = resolved.root.output_dir
     if folder is None:
-        folder = claim(resolved.root.output_dir, resolved.task_name)
+        before = latest_of(root)
+        folder = claim(root, resolved.task_name)
+        began = threading.Event()
+        try:
+            return _execute(resolved, body, command, folder, began, goes_on=False)
+        except (ConfigError, RenderError):  # the input is wrong: code 2, nothing was started
+            if not began.is_set():
+                abandon(folder, root, before)
+            raise
+    return _execute(resolved, body, command, folder, threading.Event(), goes_on=goes_on)
+
+
+def _pinned(resolved: Resolved) -> Resolved:
+    """The config with paths instead of the word ``last``; says which training it is."""
+    named, pinned = resolved.tree["policy"], resolved.pinned()
+    if named == "last":
+        take_last(Path(str(pinned.tree["policy"])))
+    return pinned
+
+
+def _execute(
+    resolved: Resolved,
+    body: Body,
+    command: Sequence[str],
+    folder: Path,
+    began: threading.Event,
+    *,
+    goes_on: bool,
+) -> float | None:
+    """Run a job in its folder; see `execute`."""
+    from embodichain.config.resolved import write_record
+
+    command = with_paths(command)
     if not goes_on:
         write_record(folder, resolved, command)
     with log_to(folder / LOG_FILE) as log, StopFlag() as stop:
         log.info("command: %s", shlex.join(command))
         for note in resolved.notes:
             log.warning("%s", note)
-        job = Job(resolved, folder, stop)
+        job = Job(resolved, folder, stop, began)
         if not job.quiet:
             sys.stderr.write(f"{resolved.task_name}: {folder}\n")
         with resolved.locating():

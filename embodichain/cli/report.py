@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from embodichain.cli.app import complete_last, verb
+from embodichain.cli.last import take_last
 from embodichain.cli.output import print_json
 from embodichain.utils.errors import ConfigError
 
@@ -36,14 +37,15 @@ def command(run: str, output: str | None, quiet: bool, json: bool) -> None:
     """
     from embodichain.cli.report_page import page_of
     from embodichain.cli.sweep_report import page_of_sweep
-    from embodichain.config.run_folder import CONFIG, find_run
+    from embodichain.config.run_folder import CONFIG, SWEEP, find_run, newest_run, whole_run
     from embodichain.utils.atomic import write_text
 
-    folder = find_run(run)
+    newest = newest_run("outputs", CONFIG) if run == "last" else None
+    folder = find_run(run) if newest is None else take_last(whole_run(newest))
     out = folder / _PAGE if output is None else Path(output)
     if output is not None and os.path.lexists(out):
         raise ConfigError(f"{out} exists; it is never replaced")
-    is_sweep = not (folder / CONFIG).is_file() and (folder / "multirun.yaml").is_file()
+    is_sweep = not (folder / CONFIG).is_file() and (folder / SWEEP).is_file()
     text = page_of_sweep(folder) if is_sweep else page_of(folder)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -88,6 +88,7 @@ def page_of(folder: Path) -> str:
         "films": films,
         "picture": _data_url(folder / "scene.png", "image/png"),
         "curves": curves[0],
+        "training": _training(folder, config.get("policy")),
         "rewards": _rewards(summary, evaluated),
         "episodes": [
             {name: number(getattr(episode, name)) for name in _EPISODE}
@@ -197,6 +198,25 @@ def _results(summary: Mapping[str, Any], evaluated: Mapping[str, Any]) -> Rows:
     else:
         rows = []
     return [(name, value) for name, value in rows if not name.startswith("reward ")]
+
+
+def _training(folder: Path, policy: Any) -> dict[str, Any]:
+    """Of a run whose policy was trained in another run's folder: its place, results and curves."""
+    if not isinstance(policy, str):
+        return {}
+    file = Path(policy)
+    runs = [run for run in (file, *file.parents[:2]) if (run / SUMMARY).is_file()]
+    summary = _json(runs[0] / SUMMARY) if runs and runs[0].resolve() != folder else {}
+    if "algo" not in summary:
+        return {}
+    curves, notes = _curves(runs[0], None)
+    return {
+        "folder": display_path(runs[0]),
+        "results": [(name, number(value)) for name, value in _results(summary, {})],
+        "curves": curves,
+        "notes": notes,
+        "command": f"embodichain report {shlex.quote(display_path(runs[0]))}",
+    }
 
 
 def _rewards(

@@ -22,7 +22,14 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.live import Live
 
-__all__ = ["ProgressDisplay", "log_to", "progress_row", "warn_if_public", "warnings_on_stderr"]
+__all__ = [
+    "ProgressDisplay",
+    "episodes_of",
+    "log_to",
+    "progress_row",
+    "warn_if_public",
+    "warnings_on_stderr",
+]
 
 _LINE_PERIOD = 10.0
 _FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
@@ -100,6 +107,11 @@ class ProgressDisplay:
             row = progress_row(self.label, done, self.total, count, text)
             self._live.update(row, refresh=True)
         self._due = time.perf_counter() + self._period
+
+
+def episodes_of(num_envs: int, what: str = "episodes") -> str:
+    """Return the unit of a progress line: of how many environments episodes are counted."""
+    return f"{what} of {num_envs:,} environment{'s' * (num_envs != 1)}"
 
 
 def progress_row(label: str, done: int, total: int | None, *texts: str) -> RenderableType:

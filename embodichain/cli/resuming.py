@@ -8,6 +8,7 @@ from typing import Any
 
 from embodichain.cli.app import split_overrides
 from embodichain.cli.jobs import job_options
+from embodichain.cli.last import take_last
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["parsed_changes", "resumed_folder", "resumption", "with_changes"]
@@ -90,6 +91,8 @@ def resumed_folder(name: str, newest: Path | None, what: str) -> Path:
     if not (found / CONFIG).is_file():
         message = f"{name!r} is no {what}'s folder: it has no {CONFIG}"
         raise ConfigError([Problem("resume", message)])
+    if name == "last":
+        take_last(found)
     return found.resolve()
 
 

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.cli.app import job_arguments, verb
 from embodichain.cli.jobs import Job, policy_of, start
 from embodichain.cli.output import number, print_facts, print_json, to_json
-from embodichain.cli.process import started
-from embodichain.cli.reporting import ProgressDisplay
+from embodichain.cli.reporting import ProgressDisplay, episodes_of
 from embodichain.config.run_folder import SUMMARY
 from embodichain.lab.gym.failures import failed_in
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
@@ -96,7 +95,7 @@ def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
         job.attach_viewer(env, policy)
         obs, _ = env.reset()
         picture = _StartPicture(env) if root.scene_png else None
-        started()
+        job.begin()
         counted = _roll_out(env, policy, obs, job)
     finally:
         env.close()  # finishes the log too
@@ -121,7 +120,7 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
     start = time.perf_counter()
     status = "interrupted" if stop.is_stopped() else "finished"
     with ProgressDisplay(
-        job.resolved.task_name, counted.wanted, "episodes", quiet=job.quiet
+        job.resolved.task_name, counted.wanted, episodes_of(env.num_envs), quiet=job.quiet
     ) as display:
 
         def show() -> None:

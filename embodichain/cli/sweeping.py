@@ -23,6 +23,7 @@ from hydra.core.override_parser.types import IntervalSweep, Override
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from embodichain.cli.plain_text import degrading_text
 from embodichain.cli.process import Interrupted
 from embodichain.cli.sweep_jobs import JobStoppedError, enter, stop_mark
 from embodichain.cli.sweep_plan import Plan, composed_for_hydra, plan_sweep, with_sweepers_params
@@ -101,7 +102,8 @@ def call_hydra(
         with user_configs(config_dir):
             found = from_hydra()
             resolved, folder = resolve(found, verb), HydraConfig.get().runtime.output_dir
-        with _labelled_lines(_label(keys), json=resolved.root.json):
+        # In a worker, too, whose streams are its own.
+        with degrading_text(), _labelled_lines(_label(keys), json=resolved.root.json):
             if HydraConfig.get().mode == RunMode.MULTIRUN:
                 drawn = found.tree.get("seed") is None
                 if stop_mark(Path(HydraConfig.get().sweep.dir)).exists():

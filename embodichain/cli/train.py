@@ -101,6 +101,7 @@ def _learn(job: Job) -> dict[str, Any]:
     with _said_if_failed(job, algo), Dashboard(*about, quiet=job.quiet) as display:
 
         def progress(statistics: TrainStatistics) -> None:
+            job.began.set()
             if job.stop.is_stopped():
                 raise Interrupted
             if display.due:

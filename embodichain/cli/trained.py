@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from embodichain.cli.last import take_last
 from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.utils.errors import ConfigError
 
@@ -67,7 +68,7 @@ def find_target(name: str, output_root: str = "outputs") -> Target:
         newest = newest_run(output_root, CHECKPOINT)
         if newest is None:
             raise ConfigError(f"no training in {output_root} yet: embodichain train task=NAME")
-        path = newest
+        path = take_last(newest)
     elif not path.exists() and (":" in name or ("/" not in name and not path.suffix)):
         return Target(name, None, None)  # package.module:function; zero, random, ...
     from embodichain.learning.checkpoint import find_checkpoint

@@ -10,6 +10,7 @@ import importlib.metadata
 import os
 import platform
 import re
+import shutil
 from datetime import datetime
 from pathlib import Path
 
@@ -21,13 +22,16 @@ __all__ = [
     "LOG",
     "SHARDS",
     "SUMMARY",
+    "abandon",
     "adopt",
     "check_unused",
     "claim",
     "find_run",
+    "latest_of",
     "named_checkpoint",
     "newest_run",
     "versions",
+    "whole_run",
 ]
 
 CONFIG = "config.yaml"
@@ -40,6 +44,8 @@ SHARDS = "rollout.shards.json"
 """File name of the manifest that joins the logs of a run in shards."""
 SUMMARY = "summary.json"
 """File name of a run's summary."""
+SWEEP = "multirun.yaml"
+"""A file in the folder of a sweep, which contains those of its jobs."""
 LATEST = "latest"
 _USED = (
     "{} has a run already; it is never used again. A command that may be repeated is a sweep of "
@@ -119,6 +125,33 @@ def check_unused(folder: str | Path) -> None:
         raise ConfigError(f"cannot make the run folder {path}: {there} is {why}")
 
 
+def latest_of(output_root: str | Path) -> str | None:
+    """Return what ``latest`` links to, for `abandon`; None without a link."""
+    link = Path(output_root) / LATEST
+    return os.readlink(link) if link.is_symlink() else None
+
+
+def abandon(folder: Path, output_root: str | Path, latest: str | None) -> None:
+    """Remove the folder of a run that was refused before it began.
+
+    Args:
+        folder: A folder of `claim`.
+        output_root: The folder of runs; it and the day's folder are removed if they are empty.
+        latest: What `latest_of` was before `claim`; ``latest`` links to it again, unless another
+            run has replaced the link since.
+    """
+    root = Path(output_root)
+    link = root / LATEST
+    if latest_of(root) == str(folder.relative_to(root)):
+        link.unlink()
+        if latest is not None:
+            link.symlink_to(latest, target_is_directory=True)
+    shutil.rmtree(folder)
+    for empty in (folder.parent, root):
+        with contextlib.suppress(OSError):  # it has other runs
+            empty.rmdir()
+
+
 def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
     """Return the folder of an existing run.
 
@@ -147,6 +180,12 @@ def newest_run(output_root: str | Path, *holding: str) -> Path | None:
     names = (*holding,)
     found = [run for run in runs if any(f.is_file() for name in names for f in run.glob(name))]
     return max(found, key=_began).resolve() if found else None
+
+
+def whole_run(folder: Path) -> Path:
+    """Return the sweep that a run is a job of, or the run's own folder."""
+    sweeps = (parent for parent in folder.parents if (parent / SWEEP).is_file())
+    return next(sweeps, folder)
 
 
 def named_checkpoint(path: str | Path) -> Path:

@@ -40,6 +40,7 @@ from embodichain.lab.sim.unavailable import with_simulation_members
 from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
 from embodichain.utils.memory import require_memory_for
+from embodichain.utils.uncopied import Uncopied
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
@@ -88,7 +89,7 @@ def _lister(group: str) -> Callable[[SimulationManager], list[str]]:
 
 
 @with_simulation_members
-class SimulationManager:
+class SimulationManager(Uncopied):
     """N environments of one scene.
 
     Args:

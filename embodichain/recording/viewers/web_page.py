@@ -163,10 +163,11 @@ class WebPage:
             self._page.send((options, num_envs, self._controls, model))
             kind, value = self._page.recv()
         except (EOFError, OSError):
-            kind, value = "failed", f"MuJoCo's web viewer does not start{self._last_error()}"
+            value = "viewer", f"MuJoCo's web viewer does not start{self._last_error()}", ""
+            kind = "failed"
         if kind == "failed":
             self.close()
-            raise ConfigError([Problem("viewer", value)])
+            raise ConfigError([Problem(*value)])
         self.url: str = value
         self._listener = threading.Thread(target=self._listen, name="web viewer", daemon=True)
         self._listener.start()

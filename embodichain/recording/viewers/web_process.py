@@ -40,6 +40,8 @@ _START_SECONDS = 20.0
 _IDLE_SECONDS = 0.05
 _WIDTH, _HEIGHT, _MARGIN = 330.0, 640.0, 8.0
 _BUTTON = imgui.Vec2(70.0, 0.0)
+_THEIR_ADVICE = "Pass a different --port"
+"""Where MuJoCo's message goes on with an option of its own program."""
 _HISTORY = 400
 """Number of steps with plotted rewards."""
 
@@ -59,7 +61,8 @@ def main(descriptor: int) -> None:
         try:
             studio = Studio(model, options, panel, operators=operators)
         except ConfigError as error:
-            run.send(("failed", error.problems[0].message))
+            problem = error.problems[0]
+            run.send(("failed", (problem.path, problem.message, problem.hint)))
             return
         run.send(("ready", studio.url))
         reason = "The run has ended."
@@ -167,8 +170,11 @@ class Studio:
                 self._handle.close()  # raises the error of its thread
                 raise RuntimeError("MuJoCo's viewer does not start")
             except Exception as error:
-                why = f"cannot listen on {options.host}: {error}"
-                raise ConfigError([Problem("viewer", why)]) from error
+                port = f":{options.port}" if options.port else ""
+                reason = str(error).partition(_THEIR_ADVICE)[0].strip()
+                why = f"cannot listen on {options.host}{port}: {reason}"
+                hint = "viewer.port=N is another; without it a free one is taken"
+                raise ConfigError([Problem("viewer.port", why, hint)]) from error
         self.url, self._guard = made[0].url, made[0].guard
 
     @property

@@ -7,6 +7,7 @@ moments), `StateDump` (environments that diverged), and the managers of terms.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs import restoring, scene_setup
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.envs.env_reads import EnvReads
 from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals
 from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks, set_extensions
@@ -57,8 +59,9 @@ from embodichain.lab.gym.envs.step_observation import StepObservation, observe
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.arrays import as_env_ids, tensor_of
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import first_seed
+from embodichain.utils.uncopied import Uncopied
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
@@ -71,7 +74,7 @@ Info = dict[str, Any]
 _ZERO = np.float32(0.0)
 
 
-class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
+class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
     """N environments of one task, declared in an `EnvCfg`, built by overridden hooks, or both.
 
     Observations are nested mappings of float32 tensors (N, ...), see `TensorMapping`;
@@ -106,6 +109,9 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
     single_action_space: gym.Space[Any]
     single_observation_space: gym.Space[Any]
     managers: dict[str, Manager[Any]]
+    command_manager: CommandManager
+    observation_manager: ObservationManager
+    event_manager: EventManager
 
     def __init__(
         self,
@@ -180,17 +186,32 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
     def _build_managers(self) -> None:
         cfg = self.cfg
         # Commands first: other terms look them up when built. Curricula last: they look up all.
-        self.command_manager = CommandManager(self, cfg.commands)
-        self.observation_manager = ObservationManager(self, cfg.observations)
-        self.event_manager = EventManager(self, cfg.events)
-        self.action_manager = ActionManager(self, cfg.actions)
-        self.reward_manager = RewardManager(self, cfg.rewards, cfg.reward_floor)
-        self.termination_manager = TerminationManager(self, cfg.terminations)
-        self.metric_manager = MetricManager(self, cfg.metrics)
-        built: list[Manager[Any]] = [self.command_manager, self.observation_manager]
-        built += [self.event_manager, self.action_manager, self.reward_manager]
-        built += [self.termination_manager, self.metric_manager]
-        self.managers = {manager.section: manager for manager in built}
+        # What is wrong in one section does not hide what is wrong in the next.
+        self.managers = {}
+        problems: list[Problem] = []
+        makers: dict[str, Callable[[], Manager[Any]]] = {
+            "command_manager": lambda: CommandManager(self, cfg.commands),
+            "observation_manager": lambda: ObservationManager(self, cfg.observations),
+            "event_manager": lambda: EventManager(self, cfg.events),
+            "action_manager": lambda: ActionManager(self, cfg.actions),
+            "reward_manager": lambda: RewardManager(self, cfg.rewards, cfg.reward_floor),
+            "termination_manager": lambda: TerminationManager(self, cfg.terminations),
+            "metric_manager": lambda: MetricManager(self, cfg.metrics),
+        }
+        for name, make in makers.items():
+            try:
+                manager = make()
+            except ConfigError as error:
+                problems += error.problems
+            except Exception as error:
+                if problems:  # it may look up what could not be built
+                    raise ConfigError(problems) from error
+                raise
+            else:
+                setattr(self, name, manager)
+                self.managers[manager.section] = manager
+        if problems:
+            raise ConfigError(problems)
         self.curriculum_manager = CurriculumManager(self, cfg.curriculum)
         self.managers["curriculum"] = self.curriculum_manager
 
@@ -254,6 +275,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         Raises:
             ValueError: If the indices or the mask are invalid.
         """
+        require_open(self._closed)
         options = dict(options or {})
         ids = self.arrays.environments(reset_ids(options, self.num_envs), self.num_envs)
         if seed is not None:
@@ -270,6 +292,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             seed: The seed.
             startup: Whether the next reset, of all environments, runs startup events again.
         """
+        require_open(self._closed)
         self.streams.reseed(seed)
         seed_globals(self, self.streams.seed)
         self._startup_due = startup and self._startup is not None
@@ -365,7 +388,9 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             ValueError: If its shape or device is wrong or it is not finite; no state has changed.
             gymnasium.error.ResetNeeded: If `reset` has not been called.
             TermError: If a term raised an exception; names the term and where it is declared.
+            gymnasium.error.ClosedEnvironmentError: After `close`, as all that needs the simulation.
         """
+        require_open(self._closed)
         if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
         self.curriculum_manager.before_step()
@@ -482,6 +507,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             RenderError: If no OpenGL library works; names the package to install.
             ValueError: If there is no such view or camera.
         """
+        require_open(self._closed)
         return self.sim.render(camera=view) if self.render_mode == "rgb_array" else None
 
     def restore(
@@ -510,6 +536,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         Raises:
             ConfigError: If the log has no such moment, or it is of another scene.
         """
+        require_open(self._closed)
         snapshot = restoring.snapshot_of(log, env, episode, step)
         found = as_env_ids(env_ids, self.num_envs)
         ids = self.arrays.every(self.num_envs) if found is None else found
@@ -526,6 +553,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
 
         Subclasses that add state extend it.
         """
+        require_open(self._closed)
         return restoring.state_of(self)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -534,6 +562,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         Raises:
             ValueError: If the number of environments differs.
         """
+        require_open(self._closed)
         restoring.load_state(self, saved)
         self.arrays_moved = True
 

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg
+from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.envs.episodes import Episodes
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.observation import flat_space
@@ -75,6 +76,7 @@ class EnvReads:
     termination_manager: TerminationManager
     overridden: frozenset[str]
     _detached_uids: list[str]
+    _closed: bool
     copies: StepCopies | None = None
     """Copies what observers see of each step, with arrays on a device; None without observers."""
 
@@ -227,6 +229,7 @@ class EnvReads:
         Raises:
             ConfigError: If the entity, a joint or a link does not exist; lists those that do.
         """
+        require_open(self._closed)
         return resolve_entity(self.sim, cfg)
 
     @property
@@ -280,10 +283,12 @@ class EnvReads:
         Args:
             stage: Of `curriculum_stage`, of any number of environments; None is the present one.
         """
+        require_open(self._closed)
         self.curriculum_manager.hold(stage)
 
     def release_curriculum(self) -> None:
         """Let the curriculum go on."""
+        require_open(self._closed)
         self.curriculum_manager.release()
 
     @property
@@ -300,6 +305,7 @@ class EnvReads:
         Raises:
             ConfigError: If arrays are on the device, and it may not be called late.
         """
+        require_open(self._closed)
         if self.arrays.on_device:
             if not observer.may_lag:
                 self.arrays.require_host("observers that may not be called late")

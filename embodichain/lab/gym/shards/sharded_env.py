@@ -19,6 +19,7 @@ import torch
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.envs.episodes import add_finals, seed_globals
 from embodichain.lab.gym.envs.judging import reset_ids
 from embodichain.lab.gym.envs.managers.action_manager import ActionCheck
@@ -157,11 +158,16 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         if folder != self._run_dir:
             self._run_dir = folder
             folders = [None if folder is None else folder / f"shard{k}" for k in self._shards]
-            self.pool.call("set_run_dir", [(one,) for one in folders])
+            self._call("set_run_dir", [(one,) for one in folders])
 
     @property
     def _shards(self) -> range:
         return range(len(self.pool.counts))
+
+    def _call(self, method: str, args: Sequence[tuple[Any, ...]], steps: int = 0) -> list[Any]:
+        """Call a method of every shard, see `ShardPool.call`; refuse it after `close`."""
+        require_open(self._closed)
+        return self.pool.call(method, args, steps=steps)
 
     # -- stepping ------------------------------------------------------------------------------
 
@@ -169,6 +175,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[EnvObs, dict[str, Any]]:
         """Start new episodes; see `BaseEnv.reset`."""
+        require_open(self._closed)
         rest = dict(options or {})
         ids = reset_ids(rest, self.num_envs)
         if seed is not None:
@@ -181,7 +188,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
             whole = len(mine) == self.pool.counts[k]
             everything = len(ids) == self.num_envs
             args.append((seed, None if whole else mine, rest, everything))
-        tables = self.pool.call("reset", args)
+        tables = self._call("reset", args)
         self._begun = True
         joined = self._joined(tables, range(len(tables)))
         return self._observation(joined), self._info(joined, tables[0].values["info"])
@@ -194,6 +201,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
             ValueError: If its shape is wrong or it is not finite; no state has changed.
             gymnasium.error.ResetNeeded: If `reset` has not been called.
         """
+        require_open(self._closed)
         if not self._begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
         checked, _ = self._check(action)
@@ -204,7 +212,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
             (numbers[rows], others)
             for rows, others in zip(self._rows, self._others_reset, strict=True)
         ]
-        tables = self.pool.call("step", args, steps=1)
+        tables = self._call("step", args, steps=1)
         self.control_step += 1
         done = [self._ends(table) for table in tables]
         self._others_reset = [any(done) and not mine for mine in done]
@@ -280,7 +288,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
             work: An importable function; it gets the `BaseEnv` of the shard.
             args: Further arguments for each shard.
         """
-        return self.pool.call("advance", [(work, *mine) for mine in args])
+        return self._call("advance", [(work, *mine) for mine in args])
 
     def passed(self, steps: int) -> None:
         """Count control steps that were taken by `advance`; shards may then be saved."""
@@ -291,19 +299,19 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
 
     def curriculum_stage(self) -> dict[str, Any]:
         """The stage that the curriculum has reached, the same in all shards."""
-        stages = self.pool.call("advance", [(_stage,)] * len(self._rows))
+        stages = self._call("advance", [(_stage,)] * len(self._rows))
         stage: dict[str, Any] = stages[0]
         return stage
 
     def hold_curriculum(self, stage: Mapping[str, Any] | None = None) -> None:
         """Keep the curriculum at a stage; see `BaseEnv.hold_curriculum`."""
-        self.pool.call("advance", [(_hold, stage)] * len(self._rows))
+        self._call("advance", [(_hold, stage)] * len(self._rows))
         self.curriculum_manager.values = self.curriculum_stage()["values"]
         self.curriculum_manager.held = True
 
     def release_curriculum(self) -> None:
         """Let the curriculum go on."""
-        self.pool.call("advance", [(_release,)] * len(self._rows))
+        self._call("advance", [(_release,)] * len(self._rows))
         self.curriculum_manager.held = False
 
     # -- random numbers --------------------------------------------------------------------------
@@ -337,7 +345,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state from which the run continues bit for bit, with as many shards."""
-        states = self.pool.call("state", [()] * len(self._rows))
+        states = self._call("state", [()] * len(self._rows))
         return {
             "num_envs": self.num_envs,
             "shards": {str(k): state for k, state in enumerate(states)},
@@ -352,6 +360,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         Raises:
             ConfigError: If the numbers of environments or shards differ.
         """
+        require_open(self._closed)
         states = list(saved.get("shards", {}).values())
         counts = [state["num_envs"] for state in states]
         if tuple(counts) != self.pool.counts:
@@ -365,6 +374,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
 
     def render(self) -> None:
         """Return None: pictures are drawn from a shard's log."""
+        require_open(self._closed)
 
     def close(self) -> None:
         """Close the shards, then the template."""

@@ -24,10 +24,12 @@ from embodichain.lab.sim.engine.api import (
     Write,
 )
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, ModelFields, row_layout
+from embodichain.lab.sim.engine.forked_batch import guard_against_forks
 from embodichain.lab.sim.engine.mujoco_process import all_cores, install_log_handler, stop_timers
 from embodichain.lab.sim.engine.sensor_history import SensorHistory
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.uncopied import Uncopied
 
 __all__ = ["KINEMATIC_STAGES", "CpuEngine", "HostEngine", "entries"]
 
@@ -72,7 +74,7 @@ class _DivergenceMarks(Protocol):
     def take(self) -> NDArray[np.bool_] | None: ...
 
 
-class HostEngine(Engine):
+class HostEngine(Uncopied, Engine):
     """State rows, model fields and writes of N simulations; subclasses compute the physics.
 
     Rows and model fields are those of a `mujoco.batch.Batch`, on the host and in float64, whatever
@@ -102,9 +104,11 @@ class HostEngine(Engine):
         self.listeners: list[EngineListener] = []
         self._layout = row_layout(model)
         self._plain_reset = not hidden
-        self._batch = mjbatch.Batch(
+        self._batch: Any = mjbatch.Batch(
             model, num_envs, nthread=self.num_threads, persistent=self.persistent
         )
+        if self.num_threads > 1:
+            guard_against_forks(self)
         self._batch.reset(stage=_STAGE_NONE)
         self._rows: F64 = self._batch.state
         self._views: dict[str, F64] = {n: self._rows[:, c] for n, c in self._layout.items()}
@@ -125,6 +129,10 @@ class HostEngine(Engine):
 
     def __getattr__(self, name: str) -> Any:
         raise AttributeError(f"no {name!r}" if vars(self) else "the simulation was destroyed")
+
+    def lose_threads(self, instead: Any) -> None:
+        """Use this object instead of the batch, whose threads a forked process does not have."""
+        self._batch = instead
 
     # -- reads -------------------------------------------------------------------------------------
 
