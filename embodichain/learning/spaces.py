@@ -128,9 +128,9 @@ def require_bounds(env: BaseEnv, learner: str) -> None:
         ConfigError: If a column has none; names the keys to write.
     """
     unbounded = ActionScale(env.single_action_space).unbounded
-    terms = [n for n, columns in env.action_manager.slices.items() if unbounded[columns].any()]
     if not unbounded.any():
         return
+    terms = [n for n, columns in env.action_manager.slices.items() if unbounded[columns].any()]
     keys = ", ".join(f"task.actions.{name}.params: {{clip: [-1, 1]}}" for name in terms)
     message = f"{learner} needs bounds of the actions, and there are none (bounds: null)"
     hint = f"Write {keys or 'an action space with bounds'} instead, or take algo=ppo"

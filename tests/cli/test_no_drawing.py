@@ -62,7 +62,8 @@ def test_depth_and_masks_are_logged_without_hashes(said, monkeypatch):
     monkeypatch.setenv("EMBODICHAIN_RENDERER", "rays")
     told = said(0, "run", "task=depth", "scene_png=false")
     assert "warning: the log has no hashes of pictures: pictures of a log need OpenGL" in told
-    assert said(0, "replay", "last", "--verify") == ""
+    told = said(0, "replay", "last", "--verify")
+    assert told.startswith("last: ") and told.count("\n") == 1  # no warning
 
 
 @pytest.mark.parametrize("words", [["task=color"], ["task=depth", "scene_png=true"]], ids=" ".join)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from gymnasium.error import ClosedEnvironmentError
 
 import embodichain
 from embodichain.config.tensor_algorithms import SkrlPpoCfg, TensorAlgoCfg
@@ -60,7 +61,7 @@ def test_it_is_an_environment_of_skrl(reach):
 def test_closing_it_closes_the_environment(reach):
     env = SkrlEnv(reach)
     env.close()
-    with pytest.raises(RuntimeError):
+    with pytest.raises(ClosedEnvironmentError):
         reach.reset()
 
 

@@ -235,8 +235,9 @@ def test_another_task_is_refused(tmp_path):
 @BOTH
 def test_what_it_learns_balances_the_pole(tmp_path, algo):
     """11 updates lead from 20 steps on average to hundreds; but for the noise as shipped."""
-    lines = ["task=cart_pole", algo[0], "algo.action_scale=1.0", "total_timesteps=4224", "seed=1"]
-    resolved = resolve([*lines, "sim.num_threads=1"], "train")
+    steps = algo[1].replace("=8", "=24")
+    lines = ["task=cart_pole", algo[0], steps, "algo.action_scale=1.0", "total_timesteps=4224"]
+    resolved = resolve([*lines, "seed=1", "sim.num_threads=1"], "train")
     train(resolved, tmp_path)
     env = make_env(resolved)
     try:

@@ -166,7 +166,11 @@ def test_masks_and_depths_are_those_of_rays(made: dict[str, SimulationManager]) 
         far=100.0,
         outputs=("depth", "mask"),
     )
+    glass = next(g for g, rgba in enumerate(host.engine.model.geom_rgba) if rgba[3] == 0.5)
+    alpha = slice(4 * glass + 3, 4 * glass + 4)
+    host.engine.write_model("geom_rgba", 1.0, None, alpha)  # as it is on the device
     (exact,) = RayRenderer(host.engine.model).draw(host.engine, [view])
+    host.engine.write_model("geom_rgba", 0.5, None, alpha)
     mask, depth = seen(device, "back", "mask"), seen(device, "back", "depth")
     wanted = sensor.index.entity_of_geom[exact["mask"]]
     # Rays through an edge hit either side, by rounding.
