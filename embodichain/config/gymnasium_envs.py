@@ -68,7 +68,7 @@ class TaskEnv(SingleEnv):
 
 
 # `VectorEnv` is named again: skrl's `wrap_env` looks at the bases of this class alone.
-class TaskVectorEnv(NumpyVectorEnv, VectorEnv):  # type: ignore[type-arg]
+class TaskVectorEnv(NumpyVectorEnv, VectorEnv):
     """A batch of environments of a YAML task, with the task's limit in its `spec`."""
 
     _spec: EnvSpec | None = None

@@ -62,7 +62,7 @@ class SkrlEnv(Wrapper, gym.Env[Any, Any]):  # type: ignore[misc]
         self._groups: Groups = {}
 
     @property
-    def observation_space(self) -> spaces.Box:
+    def observation_space(self) -> spaces.Box:  # type: ignore[override]
         """The observation of one environment, (K,)."""
         return self.tensors.spaces[GROUP]
 
@@ -72,7 +72,7 @@ class SkrlEnv(Wrapper, gym.Env[Any, Any]):  # type: ignore[misc]
         return state_space(self.tensors)
 
     @property
-    def action_space(self) -> spaces.Box:
+    def action_space(self) -> spaces.Box:  # type: ignore[override]
         """The actions of one environment, (A,) in [-1, 1]."""
         return self.tensors.action_space
 
@@ -89,7 +89,7 @@ class SkrlEnv(Wrapper, gym.Env[Any, Any]):  # type: ignore[misc]
         self._groups = self.tensors.groups(obs)
         return self._groups[GROUP], {}
 
-    def step(
+    def step(  # type: ignore[override]  # Gymnasium's is of one environment
         self, actions: Tensor | NDArray[Any]
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Step all environments; return observations, rewards, terminated, truncated and info.

@@ -185,8 +185,7 @@ class Header:
             wrong.append("quota")
         if not all(type(count) is int and count >= 0 for count in self.quota):
             wrong.append("quota")
-        if type(self.lists_counted) is not bool:
-            wrong.append("lists_counted")
+        wrong += [n for n in ("lists_counted",) if type(getattr(self, n)) is not bool]
         if self.writes not in ("all", "none"):
             wrong.append("writes")
         if wrong:
