@@ -169,7 +169,8 @@ class Collector:
             OSError: The log or a list could not be written.
         """
         episodes, self._unwritten = self._unwritten, []
-        self._recorder.count([e.env for e in episodes], [e.episode for e in episodes])
+        if self._recorder.lists_counted:
+            self._recorder.count([e.env for e in episodes], [e.episode for e in episodes])
         self._recorder.flush()
         self._writer.add(episodes)
         self._written = time.monotonic()

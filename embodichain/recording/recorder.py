@@ -119,7 +119,8 @@ class McapRecorder(StepObserver):
         if len(firsts) not in (0, env.num_envs):
             raise ValueError(f"quota has {len(firsts)} numbers for {env.num_envs} environments")
         header = replace(header, quota=firsts, lists_counted=lists_counted)
-        self._lists_counted = lists_counted
+        self.lists_counted = lists_counted
+        """Whether `count` lists the episodes that count."""
         self._moved, self._period_ns = Moved(header.moved), header.period_ns
         self._substeps, self._keyframe_every = header.substeps, header.keyframe_every
         self._call_steps = header.call_steps or header.substeps
@@ -433,7 +434,7 @@ class McapRecorder(StepObserver):
             ValueError: The recorder was built without `lists_counted`.
             LogWriteError: If the file could not be written.
         """
-        if not self._lists_counted:
+        if not self.lists_counted:
             raise ValueError("this log lists no counted episodes: build it with lists_counted=True")
         if self._closed or not env_ids:
             return
