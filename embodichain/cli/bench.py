@@ -16,6 +16,7 @@ import click
 
 from embodichain.cli.app import overrides, split_overrides, verb
 from embodichain.cli.output import print_json, print_table
+from embodichain.cli.unread_keys import refuse_unread
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ def command(words: tuple[str, ...], rounds: int, json: bool) -> None:
     from embodichain.config.resolved import resolve
 
     sizes, lines = _sizes(split_overrides(words))
+    refuse_unread("bench", lines)
     configs = [resolve([*lines, *size, "record=none"], "run") for size in sizes]
     results = [_measure(config, rounds) for config in configs]
     task = configs[0].task_name

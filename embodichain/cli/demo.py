@@ -18,6 +18,7 @@ from embodichain.cli.app import command_line, overrides, split_overrides, verb
 from embodichain.cli.jobs import Job, execute, job_options, policy_of
 from embodichain.cli.output import print_facts, print_json
 from embodichain.cli.run import run_job
+from embodichain.cli.unread_keys import refuse_unread
 from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 if TYPE_CHECKING:
@@ -58,6 +59,9 @@ def command(**kwargs: Any) -> None:
     display = has_display()
     on_page = options.web or (display and not options.film)
     lines = split_overrides(options.words)
+    refuse_unread("demo", lines)
+    if on_page:
+        refuse_unread("demo --web", lines)
     given = {line.partition("=")[0].lstrip("+~") for line in lines}
     if not {"task", "gym_config"} & given:
         lines.append(f"task={_TASK}")

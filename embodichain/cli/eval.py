@@ -184,13 +184,14 @@ def evaluate_job(job: Job, asked: Asked) -> dict[str, Any]:
         The content of `eval.json`.
     """
     from embodichain.config.factory import make_batch
-    from embodichain.learning.evaluation import evaluate
+    from embodichain.learning.evaluation import evaluate, quotas
 
     task = job.resolved.task_name
     env = make_batch(job.resolved, run_dir=job.folder)
     try:
         policy = policy_of(job.root, env, deterministic=asked.deterministic)
-        recorder = job.attach_log(env)
+        quota = quotas(asked.episodes, env.num_envs).tolist()
+        recorder = job.attach_log(env, quota=quota)
         job.attach_viewer(env, realtime=False, resets=False)
         job.begin()
         unit = episodes_of(env.num_envs)

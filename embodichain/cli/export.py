@@ -15,6 +15,7 @@ from embodichain.cli.output import print_json, say_warnings
 from embodichain.cli.process import Interrupted, StopFlag
 from embodichain.cli.reporting import ProgressDisplay, warnings_on_stderr
 from embodichain.cli.trained import Target, one_target
+from embodichain.cli.unread_keys import refuse_unread
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -154,6 +155,7 @@ def _export_policy(options: SimpleNamespace) -> None:
     if form not in _POLICIES:
         raise ConfigError(f"--format of a policy is one of {', '.join(_POLICIES)}, not {form}")
     target, lines = one_target("export", options.words[1:])
+    refuse_unread("export policy", lines)
     if target.file is None or target.file.suffix in _POLICIES.values():
         name = target.policy
         raise ConfigError(f"policy: only zips of trainings are exported, not {name}")

@@ -107,12 +107,15 @@ class Job:
         images = self.root.record.images
         return None if images is None else ImageOptions(**vars(images))
 
-    def attach_log(self, env: BaseEnv, name: str = LOG) -> McapRecorder | ShardLogs | None:
+    def attach_log(
+        self, env: BaseEnv, name: str = LOG, *, quota: Sequence[int] | None = None
+    ) -> McapRecorder | ShardLogs | None:
         """Attach the log unless `record.format` is ``none``; closing the environment closes it.
 
         Args:
             env: The environment; a batch in shards has a log for each shard.
             name: File name in the folder.
+            quota: (N,) how many episodes of each environment count; None if they are listed.
         """
         if self.root.record.format == "none":
             return None
@@ -127,12 +130,14 @@ class Job:
             "options": RecordOptions(**options),
             "task": self.resolved.task_name,
             "policy": policy_name(self.root),
+            "quota": quota,
         }
         if self.root.sim.backend == "ray":
             from embodichain.cli.sharding import attach_logs
 
             return attach_logs(self.resolved, env, self.folder / name, about)
         config = dump_yaml(self.resolved.tree)
+        about["lists_counted"] = quota is None
         recorder = McapRecorder(self.folder / name, env, config=config, **about)
         env.add_observer(recorder)
         return recorder

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from embodichain.cli.app import overrides, pair, split_overrides, verb
 from embodichain.cli.output import print_json
+from embodichain.cli.unread_keys import refuse_unread
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -74,6 +75,7 @@ def command(
     if columns * width * rows * height > _MOST_PIXELS:
         message = f"{columns * width}x{rows * height} pixels are too many: at most {_MOST_PIXELS:,}"
         raise ConfigError(message)
+    refuse_unread("render", lines)
     env, facts = _advanced(lines, columns * rows, step)
     try:
         tiles = _draw(env, view, width, height)

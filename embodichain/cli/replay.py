@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_COLUMNS = ("env", "episode", "steps", "total_reward", "terminated", "last_step", "success")
+_COLUMNS = (
+    *("env", "episode", "steps", "total_reward", "terminated", "last_step", "success"),
+    "counted",
+)
 """Columns of the table of episodes."""
 _MOST_EPISODES = 20
 _ACTIONS = ("verify", "video", "policy", "view")
@@ -165,7 +168,7 @@ def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
         ("recorded", f"{started:%Y-%m-%d %H:%M:%S}, {header.recorded_with}"),
         ("environments", f"{header.num_envs}, seed {header.seed}"),
         ("steps", f"{summary.steps} control steps = {summary.duration_s:.2f} s simulated"),
-        ("episodes ended", f"{len(summary.episodes)}"),
+        ("episodes ended", _ended(summary)),
         ("mean return", summary.mean_reward),
         ("file", f"{state}, {summary.nbytes / 1e6:.2f} MB, {summary.messages} messages"),
         ("attachments", list(summary.attachments)),
@@ -176,6 +179,12 @@ def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
     print_table("episodes", [_row(episode) for episode in episodes[:_MOST_EPISODES]])
     if len(episodes) > _MOST_EPISODES:
         sys.stdout.write(f"... and {len(episodes) - _MOST_EPISODES} more: --env, --json\n")
+
+
+def _ended(summary: LogSummary) -> str:
+    """How many episodes ended, and how many of them count."""
+    ended, counted = f"{len(summary.episodes)}", summary.counted
+    return ended if counted is None else f"{ended}, of which {counted} count"
 
 
 def _verifiable(header: Header) -> str:

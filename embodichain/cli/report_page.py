@@ -10,7 +10,6 @@ import base64
 import importlib.util
 import json
 import shlex
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from importlib import resources
@@ -72,8 +71,6 @@ def page_of(folder: Path) -> str:
     status = str(outcome.get("status", "finished" if outcome else "unfinished"))
     task = str(outcome.get("task", folder.name.partition("_")[2]))
     episodes = log.episodes if log is not None else []
-    # The first episodes of each environment count, see `evaluate`.
-    quota = Counter((evaluated.get("per_episode") or {}).get("env") or ())
     context = {
         "title": f"{task}: {kind}",
         "task": task,
@@ -92,12 +89,12 @@ def page_of(folder: Path) -> str:
         "rewards": _rewards(summary, evaluated),
         "episodes": [
             {name: number(getattr(episode, name)) for name in _EPISODE}
-            | ({"counted": number(episode.episode < quota[episode.env])} if quota else {})
+            | ({} if episode.counted is None else {"counted": number(episode.counted)})
             for episode in episodes[:_MOST_EPISODES]
         ],
         "more_episodes": max(len(episodes) - _MOST_EPISODES, 0),
         "commands": _commands(folder, kind, task, config, has_log=log is not None),
-        "log": _log_facts(log, evaluated),
+        "log": _log_facts(log),
         "config": _text(folder / CONFIG),
         "overrides": "\n".join(map(str, _yaml(folder / "overrides.yaml") or [])),
         "messages": "\n".join(_text(folder / "run.log").splitlines()[-_MOST_MESSAGES:]),
@@ -229,13 +226,14 @@ def _rewards(
     return [(name, number(value), value / most) for name, value in known.items()]
 
 
-def _log_facts(log: LogSummary | None, evaluated: Mapping[str, Any]) -> Rows:
+def _log_facts(log: LogSummary | None) -> Rows:
     if log is None:
         return []
     ended = f"{len(log.episodes):,}"
-    if "episodes" in evaluated:
-        ended += f", of which {evaluated['episodes']:,} count: the first of each environment"
     header = log.header
+    if log.counted is not None:
+        which = "the first of each environment" if header.quota else "those that were needed"
+        ended += f", of which {log.counted:,} count: {which}"
     return [
         ("file", f"{log.path.name}, {log.nbytes / 1e6:.2f} MB"),
         ("recorded with", header.recorded_with),

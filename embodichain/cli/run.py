@@ -91,7 +91,7 @@ def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
     try:
         policy = policy_of(root, env)
         hold_at_stage(env, policy)
-        recorder = job.attach_log(env)
+        recorder = job.attach_log(env, quota=[root.episodes or 1] * env.num_envs)
         job.attach_viewer(env, policy)
         obs, _ = env.reset()
         picture = _StartPicture(env) if root.scene_png else None

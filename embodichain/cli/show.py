@@ -13,6 +13,7 @@ import click
 
 from embodichain.cli.app import overrides, split_overrides, verb
 from embodichain.cli.output import print_facts, print_json, print_table, wrapped
+from embodichain.cli.unread_keys import verb_of_keys
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]
@@ -43,7 +44,8 @@ def command(words: tuple[str, ...], config: bool, json: bool) -> None:
     from embodichain.cli.show_task import task_tables, without_defaults
     from embodichain.config.resolved import dump_yaml, resolve, thaw
 
-    resolved = resolve(split_overrides(words), "run")
+    lines = split_overrides(words)
+    resolved = resolve(lines, verb_of_keys(lines))
     tables = {} if config else task_tables(resolved)
     if json:
         about = {"config": thaw(resolved.tree)}

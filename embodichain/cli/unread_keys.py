@@ -4,41 +4,97 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["refuse_unread"]
+if TYPE_CHECKING:
+    from embodichain.config.schema import Verb
 
-_OF_TRAINING = ("algo", "total_timesteps", "checkpoint", "wandb", "dataset")
-_NOT_TRAINED = "`{verb}` does not read it: a policy is played, not trained"
-_OF_COLLECTING = "`{verb}` does not read it, `collect` does"
+__all__ = ["refuse_unread", "verb_of_keys"]
+
+_PLAYED = dict.fromkeys(
+    ("algo", "total_timesteps", "checkpoint", "wandb", "dataset"),
+    "`{verb}` does not read it: a policy is played, not trained",
+)
+_COLLECT = {"collect": "`{verb}` does not read it, `collect` does"}
+_RESUME = {"resume": "`{verb}` does not read it: `train` and `collect` go on where they stopped"}
+_POLICY = {
+    "policy": "`{verb}` does not read it: name the policy alone, `embodichain {verb} POLICY`"
+}
+_SCENE = {"scene_png": "`{verb}` does not read it: only `run` and `play` draw the start"}
+_ENDS = {
+    "eval": "it is of `train`, for the evaluation at its end; give {last}={value} alone",
+}
+_NO_EVAL = {"eval": "`{verb}` does not read it: it is of `train`, for the evaluation at its end"}
+_NO_RUN = {
+    **dict.fromkeys(("episodes", "max_steps"), "`{verb}` does not read it: it plays no episodes"),
+    "record": "`{verb}` does not read it: it writes no log",
+    "video": "`{verb}` does not read it: it makes no film",
+    **_SCENE,
+}
 _UNREAD: Mapping[str, Mapping[str, str]] = {
     "run": {
-        **dict.fromkeys(_OF_TRAINING, _NOT_TRAINED),
+        **(_PLAYED | _COLLECT | _RESUME),
         "eval": "`run` does not read it: it is of `train`; what a run plays is {last}={value}",
-        "collect": _OF_COLLECTING,
     },
     "eval": {
-        **dict.fromkeys((*_OF_TRAINING, "resume"), _NOT_TRAINED),
-        "eval": "it is of `train`, for the evaluation at its end; give {last}={value} alone",
-        "collect": _OF_COLLECTING,
+        **(_PLAYED | _COLLECT | _RESUME | _POLICY | _SCENE | _ENDS),
         "max_steps": "`eval` does not read it: an evaluation ends after `episodes`",
-        "policy": "`eval` does not read it: name the policy alone, `embodichain eval POLICY`",
     },
-    "play": {
-        **dict.fromkeys((*_OF_TRAINING, "resume"), _NOT_TRAINED),
-        "eval": "it is of `train`, for the evaluation at its end; give {last}={value} alone",
-        "collect": _OF_COLLECTING,
-        "policy": "`play` does not read it: name the policy alone, `embodichain play POLICY`",
-    },
+    "play": _PLAYED | _COLLECT | _RESUME | _POLICY | _ENDS,
     "train": {
+        **(_COLLECT | _SCENE),
         "max_steps": "`train` does not read it: it ends after total_timesteps",
         "episodes": "`train` does not read it: it ends after total_timesteps; the evaluation at its"
         " end has eval.episodes={value}",
-        "collect": _OF_COLLECTING,
+        "policy": "`train` does not read it: it learns one, with algo=NAME; resume=RUN goes on with"
+        " a training",
+    },
+    "collect": _PLAYED | _SCENE | _NO_EVAL,
+    "demo": _PLAYED | _COLLECT | _RESUME | _NO_EVAL,
+    "demo --web": {
+        **dict.fromkeys(
+            ("record", "video", "scene_png", "max_steps"),
+            "a page does not read it, `embodichain demo --film` does",
+        ),
+    },
+    "bench": {
+        **(_PLAYED | _COLLECT | _RESUME | _NO_EVAL | _NO_RUN),
+        **dict.fromkeys(
+            ("episodes", "max_steps"),
+            "`bench` does not read it: it measures --rounds of a third of a second",
+        ),
+    },
+    "render": {
+        **(_PLAYED | _COLLECT | _RESUME | _NO_EVAL | _NO_RUN),
+        **dict.fromkeys(
+            ("episodes", "max_steps"),
+            "`render` does not read it: it draws after --step control steps",
+        ),
+        "viewer": "`render` does not read it: it writes a picture",
+    },
+    "export policy": {
+        **dict.fromkeys(_PLAYED, "`{verb}` does not read it: the policy is trained already"),
+        **(_COLLECT | _RESUME | _NO_EVAL | _NO_RUN),
+        "policy": "`{verb}` does not read it: name the training alone, `embodichain {verb} RUN`",
+        "viewer": "`{verb}` does not read it: it writes a file",
     },
 }
 """Verb -> root key, and why it has no effect."""
+
+
+def verb_of_keys(lines: Sequence[str]) -> Verb:
+    """The verb whose config has the keys of `validate` or `show`, which take those of any job.
+
+    Args:
+        lines: Overrides as typed.
+
+    Returns:
+        ``train`` if an algorithm is chosen (``algo=sac``), which only its config can; else ``run``.
+    """
+    chosen = any(line.lstrip("+~").partition("=")[0].partition("@")[0] == "algo" for line in lines)
+    return "train" if chosen else "run"
 
 
 def refuse_unread(verb: str, lines: Sequence[str]) -> None:

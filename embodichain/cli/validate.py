@@ -20,6 +20,7 @@ from embodichain.cli.demonstrations import first_episode
 from embodichain.cli.jobs import resolved_job
 from embodichain.cli.output import print_json
 from embodichain.cli.reporting import warnings_on_stderr
+from embodichain.cli.unread_keys import refuse_unread, verb_of_keys
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -67,7 +68,12 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
         else:
             from embodichain.config.composed import compose
 
-            composed = compose(split_overrides(words), verb)
+            lines = split_overrides(words)
+            if train or collect:
+                refuse_unread(verb, lines)
+            else:  # keys of any job are taken
+                verb = verb_of_keys(lines)
+            composed = compose(lines, verb)
             notes = composed.notes
             resolved = resolved_job(composed, verb)
         notes = resolved.notes

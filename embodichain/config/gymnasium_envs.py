@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 
 from embodichain.config.factory import make
 from embodichain.config.gymnasium_ids import task_id
@@ -67,7 +67,8 @@ class TaskEnv(SingleEnv):
         self._spec = _with_limit(spec, self.env)
 
 
-class TaskVectorEnv(NumpyVectorEnv):
+# `VectorEnv` is named again: skrl's `wrap_env` looks at the bases of this class alone.
+class TaskVectorEnv(NumpyVectorEnv, VectorEnv):
     """A batch of environments of a YAML task, with the task's limit in its `spec`."""
 
     _spec: EnvSpec | None = None

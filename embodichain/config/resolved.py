@@ -261,12 +261,33 @@ def _with_learning_scale(
         The config; what was chosen; what is doubtful.
     """
     num_envs, total = tree["num_envs"], tree["total_timesteps"]
-    chosen = []
+    scale, notes = scale_learning(tree["algo"], num_envs, total), []
+    chosen: dict[str, Any] = dict(scale.chosen)
     if tree["resume"] is None:
-        scale = scale_learning(tree["algo"], num_envs, total)
-        tree = {**tree, "algo": {**tree["algo"], **scale.chosen}}
-        chosen = scale.notes()
-    return tree, chosen, doubtful_scale(tree["algo"], num_envs, total)
+        notes = scale.notes()
+    elif (earlier := _algo_of(Path(tree["resume"]))) is not None:
+        chosen = {key: earlier.get(key) for key in chosen}
+    tree = {**tree, "algo": {**tree["algo"], **chosen}}
+    return tree, notes, doubtful_scale(tree["algo"], num_envs, total)
+
+
+def _algo_of(folder: Path) -> Mapping[str, Any] | None:
+    """The algorithm's config of an earlier training; None if its folder has no config.
+
+    Raises:
+        ConfigError: The config is no YAML.
+    """
+    path = folder / CONFIG
+    if not path.is_file():
+        # `train` in Python wrote checkpoints there and nothing else; `check_training` refuses a
+        # folder that is not there.
+        return None if folder.is_dir() else {}
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError([Problem("resume", f"cannot read {path}: {error}")]) from error
+    algo = tree.get("algo") if isinstance(tree, Mapping) else None
+    return algo if isinstance(algo, Mapping) else {}
 
 
 def _with_armature(

@@ -13,6 +13,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium import spaces
+from numpy.typing import NDArray
 from skrl.agents.torch.ppo import PPO
 from skrl.envs.wrappers.torch import Wrapper
 from skrl.memories.torch import RandomMemory
@@ -36,8 +37,11 @@ _ACTIVATIONS = {
 }
 
 
-class SkrlEnv(Wrapper):  # type: ignore[misc]
-    """An environment of skrl, for its own trainers.
+class SkrlEnv(Wrapper, gym.Env[Any, Any]):  # type: ignore[misc]
+    """An environment of skrl, for its own trainers; skrl's `wrap_env` takes it too.
+
+    `wrap_env` takes it for an environment of Gymnasium and asks `unwrapped` for the state, which is
+    therefore this environment itself; the batch is `tensors.base`.
 
     Observations are the group ``policy``, (N, K); the state is the critic's groups side by side,
     (N, S), if they are others. Actions are (N, A) in [-1, 1]; rewards and flags are (N, 1).
@@ -51,12 +55,14 @@ class SkrlEnv(Wrapper):  # type: ignore[misc]
     """
 
     def __init__(self, env: gym.Env[Any, Any], critic_groups: Iterable[str] = ()) -> None:
-        super().__init__(env)
+        Wrapper.__init__(self, env)
         self.tensors = TensorEnv(env, critic_groups)
+        # Gymnasium's class has its own of these, so that skrl would not look for them in `env`.
+        self.metadata, self.render_mode, self.spec = env.metadata, env.render_mode, env.spec
         self._groups: Groups = {}
 
     @property
-    def observation_space(self) -> spaces.Box:
+    def observation_space(self) -> spaces.Box:  # type: ignore[override]
         """The observation of one environment, (K,)."""
         return self.tensors.spaces[GROUP]
 
@@ -66,18 +72,33 @@ class SkrlEnv(Wrapper):  # type: ignore[misc]
         return state_space(self.tensors)
 
     @property
-    def action_space(self) -> spaces.Box:
+    def action_space(self) -> spaces.Box:  # type: ignore[override]
         """The actions of one environment, (A,) in [-1, 1]."""
         return self.tensors.action_space
 
-    def reset(self) -> tuple[Tensor, dict[str, Any]]:
-        """Reset every environment; return observations (N, K) and an empty info."""
-        self._groups = self.tensors.reset()
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """Reset every environment; return observations (N, K) and an empty info.
+
+        Args:
+            seed: As in `BaseEnv.reset`.
+            options: As in `BaseEnv.reset`.
+        """
+        obs, _ = self.tensors.env.reset(seed=seed, options=options)
+        self._groups = self.tensors.groups(obs)
         return self._groups[GROUP], {}
 
-    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
-        """Step all environments; return observations, rewards, terminated, truncated and info."""
-        step = self.tensors.step(actions)
+    def step(  # type: ignore[override]  # Gymnasium's is of one environment
+        self, actions: Tensor | NDArray[Any]
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """Step all environments; return observations, rewards, terminated, truncated and info.
+
+        Args:
+            actions: (N, A) in [-1, 1]; of a single environment (A,) too, as `wrap_env` gives them.
+        """
+        given = torch.as_tensor(actions, dtype=torch.float32, device=self.device)
+        step = self.tensors.step(given[None] if given.ndim == 1 and self.num_envs == 1 else given)
         self._groups = step.groups
         flags = step.terminated[:, None], step.time_out[:, None]
         return step.groups[GROUP], step.reward[:, None], *flags, step.info

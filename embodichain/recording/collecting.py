@@ -168,8 +168,10 @@ class Collector:
         Raises:
             OSError: The log or a list could not be written.
         """
-        self._recorder.flush()
         episodes, self._unwritten = self._unwritten, []
+        if self._recorder.lists_counted:
+            self._recorder.count([e.env for e in episodes], [e.episode for e in episodes])
+        self._recorder.flush()
         self._writer.add(episodes)
         self._written = time.monotonic()
 

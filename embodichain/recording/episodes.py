@@ -181,6 +181,9 @@ class LogEpisode:
             if it reached the time limit or the log ended first.
         rewards: Term to its weighted sum over the episode; empty if the log ended first.
         metrics: Metric to its value at the episode's end; empty if the log ended first.
+        counted: Whether the run's results have it: `run` and `eval` count the first episodes of
+            each environment, `collect` what it lists as success or failure; None if the log does
+            not say (a program's own, or an older one).
     """
 
     env: int
@@ -194,6 +197,7 @@ class LogEpisode:
     reasons: tuple[str, ...] = ()
     rewards: Mapping[str, float] = field(default_factory=dict)
     metrics: Mapping[str, float] = field(default_factory=dict)
+    counted: bool | None = None
 
     @property
     def steps(self) -> int:

@@ -81,6 +81,9 @@ class Header:
             before and after physics and after resets (arrays on a device).
         action: What each number of an action means, see `ActionColumn.to_dict`; empty if it is not
             known.
+        quota: How many episodes of each environment count, its first ones; empty if the log does
+            not say.
+        lists_counted: Whether the channel `/counted` lists the episodes that count.
     """
 
     task: str
@@ -108,6 +111,8 @@ class Header:
     engine: str = MUJOCO
     writes: str = "all"
     action: tuple[dict[str, Any], ...] = ()
+    quota: tuple[int, ...] = ()
+    lists_counted: bool = False
 
     def to_metadata(self) -> dict[str, str]:
         """Return the fields as strings: text as it is, everything else as JSON."""
@@ -140,6 +145,7 @@ class Header:
             found["moved"] = [(int(a), int(b)) for a, b in found["moved"]]
             found["layout"] = {k: (int(a), int(b)) for k, (a, b) in found["layout"].items()}
             found["action"] = tuple(found.get("action", ()))
+            found["quota"] = tuple(found.get("quota", ()))
             header = cls(**found)
             header._check()
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
@@ -175,6 +181,11 @@ class Header:
             wrong.append("keyframe_every")
         if not all(map(_is_column, self.action)):
             wrong.append("action")
+        if len(self.quota) not in (0, self.num_envs):
+            wrong.append("quota")
+        if not all(type(count) is int and count >= 0 for count in self.quota):
+            wrong.append("quota")
+        wrong += [n for n in ("lists_counted",) if type(getattr(self, n)) is not bool]
         if self.writes not in ("all", "none"):
             wrong.append("writes")
         if wrong:

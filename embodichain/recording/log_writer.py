@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from embodichain.recording.attachments import Attachment
 from embodichain.recording.block import ArrayKind, CallKind, Recorded, pack_steps
+from embodichain.recording.counted import COUNTED_TOPIC, encode_counted
 from embodichain.recording.episodes import EPISODE_TOPIC, Ends, EpisodeSums, encode_ends
 from embodichain.recording.header import METADATA, METADATA_END, Header
 from embodichain.recording.log_file import LogFile
@@ -99,6 +100,8 @@ class LogWriter:
             self.file.channel(STEPS_TOPIC, "embodichain.Steps")
             self.file.channel(START_TOPIC, "embodichain.Steps")
         self.file.channel(EPISODE_TOPIC, "embodichain.Episodes")
+        if header.lists_counted:
+            self.file.channel(COUNTED_TOPIC, "embodichain.Counted")
         self.file.put_beside(LAYOUT_FILE, json.dumps(layout, indent=1))
 
     def _write_head(self, part: int, first_step: int) -> None:
@@ -129,6 +132,10 @@ class LogWriter:
     def end_episodes(self, step: int, ends: Ends) -> None:
         """Queue the ends of episodes; they are written with their control step."""
         self._ends[step] = ends
+
+    def count(self, step: int, env_ids: Sequence[int], episodes: Sequence[int]) -> None:
+        """After a control step: list episodes that count; their ends were written before."""
+        self.file.write(COUNTED_TOPIC, self._time_of(step), encode_counted(env_ids, episodes))
 
     def skip(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
         """After a control step that is not recorded: write only the ends of its episodes."""

@@ -23,6 +23,7 @@ from embodichain.recording.attachments import (
 )
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.columns import Column, state_columns
+from embodichain.recording.counted import COUNTED_TOPIC, Counting
 from embodichain.recording.episodes import (
     EPISODE_TOPIC,
     LogEpisode,
@@ -329,10 +330,11 @@ class RecordedLog:
         With `record.state=none`, only episodes that ended are listed. With `record.every`,
         episodes that were not recorded are listed too, without their steps.
         """
-        if self.header.state == "none":
-            return find_episodes(self._ended(), None)
-        data = self.read(["episodes", "rewards", "terminated", "truncated"])
-        return find_episodes(self._ended(), data, self.header.every)
+        counting, data = Counting(self.header), None
+        ended = self._ended(counting)
+        if self.header.state != "none":
+            data = self.read(["episodes", "rewards", "terminated", "truncated"])
+        return counting.marked(find_episodes(ended, data, self.header.every))
 
     def metrics(self, env: int) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
         """Values of a viewed environment: rewards of each term, metrics, sums over the episode.
@@ -363,10 +365,15 @@ class RecordedLog:
         """Yield topic, log time in ns and bytes of every message, in file order."""
         return self.reader.messages()
 
-    def _ended(self) -> Iterator[LogEpisode]:
+    def _ended(self, counting: Counting) -> list[LogEpisode]:
+        """Episodes that ended; `counting` receives what the log lists as counted."""
+        found: list[LogEpisode] = []
         for topic, _, payload in self.reader.messages():
-            if topic == EPISODE_TOPIC:
-                try:
-                    yield from decode_ends(payload)
-                except DamageError as error:
-                    raise LogError(f"{self.path}: a message is damaged: {error}") from error
+            try:
+                if topic == EPISODE_TOPIC:
+                    found += decode_ends(payload)
+                elif topic == COUNTED_TOPIC:
+                    counting.add(payload)
+            except DamageError as error:
+                raise LogError(f"{self.path}: a message is damaged: {error}") from error
+        return found

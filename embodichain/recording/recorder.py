@@ -9,7 +9,7 @@ import atexit
 import time
 import weakref
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -81,6 +81,9 @@ class McapRecorder(StepObserver):
         task: The task's name.
         policy: The source of the actions, for the header.
         place: Where to continue a log that another recorder began (`begin_part`).
+        quota: (N,) how many episodes of each environment count, its first ones; None if that is
+            not known.
+        lists_counted: Whether `count` lists the episodes that count.
 
     Raises:
         ConfigError: If an option is not allowed.
@@ -99,6 +102,8 @@ class McapRecorder(StepObserver):
         task: str = "",
         policy: str = "",
         place: LogPlace | None = None,
+        quota: Sequence[int] | None = None,
+        lists_counted: bool = False,
     ) -> None:
         options = RecordOptions() if options is None else options
         check_options(options, env.num_envs)
@@ -110,6 +115,12 @@ class McapRecorder(StepObserver):
         self._start_ns = time.time_ns() if place is None else place.start_ns
         mjb = model_bytes(self._engine.model)
         header = header_of(env, options, model_digest(mjb), task, policy, self._start_ns)
+        firsts = () if quota is None else tuple(int(count) for count in quota)
+        if len(firsts) not in (0, env.num_envs):
+            raise ValueError(f"quota has {len(firsts)} numbers for {env.num_envs} environments")
+        header = replace(header, quota=firsts, lists_counted=lists_counted)
+        self.lists_counted = lists_counted
+        """Whether `count` lists the episodes that count."""
         self._moved, self._period_ns = Moved(header.moved), header.period_ns
         self._substeps, self._keyframe_every = header.substeps, header.keyframe_every
         self._call_steps = header.call_steps or header.substeps
@@ -411,6 +422,26 @@ class McapRecorder(StepObserver):
             with self._writing.writes():
                 self._write_steps()
                 self._flush()
+
+    def count(self, env_ids: Sequence[int], episodes: Sequence[int]) -> None:
+        """List episodes that ended, and count: those of the results. After `close` nothing is done.
+
+        Args:
+            env_ids: The environment of each.
+            episodes: The id of each within its environment.
+
+        Raises:
+            ValueError: The recorder was built without `lists_counted`.
+            LogWriteError: If the file could not be written.
+        """
+        if not self.lists_counted:
+            raise ValueError("this log lists no counted episodes: build it with lists_counted=True")
+        if self._closed or not env_ids:
+            return
+        self._catch_up()
+        with self._writing.writes():
+            self._write_steps()  # their ends come first
+            self._log.count(max(self._step - 1, 0), env_ids, episodes)
 
     def close(self) -> None:
         """Write the last rows and finish the file. A second call does nothing.

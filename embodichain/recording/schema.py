@@ -107,6 +107,11 @@ MESSAGES: Mapping[str, Sequence[str]] = {
         "repeated string metric = 13",
         "repeated double metrics = 14",
     ),
+    # Episodes that count, where a run decides later than at their ends, one entry each.
+    "Counted": (
+        "repeated uint32 env_ids = 1",
+        "repeated int64 episode_id = 2",
+    ),
 }
 
 

@@ -52,6 +52,7 @@ class ShardRecorder:
         task: The task's name.
         policy: The source of the actions.
         losses: How often the shard was rebuilt.
+        quota: (N,) how many episodes of each of its environments count; None if not known.
     """
 
     path: Path
@@ -61,6 +62,7 @@ class ShardRecorder:
     task: str = ""
     policy: str = ""
     losses: int = 0
+    quota: Sequence[int] | None = None
     _recorder: McapRecorder | None = field(default=None, repr=False)
 
     def begin(self, env: BaseEnv, place: LogPlace | None) -> None:
@@ -68,7 +70,7 @@ class ShardRecorder:
         if self.losses:
             self._set_aside(0 if place is None else place.part)
         about = self.config, self.overrides, self.options, self.task, self.policy
-        self._recorder = McapRecorder(self.path, env, *about, place)
+        self._recorder = McapRecorder(self.path, env, *about, place, self.quota)
         env.add_observer(self._recorder)
 
     def _set_aside(self, part: int) -> None:
@@ -108,6 +110,7 @@ class ShardLogs:
         overrides: The command line's overrides.
         task: The task's name.
         policy: The source of the actions.
+        quota: (N,) how many episodes of each environment count; None if not known.
     """
 
     def __init__(
@@ -119,6 +122,7 @@ class ShardLogs:
         overrides: str | Sequence[str] = (),
         task: str = "",
         policy: str = "",
+        quota: Sequence[int] | None = None,
     ) -> None:
         self._path, self._env = path, env
         pool = env.pool
@@ -133,6 +137,7 @@ class ShardLogs:
                 _local_options(options, entry),
                 config_of(entry.first_env, entry.num_envs),
                 *about,
+                quota=_local_quota(quota, entry),
             )
             for entry in self.entries
         ]
@@ -176,6 +181,13 @@ def _local_options(options: RecordOptions, entry: ShardEntry) -> RecordOptions:
         images = replace(images, envs=mine) if mine else None
     viewed = numbers_in_shard(options.view_envs, *span)
     return replace(options, view_envs=viewed, images=images)
+
+
+def _local_quota(quota: Sequence[int] | None, entry: ShardEntry) -> Sequence[int] | None:
+    """The quota of the shard's own environments."""
+    if quota is None:
+        return None
+    return quota[entry.first_env : entry.first_env + entry.num_envs]
 
 
 def read_shards(path: Path) -> tuple[ShardEntry, ...]:

@@ -163,7 +163,8 @@ def _joined_header(logs: Sequence[Log], firsts: Sequence[int]) -> Header:
                 raise LogError(f"{log.path} is not of the batch of {logs[0].path}: {found}")
     viewed = [i + at for log, at in zip(logs, firsts, strict=True) for i in log.header.view_envs]
     count = sum(log.num_envs for log in logs)
-    return replace(first, num_envs=count, view_envs=viewed)
+    quota = tuple(number for log in logs for number in log.header.quota)
+    return replace(first, num_envs=count, view_envs=viewed, quota=quota)
 
 
 def _beside(parts: Sequence[LogArrays]) -> LogArrays:

@@ -11,6 +11,7 @@ import numpy as np
 from embodichain.recording.attachments import MODEL, model_digest, unpack_model
 from embodichain.recording.block import unpack_steps
 from embodichain.recording.chunks import LogReader
+from embodichain.recording.counted import COUNTED_TOPIC, Counting
 from embodichain.recording.episodes import EPISODE_TOPIC, LogEpisode, decode_ends
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
@@ -71,6 +72,13 @@ class LogSummary:
         return self.steps * self.header.control_dt
 
     @property
+    def counted(self) -> int | None:
+        """Number of episodes that count; None if the log does not say."""
+        if not (self.header.quota or self.header.lists_counted):
+            return None
+        return sum(bool(episode.counted) for episode in self.episodes)
+
+    @property
     def mean_reward(self) -> float | None:
         """Mean return of the episodes that ended; None if there is none."""
         if not self.episodes:
@@ -91,6 +99,7 @@ def inspect(path: str | Path) -> LogSummary:
     with LogReader(path) as reader:
         header = reader.require_header()
         sizes = header.num_envs, header.moved_width, header.nstate
+        counting = Counting(header)
         try:
             for topic, _, data in reader.messages():
                 counts[topic] += 1
@@ -100,6 +109,8 @@ def inspect(path: str | Path) -> LogSummary:
                             steps, last_step = steps + run.steps, run.first + run.count - 1
                 elif topic == EPISODE_TOPIC:
                     episodes += decode_ends(data)
+                elif topic == COUNTED_TOPIC:
+                    counting.add(data)
         except DamageError as error:
             reader.complete, reader.damage = False, f"a message is damaged: {error}"
         # A log that ends early may list an episode although its last steps are missing.
@@ -116,7 +127,7 @@ def inspect(path: str | Path) -> LogSummary:
             header=header,
             channels=channels,
             steps=steps,
-            episodes=[e for e in episodes if not cut or e.last_step <= last_step],
+            episodes=counting.marked(e for e in episodes if not cut or e.last_step <= last_step),
             attachments=attachments,
             compressions=sorted(reader.compressions),
             complete=reader.complete and reader.finished,

@@ -53,6 +53,11 @@ def test_the_lists_say_what_is_in_the_log(collection: Path) -> None:
         assert found.total_reward == pytest.approx(listed.total_reward)
         assert (listed.failure is None) == listed.success
         assert found.truncated
+        assert found.counted
+    others = logged.keys() - {(e.env, e.episode) for e in episodes}
+    assert others  # environments that were still at work when it was complete
+    assert not any(logged[key].counted for key in others)
+    assert recording.inspect(collection).counted == len(episodes)
     assert verify(collection / "rollout.mcap").ok
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
+import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.learning.evaluation import EVAL_SEED_OFFSET
 from embodichain.recording import inspect
@@ -60,7 +61,12 @@ def test_eval_writes_what_it_says(
     config = yaml.safe_load((folder / "config.yaml").read_text())
     assert config["seed"] == EVAL_SEED_OFFSET + 5
     assert config["task"]["max_episode_steps"] == 12  # the run's own config, not today's file
-    assert len(inspect(folder / "rollout.mcap").episodes) == 8  # two of all environments
+    ended = inspect(folder / "rollout.mcap")
+    assert (len(ended.episodes), ended.counted) == (8, 6)  # two of all environments
+    with recording.open(folder) as log:
+        counted = {(e.env, e.episode) for e in log.episodes if e.counted}
+        assert {e.counted for e in log.episodes} == {True, False}
+    assert counted == {(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (3, 0)}
     assert "eval" in (folder / "command.txt").read_text()
 
 

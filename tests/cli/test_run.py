@@ -47,6 +47,7 @@ def test_json_is_one_object_and_nothing_else(finished) -> None:
     assert summary["status"] == "finished"
     assert (summary["episodes"], summary["episodes_wanted"], summary["num_envs"]) == (6, 6, 2)
     assert (summary["control_steps"], summary["env_steps"], summary["seed"]) == (15, 30, 3)
+    assert inspect(folder_of(cwd) / "rollout.mcap").counted == 6
     assert summary["length"] == {"mean": 5.0, "std": 0.0, "min": 5.0, "max": 5.0}
     assert summary["fps"] > 0
     assert json.loads((folder_of(cwd) / "summary.json").read_text()) == summary

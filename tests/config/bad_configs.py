@@ -398,8 +398,8 @@ BAD = {
         "command line: task: unknown option 'mein'; task is one of: {tasks}. Did you mean 'mine'?",
         "command line: record: unknown option 'mcpa'; record is one of: mcap, none. Did "
         "you mean 'mcap'?",
-        "command line: algo.gamma: must be at most 1.0, got 2",
         "command line: seed: expected an integer, got 'x'",
+        "command line: episodes: must be at least 1, got 0",
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
         "allow_changed, dataset, resume, collect, checkpoint, eval, wandb, video, scene_png, "
@@ -410,7 +410,7 @@ BAD = {
             "num_env=4",
             "seed=x",
             "record=mcpa",
-            "algo.gamma=2",
+            "episodes=0",
             "task.max_episode_steps=7",
             "~task.events.move",
         ),

@@ -202,7 +202,22 @@ def test_the_best_checkpoint_comes_along_into_another_folder(tmp_path):
     (second / "checkpoints/best.zip").unlink()
     longer = config(*lines, "total_timesteps=160", f"resume={second}")
     train(longer, third)
-    assert read_note(third / "checkpoints/best.zip")["env_steps"] == 160
+    # An uninterrupted training is judged after 128 steps too, and further ones pay less.
+    assert read_note(third / "checkpoints/best.zip")["env_steps"] == 128
+
+
+@pytest.mark.parametrize("before", [None, 2])
+def test_what_was_chosen_for_the_first_part_stays(tmp_path, before):
+    """The config of the folder says it; one that an older version wrote has the library's own."""
+    written = config("algo=sac", TWO).tree["algo"]
+    assert written["gradient_steps"] == 4  # one for each of four environments
+    (tmp_path / "config.yaml").write_text(
+        f"algo: {{name: sac, gradient_steps: {before or 'null'}}}"
+    )
+    resumed = config("algo=sac", FOUR, f"resume={tmp_path}")
+    assert resumed.tree["algo"]["gradient_steps"] == before
+    given = config("algo=sac", FOUR, f"resume={tmp_path}", "algo.gradient_steps=3")
+    assert given.tree["algo"]["gradient_steps"] == 3
 
 
 def test_a_finished_training_can_be_made_longer(tmp_path):

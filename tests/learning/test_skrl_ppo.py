@@ -2,10 +2,10 @@
 
 import dataclasses
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from gymnasium.error import ClosedEnvironmentError
 
 import embodichain
 from embodichain.config.tensor_algorithms import SkrlPpoCfg, TensorAlgoCfg
@@ -14,8 +14,9 @@ from tests.learning.counting import CountingEnv
 
 pytest.importorskip("skrl")
 
+from skrl import config
 from skrl.agents.torch.ppo import PPO_CFG
-from skrl.envs.wrappers.torch import Wrapper
+from skrl.envs.wrappers.torch import Wrapper, wrap_env
 from skrl.trainers.torch import SequentialTrainer
 
 from embodichain.learning import SkrlEnv
@@ -61,7 +62,7 @@ def test_it_is_an_environment_of_skrl(reach):
 def test_closing_it_closes_the_environment(reach):
     env = SkrlEnv(reach)
     env.close()
-    with pytest.raises(ClosedEnvironmentError):
+    with pytest.raises(gym.error.ClosedEnvironmentError):
         reach.reset()
 
 
@@ -74,6 +75,73 @@ def test_the_trainer_of_skrl_learns_in_it(reach):
     SequentialTrainer(cfg=cfg, env=env, agents=made._agent).train()
     after = list(made._policy.parameters())
     assert not any(torch.equal(a, b) for a, b in zip(before, after, strict=True))
+
+
+@pytest.mark.filterwarnings("ignore:To copy construct from a tensor")  # skrl's own
+def test_wrap_env_takes_it_with_its_state(reach):
+    env = wrap_env(SkrlEnv(reach, ["policy", "critic"]), verbose=False)
+    assert env.num_envs == 3 and env.device.type == "cpu"
+    shapes = [s.shape for s in (env.observation_space, env.state_space, env.action_space)]
+    assert shapes == [(18,), (21,), (6,)]
+    obs, _ = env.reset()
+    twin = SkrlEnv(embodichain.make("reach", 3, STATE), ["policy", "critic"])
+    assert torch.equal(obs, twin.reset(seed=config.torch.key)[0])
+    ended = 0
+    for step in range(6):  # of episodes of 5 steps
+        actions = torch.full((3, 6), 0.1 * step)
+        obs, reward, terminated, truncated, _ = env.step(actions)
+        expected = twin.step(actions)
+        for value, other in zip((obs, reward, terminated, truncated), expected, strict=False):
+            assert torch.equal(value, other)
+        assert torch.equal(env.state(), twin.state()) and env.state().shape == (3, 21)
+        ended += int(truncated.sum())
+    assert ended == 3
+    twin.close()
+
+
+@pytest.mark.filterwarnings("ignore:To copy construct from a tensor")
+def test_wrap_env_takes_one_environment_of_it():
+    env = wrap_env(SkrlEnv(embodichain.make("reach", 1, STATE)), verbose=False)
+    assert env.reset()[0].shape == (1, 18)
+    assert [v.shape for v in env.step(torch.zeros(1, 6))[:4]] == [(1, 18), *[(1, 1)] * 3]
+    env.close()
+
+
+@pytest.mark.filterwarnings("ignore:To copy construct from a tensor")
+def test_the_trainer_of_skrl_learns_in_what_wrap_env_made(reach):
+    inner = SkrlEnv(reach, ["policy", "critic"])
+    made = learner(inner.tensors, rollouts=6, mini_batches=2)
+    before = [p.detach().clone() for p in made._policy.parameters()]
+    cfg = {"timesteps": 12, "headless": True, "disable_progressbar": True}
+    cfg |= {"close_environment_at_exit": False}
+    SequentialTrainer(cfg=cfg, env=wrap_env(inner, verbose=False), agents=made._agent).train()
+    after = list(made._policy.parameters())
+    assert not any(torch.equal(a, b) for a, b in zip(before, after, strict=True))
+
+
+@pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP"])
+def test_wrap_env_takes_vector_environments_of_gymnasium(mode):
+    made = gym.make_vec("embodichain/reach-v0", num_envs=2, seed=1, autoreset_mode=mode)
+    env = wrap_env(made, verbose=False)
+    assert (env.num_envs, env.observation_space.shape, env.action_space.shape) == (2, (21,), (6,))
+    obs, _ = env.reset()
+    stepped, reward, *_ = env.step(torch.zeros(2, 6))
+    assert obs.shape == stepped.shape == (2, 21) and reward.shape == (2, 1)
+    env.close()
+
+
+def test_the_wrapper_of_maniskill_resets_what_ended_and_nothing_else():
+    env = embodichain.make("reach", 3, ["task.max_episode_steps=5"], autoreset_mode="DISABLED")
+    wrapped = wrap_env(env, wrapper="mani-skill", verbose=False)
+    assert wrapped.reset()[0].shape == (3, 39)
+    env.reset(options={"env_idx": torch.tensor([1])})
+    for _ in range(3):
+        wrapped.step(torch.zeros(3, 6))
+    env.reset(options={"env_idx": torch.tensor([2])})
+    truncated = [wrapped.step(torch.zeros(3, 6))[3].flatten().tolist() for _ in range(2)]
+    assert truncated == [[False] * 3, [True, True, False]]
+    assert env.episodes.elapsed.tolist() == [0, 0, 2]
+    env.close()
 
 
 def test_every_argument_of_ppo_may_be_set():

@@ -18,6 +18,8 @@ from tests.helpers.local_shards import sharded
 
 LINES = ["task.max_episode_steps=12", "+task.observations.qvel.noise={std: 0.01}"]
 STEPS = 31
+QUOTA = [1, 2, 0, 2, 1]
+"""Episodes that count in each environment."""
 
 
 def build(first: int, count: int) -> Any:
@@ -42,7 +44,7 @@ def record(folder: Path, shards: int, losing: Any = None, **options: Any) -> tup
     """Record a batch of five, in shards that are lost at some steps; return the manifest."""
     folder.mkdir()
     with sharded(build, 5, shards, save_every=8) as (env, source):
-        about = RecordOptions(**options), config_of, "", "cart_pole", "random"
+        about = RecordOptions(**options), config_of, "", "cart_pole", "random", QUOTA
         logs = ShardLogs(folder / "rollout.mcap", env, *about)
         found = json.loads(logs.manifest.read_text())
         assert not found["complete"] and [s["node"] for s in found["shards"]] == ["n0", "n1"]
@@ -58,8 +60,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The log of the same batch in one process."""
     path = tmp_path_factory.mktemp("whole") / "rollout.mcap"
     env = build(0, 5)
+    options = RecordOptions(view_envs=[1, 4])
     recorder = McapRecorder(
-        path, env, config_of(0, 5), options=RecordOptions(view_envs=[1, 4]), task="cart_pole"
+        path, env, config_of(0, 5), options=options, task="cart_pole", quota=QUOTA
     )
     env.add_observer(recorder)
     play(env)
@@ -75,6 +78,8 @@ def assert_same_logs(manifest: Path, whole: Path) -> None:
         for name in b:
             assert a[name].tobytes() == b[name].tobytes(), name
         assert joined.episodes == one.episodes
+        counted = [sum(bool(e.counted) for e in joined.episodes if e.env == i) for i in range(5)]
+        assert counted == QUOTA and joined.header.quota == tuple(QUOTA)
         part = joined.read("qpos", env=[1, 3], start=9, stop=20)
         assert np.array_equal(part["qpos"], b["qpos"][9:20, [1, 3]])
         third = joined.read("rewards", env=3, episode=1)

@@ -265,9 +265,9 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             seed: Reseeds the random streams of all N environments, Gymnasium's ``np_random`` and
                 torch's global generator. If all environments are reset, startup events run again
                 before it, on the values that they found.
-            options: The environments to reset, as ``reset_ids`` or ``env_ids`` (sorted unique
-                indices, or a mask (N,)) or ``reset_mask`` (a mask); without them, all. All other
-                options are passed to `_initialize_episode`.
+            options: The environments to reset, as ``reset_ids``, ``env_ids`` or ``env_idx`` (as in
+                ManiSkill): sorted unique indices, or a mask (N,); or as ``reset_mask``, a mask;
+                without them, all. All other options are passed to `_initialize_episode`.
 
         Returns:
             The observation and info of all N environments; rows that were not reset are unchanged.

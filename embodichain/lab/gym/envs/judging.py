@@ -56,7 +56,7 @@ F32 = NDArray[np.float32]
 Info = dict[str, Any]
 _TAKE_OBS = ("get_reward", "_extend_reward", "check_truncated")
 _OBSERVE = ("get_obs", "_extend_obs", "_get_sensor_obs")
-_ID_KEYS = ("reset_ids", "env_ids", "reset_mask")
+_ID_KEYS = ("reset_ids", "env_ids", "env_idx", "reset_mask")
 
 
 @dataclass(slots=True)
@@ -147,7 +147,7 @@ def reset_ids(options: dict[str, Any], num_envs: int) -> NDArray[np.int64]:
     """Remove the environments to reset from the options of `reset`, and return them.
 
     Args:
-        options: ``reset_ids``, ``env_ids`` and ``reset_mask`` are removed from it.
+        options: ``reset_ids``, ``env_ids``, ``env_idx`` and ``reset_mask`` are removed from it.
         num_envs: N.
 
     Returns:
