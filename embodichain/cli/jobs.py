@@ -12,8 +12,9 @@ import shlex
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,16 +22,16 @@ from embodichain.cli.app import command_line, split_overrides
 from embodichain.cli.last import take_last, with_paths
 from embodichain.cli.process import Interrupted, StopFlag, started
 from embodichain.cli.reporting import ProgressDisplay, log_to, warn_if_public
-from embodichain.cli.unread_keys import refuse_unread
+from embodichain.cli.unread_keys import unread_keys
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils import platforms
-from embodichain.utils.errors import ConfigError, RenderError
+from embodichain.utils.errors import ConfigError, Problem, RenderError
 from embodichain.utils.platforms import LIMITED
 
 if TYPE_CHECKING:
     from embodichain.config.composed import Composed
-    from embodichain.config.resolved import Resolved
+    from embodichain.config.resolved import Checked, Resolved
     from embodichain.config.schema import RootCfg, Verb
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.recording import ImageOptions, McapRecorder
@@ -43,6 +44,7 @@ __all__ = [
     "Body",
     "Job",
     "check_extras",
+    "checked_job",
     "ended_early",
     "execute",
     "film_progress",
@@ -253,7 +255,6 @@ def start(verb: Verb, body: Body, options: Any) -> None:
     from embodichain.config.override_text import readable
 
     overrides = [*map(readable, split_overrides(options.words)), *job_options(options)]
-    refuse_unread(verb, overrides)
     if options.gym_config is not None:
         from embodichain.config.gym_config import override_of
 
@@ -285,15 +286,24 @@ def job_options(options: Any) -> list[str]:
     return [*found, *(["traceback=true"] if "--traceback" in command_line() else [])]
 
 
+def checked_job(composed: Composed, verb: Verb) -> Checked:
+    """Check the whole config of a job, and that the verb reads each key of its command line."""
+    from embodichain.config.resolved import checked
+
+    config = checked(composed, verb)
+    unread = unread_keys(verb, composed.overrides)
+    paths = {problem.path for problem in unread}
+    others = [problem for problem in config.found.problems if problem.path not in paths]
+    return replace(config, found=replace(config.found, problems=[*unread, *others]))
+
+
 def resolved_job(composed: Composed, verb: Verb) -> Resolved:
     """Check the whole config of a job; for a training, the algorithm's arguments too.
 
     Raises:
         ConfigError: Lists every mistake with its file and line.
     """
-    from embodichain.config.resolved import resolve
-
-    resolved = resolve(composed, verb)
+    resolved = checked_job(composed, verb).resolved()
     if verb == "train":
         from embodichain.learning.train import check_training
 
@@ -392,30 +402,51 @@ def check_extras(root: RootCfg) -> None:
     """Check that the video, the pictures of the log and the viewer can be made here.
 
     Raises:
-        ConfigError: A package is missing, with the extra's name, or something of Linux.
-        RenderError: Pictures cannot be drawn here; names what to install.
+        ConfigError: Packages are missing, with the names of the extras, or something of Linux.
+        RenderError: Pictures cannot be drawn here, and nothing else is missing; names what to
+            install.
     """
+    problems: list[Problem] = []
+    drawing: RenderError | None = None
+    for need in _needs(root):
+        try:
+            need()
+        except ConfigError as error:
+            problems += error.problems
+        except RenderError as error:
+            drawing = error
+    if drawing is not None:
+        if not problems:
+            raise drawing
+        problems.append(Problem("", str(drawing)))
+    if problems:
+        raise ConfigError(problems)
+
+
+def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
+    """The checks of what a job needs besides the plain package; each raises what is missing."""
     logged = root.record.format != "none"
     if sys.platform in LIMITED:
-        platforms.need(*["record=mcap"] * logged, f"viewer={root.viewer.name}")
+        features = [*["record=mcap"] * logged, f"viewer={root.viewer.name}"]
+        yield partial(platforms.need, *features)
     images = root.record.images if logged or root.viewer.name == "foxglove" else None
     drawn = ["video"] * bool(root.video) + ["record.images"] * (images is not None)
     if root.video:
         from embodichain.utils.video import need_encoder
 
-        need_encoder(f".{getattr(root.video, 'format', 'mp4')}")
+        yield partial(need_encoder, f".{getattr(root.video, 'format', 'mp4')}")
     if images is not None and images.format == "h264":
         from embodichain.recording.views.encoders import need_h264
 
-        need_h264()
+        yield need_h264
     if drawn or "EMBODICHAIN_RENDERER" in os.environ:
         from embodichain.lab.sim.drawing.offscreen import need_colors
 
-        need_colors(*drawn)
+        yield partial(need_colors, *drawn)
     if root.viewer.name == "foxglove":
         from embodichain.recording.viewers.foxglove import need_sdk
 
-        need_sdk()
+        yield need_sdk
 
 
 def policy_name(root: RootCfg) -> str:

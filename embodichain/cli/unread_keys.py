@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
+from embodichain.config.locate import COMMAND_LINE
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["refuse_unread"]
+__all__ = ["refuse_unread", "unread_keys"]
 
 _OF_TRAINING = ("algo", "total_timesteps", "checkpoint", "wandb", "dataset")
 _NOT_TRAINED = "`{verb}` does not read it: a policy is played, not trained"
@@ -41,15 +42,12 @@ _UNREAD: Mapping[str, Mapping[str, str]] = {
 """Verb -> root key, and why it has no effect."""
 
 
-def refuse_unread(verb: str, lines: Sequence[str]) -> None:
-    """Refuse keys that have no effect on a verb.
+def unread_keys(verb: str, lines: Sequence[str]) -> list[Problem]:
+    """Return a mistake for each key that has no effect on a verb.
 
     Args:
         verb: The verb.
         lines: Overrides as typed.
-
-    Raises:
-        ConfigError: Lists all such keys.
     """
     unread, problems = _UNREAD.get(verb, {}), []
     for line in lines:
@@ -57,6 +55,17 @@ def refuse_unread(verb: str, lines: Sequence[str]) -> None:
         why = unread.get(re.split(r"[./@]", key)[0])
         if why is not None:
             last = key.rpartition(".")[2]
-            problems.append(Problem(key, why.format(verb=verb, last=last, value=value)))
+            message = why.format(verb=verb, last=last, value=value)
+            problems.append(Problem(key, message, source=COMMAND_LINE))
+    return problems
+
+
+def refuse_unread(verb: str, lines: Sequence[str]) -> None:
+    """Refuse keys that have no effect on a verb; see `unread_keys`.
+
+    Raises:
+        ConfigError: Lists all such keys.
+    """
+    problems = unread_keys(verb, lines)
     if problems:
         raise ConfigError(problems)
