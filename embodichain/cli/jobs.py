@@ -49,6 +49,7 @@ __all__ = [
     "execute",
     "film_progress",
     "job_options",
+    "pinned",
     "policy_name",
     "policy_of",
     "resolved_job",
@@ -264,8 +265,15 @@ def start(verb: Verb, body: Body, options: Any) -> None:
     def check(lines: Sequence[str]) -> Resolved:
         return resolved_job(compose(lines, verb), verb)
 
-    def do(resolved: Resolved, folder: Path | None = None, goes_on: bool = False) -> float | None:
-        return execute(resolved, body, line, folder, verb=verb, goes_on=goes_on)
+    def do(
+        resolved: Resolved,
+        folder: Path | None = None,
+        goes_on: bool = False,
+        take_back: Callable[[], None] | None = None,
+    ) -> float | None:
+        return execute(
+            resolved, body, line, folder, verb=verb, goes_on=goes_on, take_back=take_back
+        )
 
     hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
     prints = options.cfg is not None or options.info is not None
@@ -320,6 +328,7 @@ def execute(
     *,
     verb: Verb = "run",
     goes_on: bool = False,
+    take_back: Callable[[], None] | None = None,
 ) -> float | None:
     """Run a job in its folder, with a log file.
 
@@ -330,15 +339,16 @@ def execute(
         folder: The run folder; None claims a new one, which a refused job does not leave.
         verb: The verb of the job.
         goes_on: Whether the folder belongs to this job already; its config stays.
+        take_back: Called where the job is refused before it began, with a folder that is given.
 
     Raises:
         ConfigError: The folder cannot be made.
         Interrupted: A signal came; the files are complete up to that step.
         Exception: Any exception of `body`.
     """
-    from embodichain.config.run_folder import abandon, claim, latest_of
+    from embodichain.config.run_folder import abandon, claim, latest_of, missing_folders
 
-    resolved = _pinned(resolved)
+    resolved = pinned(resolved)
     if resolved.tree["sim"]["engine"] == "warp":
         from embodichain.config.factory import with_warp_values
 
@@ -346,24 +356,28 @@ def execute(
             resolved = with_warp_values(resolved, verb)
     root = resolved.root.output_dir
     if folder is None:
-        before = latest_of(root)
+        before, made = latest_of(root), missing_folders(root)
         folder = claim(root, resolved.task_name)
-        began = threading.Event()
-        try:
-            return _execute(resolved, body, command, folder, began, goes_on=False)
-        except (ConfigError, RenderError):  # the input is wrong: code 2, nothing was started
-            if not began.is_set():
-                abandon(folder, root, before)
-            raise
-    return _execute(resolved, body, command, folder, threading.Event(), goes_on=goes_on)
+        take_back = partial(abandon, folder, root, before, made)
+    began = threading.Event()
+    try:
+        return _execute(resolved, body, command, folder, began, goes_on=goes_on)
+    except (ConfigError, RenderError):  # the input is wrong: code 2, nothing was started
+        if not began.is_set() and take_back is not None:
+            take_back()
+        raise
 
 
-def _pinned(resolved: Resolved) -> Resolved:
-    """The config with paths instead of the word ``last``; says which training it is."""
-    named, pinned = resolved.tree["policy"], resolved.pinned()
+def pinned(resolved: Resolved) -> Resolved:
+    """Return the config with paths instead of the word ``last``; says which training it is.
+
+    Raises:
+        ConfigError: There is no such training any more.
+    """
+    named, found = resolved.tree["policy"], resolved.pinned()
     if named == "last":
-        take_last(Path(str(pinned.tree["policy"])))
-    return pinned
+        take_last(Path(str(found.tree["policy"])))
+    return found
 
 
 def _execute(

@@ -40,10 +40,11 @@ def command(words: tuple[str, ...], config: bool, json: bool) -> None:
             raise ConfigError("show term NAME: one name; `embodichain list terms` lists them")
         _show_term(words[1], json=json)
         return
+    from embodichain.cli.jobs import pinned
     from embodichain.cli.show_task import task_tables, without_defaults
     from embodichain.config.resolved import dump_yaml, resolve, thaw
 
-    resolved = resolve(split_overrides(words), "run")
+    resolved = pinned(resolve(split_overrides(words), "run"))
     tables = {} if config else task_tables(resolved)
     if json:
         about = {"config": thaw(resolved.tree)}

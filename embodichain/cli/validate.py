@@ -19,7 +19,7 @@ import click
 from embodichain.cli import process
 from embodichain.cli.app import overrides, split_overrides, verb
 from embodichain.cli.demonstrations import first_episode
-from embodichain.cli.jobs import check_extras, checked_job
+from embodichain.cli.jobs import check_extras, checked_job, pinned
 from embodichain.cli.output import print_json
 from embodichain.cli.reporting import warnings_on_stderr
 from embodichain.utils.errors import ConfigError, Problem
@@ -72,7 +72,8 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
             composed = compose(split_overrides(words), verb)
             notes = composed.notes
             config = checked_job(composed, verb)
-        notes = (*notes, *_every_mistake(config, notes))
+        further, problems = _every_mistake(config, notes)
+        notes = (*notes, *further)
     except ConfigError as error:
         problems = error.problems
     if json:
@@ -88,7 +89,9 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
     return process.OK
 
 
-def _every_mistake(config: Checked, before: Sequence[Problem]) -> list[Problem]:
+def _every_mistake(
+    config: Checked, before: Sequence[Problem]
+) -> tuple[list[Problem], tuple[Problem, ...]]:
     """Check a config as far as a job of it can be, also where a part of it has mistakes.
 
     Args:
@@ -96,10 +99,9 @@ def _every_mistake(config: Checked, before: Sequence[Problem]) -> list[Problem]:
         before: Notes that are known.
 
     Returns:
-        Further notes.
+        Further notes; and every mistake: of the config, of packages that it needs, of its building.
 
     Raises:
-        ConfigError: Lists every mistake: of the config, of packages that it needs, of its building.
         Exception: Any other error that would end the job.
     """
     from embodichain.config.factory import with_warp_values
@@ -120,7 +122,7 @@ def _every_mistake(config: Checked, before: Sequence[Problem]) -> list[Problem]:
                 check_training(rest.resolved())
     elif not problems:
         with warnings_on_stderr():
-            resolved = config.resolved()
+            resolved = pinned(config.resolved())
             notes += [note for note in resolved.notes if note not in before]
             with _collecting(problems, resolved.locating):
                 if config.verb == "train":
@@ -136,8 +138,7 @@ def _every_mistake(config: Checked, before: Sequence[Problem]) -> list[Problem]:
                 notes += _try_out(resolved, config.verb, complete=not problems)
     if problems:
         problems += further_mistakes(config, problems, _build)
-        raise ConfigError(problems)
-    return notes
+    return notes, tuple(problems)
 
 
 @contextmanager
