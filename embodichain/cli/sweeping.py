@@ -21,6 +21,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
@@ -44,6 +45,7 @@ from embodichain.config.hydra_loader import (
     searched,
     user_configs,
 )
+from embodichain.config.override_text import malformed
 from embodichain.config.resolved import Resolved, resolve
 from embodichain.config.run_folder import adopt, check_unused, missing_folders, take_back
 from embodichain.config.schema import Verb
@@ -89,6 +91,7 @@ def call_hydra(
         if composed.problems:
             raise ConfigError(composed.problems)
     elif options.multirun:
+        _parsed(overrides)
         overrides = with_sweepers_params(verb, overrides)
         checked = [check(point) for point in points(overrides, _MOST_CHECKED_JOBS)]
         plan = plan_sweep(verb, towards_scores(overrides), checked[0])
@@ -180,16 +183,31 @@ def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
         most: Largest number of jobs to yield.
 
     Raises:
-        HydraException: An override is malformed.
+        ConfigError: Lists the overrides that are malformed.
     """
     from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    parsed = _parsed(overrides)
     if _searches(overrides) or any(o.is_interval_sweep() for o in parsed):
         yield [_first(override) for override in parsed]
         return
     for batch in BasicSweeper.split_arguments(parsed, max_batch_size=most)[:1]:
         yield from (list(job) for job in batch)
+
+
+def _parsed(overrides: Sequence[str]) -> list[Override]:
+    """The overrides in Hydra's form; raises a `ConfigError` that lists the malformed ones."""
+    parser = OverridesParser.create()
+    parsed: list[Override] = []
+    problems: list[Problem] = []
+    for line in overrides:
+        try:
+            parsed.append(parser.parse_override(line))
+        except HydraException as error:
+            problems.append(malformed(line, error))
+    if problems:
+        raise ConfigError(problems)
+    return parsed
 
 
 def towards_scores(overrides: Sequence[str]) -> list[str]:

@@ -16,6 +16,7 @@ from datetime import datetime
 from pathlib import Path
 
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
     "CHECKPOINT",
@@ -199,7 +200,8 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
     path = Path(output_root) / LATEST if str(name) == "last" else Path(name)
     if not path.is_dir():
         there = f" ({Path(output_root) / LATEST} does not exist)" if str(name) == "last" else ""
-        raise ConfigError(f"there is no run {str(name)!r}{there}")
+        hint = did_you_mean(str(name), ["last"]) if there == "" else ""
+        raise ConfigError(f"there is no run {str(name)!r}{there}{'.' if hint else ''}{hint}")
     return path.resolve()
 
 

@@ -137,7 +137,7 @@ class _SoundPart:
         if jointed:
             self._joints_known = False
             self._lost |= {key for name in _NAMING if name in keys for key in _after(keys, name)}
-        elif section in _maps() and len(keys) > 2:
+        elif section in named_maps() and len(keys) > 2:
             there = self.tree["task"].get(section) or {}
             if section == "sensors" or keys[2] not in there:
                 self._lost.add(keys[2])
@@ -146,7 +146,7 @@ class _SoundPart:
     def may_say(self, problem: Problem) -> bool:
         """Whether a mistake is certainly none that follows from what was left out."""
         keys = problem.path.split(".")
-        if keys[0] != "task" or len(keys) < 3 or keys[1] not in {*_maps(), *_JOINTED}:
+        if keys[0] != "task" or len(keys) < 3 or keys[1] not in {*named_maps(), *_JOINTED}:
             return False
         if keys[1] in ("actions", "curriculum") and not self._joints_known:
             return False
@@ -176,10 +176,6 @@ def _plain_default(field: Field[Any]) -> Any:
     """The default of a key of the root, as plain values."""
     default = field.default if field.default_factory is MISSING else field.default_factory()
     return asdict(default) if is_dataclass(default) and not isinstance(default, type) else default
-
-
-def _maps() -> set[str]:
-    return named_maps() | {"sensors"}  # of several classes
 
 
 def _after(keys: Sequence[str], name: str) -> list[str]:

@@ -249,7 +249,7 @@ def _unknown_entries(composed: Composed) -> list[Problem]:
 def named_maps() -> set[str]:
     """Return the keys of a task that are maps from names to entities or terms."""
     hints = typing.get_type_hints(EnvCfg)
-    return {
+    return {"sensors"} | {  # of several classes
         key
         for key, hint in hints.items()
         if typing.get_origin(hint) is dict and dataclasses.is_dataclass(typing.get_args(hint)[1])
@@ -387,6 +387,8 @@ def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
     name = _policy_name(root)
     if policy is None or name is None:
         return []
+    if not name:
+        return [Problem("policy", "is empty: leave it out, or name a policy")]
     if name == "expert" and root.task.expert is None and root.task.id is None:
         return [Problem("policy", "the task has no section `expert`, whose steps it would perform")]
     if ":" in name and not allow_import:
