@@ -493,6 +493,10 @@ def split_overrides(words: tuple[str, ...]) -> list[str]:
         ConfigError: More than one bare word, or a map or list that the shell has split.
     """
     _check_quotes(words)
+    if "=" in words:
+        at = words.index("=")
+        typed = "".join(words[max(at - 1, 0) : at + 2])
+        raise ConfigError(f"write {typed}, without blanks around =")
     bare = [word for word in words if "=" not in word and not word.startswith("~")]
     if len(bare) > 1:
         raise ConfigError(f"one task at a time: {', '.join(bare)}. Values are given as key=value")

@@ -12,8 +12,9 @@ import shlex
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,16 +22,16 @@ from embodichain.cli.app import command_line, split_overrides
 from embodichain.cli.last import take_last, with_paths
 from embodichain.cli.process import Interrupted, StopFlag, started
 from embodichain.cli.reporting import ProgressDisplay, log_to, warn_if_public
-from embodichain.cli.unread_keys import refuse_unread
+from embodichain.cli.unread_keys import unread_keys
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils import platforms
-from embodichain.utils.errors import ConfigError, RenderError
+from embodichain.utils.errors import ConfigError, Problem, RenderError
 from embodichain.utils.platforms import LIMITED
 
 if TYPE_CHECKING:
     from embodichain.config.composed import Composed
-    from embodichain.config.resolved import Resolved
+    from embodichain.config.resolved import Checked, Resolved
     from embodichain.config.schema import RootCfg, Verb
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.recording import ImageOptions, McapRecorder
@@ -43,10 +44,12 @@ __all__ = [
     "Body",
     "Job",
     "check_extras",
+    "checked_job",
     "ended_early",
     "execute",
     "film_progress",
     "job_options",
+    "pinned",
     "policy_name",
     "policy_of",
     "resolved_job",
@@ -258,7 +261,6 @@ def start(verb: Verb, body: Body, options: Any) -> None:
     from embodichain.config.override_text import readable
 
     overrides = [*map(readable, split_overrides(options.words)), *job_options(options)]
-    refuse_unread(verb, overrides)
     if options.gym_config is not None:
         from embodichain.config.gym_config import override_of
 
@@ -268,8 +270,15 @@ def start(verb: Verb, body: Body, options: Any) -> None:
     def check(lines: Sequence[str]) -> Resolved:
         return resolved_job(compose(lines, verb), verb)
 
-    def do(resolved: Resolved, folder: Path | None = None, goes_on: bool = False) -> float | None:
-        return execute(resolved, body, line, folder, verb=verb, goes_on=goes_on)
+    def do(
+        resolved: Resolved,
+        folder: Path | None = None,
+        goes_on: bool = False,
+        take_back: Callable[[], None] | None = None,
+    ) -> float | None:
+        return execute(
+            resolved, body, line, folder, verb=verb, goes_on=goes_on, take_back=take_back
+        )
 
     hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
     prints = options.cfg is not None or options.info is not None
@@ -290,15 +299,24 @@ def job_options(options: Any) -> list[str]:
     return [*found, *(["traceback=true"] if "--traceback" in command_line() else [])]
 
 
+def checked_job(composed: Composed, verb: Verb) -> Checked:
+    """Check the whole config of a job, and that the verb reads each key of its command line."""
+    from embodichain.config.resolved import checked
+
+    config = checked(composed, verb)
+    unread = unread_keys(verb, composed.overrides)
+    paths = {problem.path for problem in unread}
+    others = [problem for problem in config.found.problems if problem.path not in paths]
+    return replace(config, found=replace(config.found, problems=[*unread, *others]))
+
+
 def resolved_job(composed: Composed, verb: Verb) -> Resolved:
     """Check the whole config of a job; for a training, the algorithm's arguments too.
 
     Raises:
         ConfigError: Lists every mistake with its file and line.
     """
-    from embodichain.config.resolved import resolve
-
-    resolved = resolve(composed, verb)
+    resolved = checked_job(composed, verb).resolved()
     if verb == "train":
         from embodichain.learning.train import check_training
 
@@ -315,6 +333,7 @@ def execute(
     *,
     verb: Verb = "run",
     goes_on: bool = False,
+    take_back: Callable[[], None] | None = None,
 ) -> float | None:
     """Run a job in its folder, with a log file.
 
@@ -325,15 +344,16 @@ def execute(
         folder: The run folder; None claims a new one, which a refused job does not leave.
         verb: The verb of the job.
         goes_on: Whether the folder belongs to this job already; its config stays.
+        take_back: Called where the job is refused before it began, with a folder that is given.
 
     Raises:
         ConfigError: The folder cannot be made.
         Interrupted: A signal came; the files are complete up to that step.
         Exception: Any exception of `body`.
     """
-    from embodichain.config.run_folder import abandon, claim, latest_of
+    from embodichain.config.run_folder import abandon, claim, latest_of, missing_folders
 
-    resolved = _pinned(resolved)
+    resolved = pinned(resolved)
     if resolved.tree["sim"]["engine"] == "warp":
         from embodichain.config.factory import with_warp_values
 
@@ -341,24 +361,28 @@ def execute(
             resolved = with_warp_values(resolved, verb)
     root = resolved.root.output_dir
     if folder is None:
-        before = latest_of(root)
+        before, made = latest_of(root), missing_folders(root)
         folder = claim(root, resolved.task_name)
-        began = threading.Event()
-        try:
-            return _execute(resolved, body, command, folder, began, goes_on=False)
-        except (ConfigError, RenderError):  # the input is wrong: code 2, nothing was started
-            if not began.is_set():
-                abandon(folder, root, before)
-            raise
-    return _execute(resolved, body, command, folder, threading.Event(), goes_on=goes_on)
+        take_back = partial(abandon, folder, root, before, made)
+    began = threading.Event()
+    try:
+        return _execute(resolved, body, command, folder, began, goes_on=goes_on)
+    except (ConfigError, RenderError):  # the input is wrong: code 2, nothing was started
+        if not began.is_set() and take_back is not None:
+            take_back()
+        raise
 
 
-def _pinned(resolved: Resolved) -> Resolved:
-    """The config with paths instead of the word ``last``; says which training it is."""
-    named, pinned = resolved.tree["policy"], resolved.pinned()
+def pinned(resolved: Resolved) -> Resolved:
+    """Return the config with paths instead of the word ``last``; says which training it is.
+
+    Raises:
+        ConfigError: There is no such training any more.
+    """
+    named, found = resolved.tree["policy"], resolved.pinned()
     if named == "last":
-        take_last(Path(str(pinned.tree["policy"])))
-    return pinned
+        take_last(Path(str(found.tree["policy"])))
+    return found
 
 
 def _execute(
@@ -397,30 +421,51 @@ def check_extras(root: RootCfg) -> None:
     """Check that the video, the pictures of the log and the viewer can be made here.
 
     Raises:
-        ConfigError: A package is missing, with the extra's name, or something of Linux.
-        RenderError: Pictures cannot be drawn here; names what to install.
+        ConfigError: Packages are missing, with the names of the extras, or something of Linux.
+        RenderError: Pictures cannot be drawn here, and nothing else is missing; names what to
+            install.
     """
+    problems: list[Problem] = []
+    drawing: RenderError | None = None
+    for need in _needs(root):
+        try:
+            need()
+        except ConfigError as error:
+            problems += error.problems
+        except RenderError as error:
+            drawing = error
+    if drawing is not None:
+        if not problems:
+            raise drawing
+        problems.append(Problem("", str(drawing)))
+    if problems:
+        raise ConfigError(problems)
+
+
+def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
+    """The checks of what a job needs besides the plain package; each raises what is missing."""
     logged = root.record.format != "none"
     if sys.platform in LIMITED:
-        platforms.need(*["record=mcap"] * logged, f"viewer={root.viewer.name}")
+        features = [*["record=mcap"] * logged, f"viewer={root.viewer.name}"]
+        yield partial(platforms.need, *features)
     images = root.record.images if logged or root.viewer.name == "foxglove" else None
     drawn = ["video"] * bool(root.video) + ["record.images"] * (images is not None)
     if root.video:
         from embodichain.utils.video import need_encoder
 
-        need_encoder(f".{getattr(root.video, 'format', 'mp4')}")
+        yield partial(need_encoder, f".{getattr(root.video, 'format', 'mp4')}")
     if images is not None and images.format == "h264":
         from embodichain.recording.views.encoders import need_h264
 
-        need_h264()
+        yield need_h264
     if drawn or "EMBODICHAIN_RENDERER" in os.environ:
         from embodichain.lab.sim.drawing.offscreen import need_colors
 
-        need_colors(*drawn)
+        yield partial(need_colors, *drawn)
     if root.viewer.name == "foxglove":
         from embodichain.recording.viewers.foxglove import need_sdk
 
-        need_sdk()
+        yield need_sdk
 
 
 def policy_name(root: RootCfg) -> str:

@@ -41,11 +41,12 @@ def command(words: tuple[str, ...], config: bool, json: bool) -> None:
             raise ConfigError("show term NAME: one name; `embodichain list terms` lists them")
         _show_term(words[1], json=json)
         return
+    from embodichain.cli.jobs import pinned
     from embodichain.cli.show_task import task_tables, without_defaults
     from embodichain.config.resolved import dump_yaml, resolve, thaw
 
     lines = split_overrides(words)
-    resolved = resolve(lines, verb_of_keys(lines))
+    resolved = pinned(resolve(lines, verb_of_keys(lines)))
     tables = {} if config else task_tables(resolved)
     if json:
         about = {"config": thaw(resolved.tree)}

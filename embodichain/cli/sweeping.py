@@ -13,6 +13,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -20,6 +21,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
@@ -43,10 +45,11 @@ from embodichain.config.hydra_loader import (
     searched,
     user_configs,
 )
+from embodichain.config.override_text import malformed
 from embodichain.config.resolved import Resolved, resolve
-from embodichain.config.run_folder import adopt, check_unused
+from embodichain.config.run_folder import adopt, check_unused, missing_folders, take_back
 from embodichain.config.schema import Verb
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 __all__ = ["call_hydra", "points", "towards_scores"]
 
@@ -60,7 +63,7 @@ _NO_SEARCH = "BasicSweeper"
 def call_hydra(
     verb: Verb,
     check: Callable[[Sequence[str]], Resolved],
-    do: Callable[[Resolved, Path | None, bool], float | None],
+    do: Callable[[Resolved, Path | None, bool, Callable[[], None] | None], float | None],
     options: Any,
     overrides: Sequence[str],
 ) -> None:
@@ -69,8 +72,8 @@ def call_hydra(
     Args:
         verb: The verb, ``run`` or ``train``.
         check: Checks the config of one job.
-        do: Runs a job, in the given folder or a new one; the last argument is whether it continues
-            in this folder.
+        do: Runs a job, in the given folder or a new one; the further arguments are whether it
+            continues in this folder, and what undoes the folder of a job that is refused.
         options: `cfg`, `info`, `multirun`, `package`, `resolve`.
         overrides: As typed.
 
@@ -78,6 +81,8 @@ def call_hydra(
         ConfigError: Mistakes in the config of any job; no job was started.
     """
     plan: Plan | None = None
+    made: list[Path] = []
+    failed: list[EmbodichainError] = []
     gym = any(line.lstrip("+").startswith("gym_config=") for line in overrides)
     if options.cfg is not None or options.info is not None:
         if options.cfg is not None and gym:
@@ -86,13 +91,14 @@ def call_hydra(
         if composed.problems:
             raise ConfigError(composed.problems)
     elif options.multirun:
+        _parsed(overrides)
         overrides = with_sweepers_params(verb, overrides)
         checked = [check(point) for point in points(overrides, _MOST_CHECKED_JOBS)]
         plan = plan_sweep(verb, towards_scores(overrides), checked[0])
         overrides = plan.overrides
     else:
         check(overrides)
-        _check_run_folder(verb, overrides)
+        made = _check_run_folder(verb, overrides)
     keys = plan.keys if plan is not None else ()
     config_dir = chosen_config_dir()
 
@@ -112,13 +118,21 @@ def call_hydra(
                     objective = entered.objective
                     if not entered.finished:
                         with _stopping_alone():
-                            objective = do(entered.resolved, Path(folder), entered.goes_on)
+                            objective = do(entered.resolved, Path(folder), entered.goes_on, None)
                     elif not resolved.root.quiet:
                         sys.stderr.write(f"finished already: {folder}\n")
                     _check_objective(objective, verb, resolved)
                     return objective
-            fixed = HydraConfig.get().run.dir != "."
-            return do(resolved, adopt(folder) if fixed else None, False)
+            if HydraConfig.get().run.dir == ".":
+                return do(resolved, None, False, None)
+            before = {entry.name for entry in Path(folder).iterdir()}
+            new = [Path(folder), *made] if made else []
+            undo = partial(take_back, Path(folder), before, new)
+            try:
+                return do(resolved, adopt(folder), False, undo)
+            except EmbodichainError as error:  # Hydra would put a line of its own above it
+                failed.append(error)
+                return None
 
     with config_loader() as loader:
         relaxed = relax(overrides, loader)
@@ -128,25 +142,35 @@ def call_hydra(
     with searched(places), _process(program, arguments):
         if plan is None:
             job()
+            if failed:
+                raise failed[0]
         else:
             run_sweep(plan, verb, job, quiet=options.quiet or options.json)
 
 
-def _check_run_folder(verb: Verb, overrides: Sequence[str]) -> None:
-    """Make the folder that `hydra.run.dir` names, or refuse it; Hydra's own errors do not."""
+def _check_run_folder(verb: Verb, overrides: Sequence[str]) -> list[Path]:
+    """Refuse a folder in `hydra.run.dir` that cannot be made; Hydra's own errors have no sentence.
+
+    Returns:
+        The folders that will be made, the innermost first.
+    """
     config = composed_for_hydra(verb, overrides, RunMode.RUN)
     typed = any(line.lstrip("+").startswith(f"{_RUN_FOLDER}=") for line in overrides)
     folder = str(config.hydra.run.dir)
     if not typed and folder == ".":
-        return  # the run claims one
+        return []  # the run claims one
+    made = missing_folders(folder)
     try:
         check_unused(folder)
         Path(folder).mkdir(parents=True, exist_ok=True)
+        for new in made:  # Hydra makes it again, by another name if the name has the time
+            new.rmdir()
     except ConfigError as error:
         raise ConfigError([Problem(_RUN_FOLDER, p.message) for p in error.problems]) from error
     except OSError as error:
         message = f"cannot make the run folder {folder}: {error}"
         raise ConfigError([Problem(_RUN_FOLDER, message)]) from error
+    return made
 
 
 def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
@@ -159,16 +183,31 @@ def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
         most: Largest number of jobs to yield.
 
     Raises:
-        HydraException: An override is malformed.
+        ConfigError: Lists the overrides that are malformed.
     """
     from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    parsed = _parsed(overrides)
     if _searches(overrides) or any(o.is_interval_sweep() for o in parsed):
         yield [_first(override) for override in parsed]
         return
     for batch in BasicSweeper.split_arguments(parsed, max_batch_size=most)[:1]:
         yield from (list(job) for job in batch)
+
+
+def _parsed(overrides: Sequence[str]) -> list[Override]:
+    """The overrides in Hydra's form; raises a `ConfigError` that lists the malformed ones."""
+    parser = OverridesParser.create()
+    parsed: list[Override] = []
+    problems: list[Problem] = []
+    for line in overrides:
+        try:
+            parsed.append(parser.parse_override(line))
+        except HydraException as error:
+            problems.append(malformed(line, error))
+    if problems:
+        raise ConfigError(problems)
+    return parsed
 
 
 def towards_scores(overrides: Sequence[str]) -> list[str]:

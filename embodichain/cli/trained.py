@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.cli.last import take_last
 from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
@@ -51,6 +52,15 @@ class Target:
 
             resolved = resolve_again(self.run, overrides, {**values, "policy": None})
         else:
+            from embodichain.lab.gym.policies import PRETRAINED, resolve_policy
+
+            if self.file is None and self.policy != PRETRAINED and ":" not in self.policy:
+                try:
+                    resolve_policy(self.policy)
+                except ConfigError as error:
+                    hint = did_you_mean(self.policy, ["last"])
+                    message = f"there is no run or policy {self.policy!r}."
+                    raise ConfigError(f"{message}{hint}") from error
             raise ConfigError(
                 f"{self.policy} is not in the folder of a run: give the task, task=NAME"
             )

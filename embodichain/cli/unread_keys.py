@@ -6,12 +6,14 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from embodichain.config.locate import COMMAND_LINE
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.config.schema import Verb
 
-__all__ = ["refuse_unread", "verb_of_keys"]
+
+__all__ = ["refuse_unread", "unread_keys", "verb_of_keys"]
 
 _PLAYED = dict.fromkeys(
     ("algo", "total_timesteps", "checkpoint", "wandb", "dataset"),
@@ -97,15 +99,12 @@ def verb_of_keys(lines: Sequence[str]) -> Verb:
     return "train" if chosen else "run"
 
 
-def refuse_unread(verb: str, lines: Sequence[str]) -> None:
-    """Refuse keys that have no effect on a verb.
+def unread_keys(verb: str, lines: Sequence[str]) -> list[Problem]:
+    """Return a mistake for each key that has no effect on a verb.
 
     Args:
         verb: The verb.
         lines: Overrides as typed.
-
-    Raises:
-        ConfigError: Lists all such keys.
     """
     unread, problems = _UNREAD.get(verb, {}), []
     for line in lines:
@@ -113,6 +112,17 @@ def refuse_unread(verb: str, lines: Sequence[str]) -> None:
         why = unread.get(re.split(r"[./@]", key)[0])
         if why is not None:
             last = key.rpartition(".")[2]
-            problems.append(Problem(key, why.format(verb=verb, last=last, value=value)))
+            message = why.format(verb=verb, last=last, value=value)
+            problems.append(Problem(key, message, source=COMMAND_LINE))
+    return problems
+
+
+def refuse_unread(verb: str, lines: Sequence[str]) -> None:
+    """Refuse keys that have no effect on a verb; see `unread_keys`.
+
+    Raises:
+        ConfigError: Lists all such keys.
+    """
+    problems = unread_keys(verb, lines)
     if problems:
         raise ConfigError(problems)

@@ -1,14 +1,16 @@
 """`embodichain validate`: prints every mistake in a task or a file that `run` would refuse.
 
-All mistakes of the config are found first; then one environment is built as a run builds it, which
-needs torch.
+One environment is built as a run builds it, which needs torch. Where a part of the config is wrong,
+the rest is built, so that all mistakes are found in one round.
 """
 
 from __future__ import annotations
 
 import sys
 import tempfile
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,14 +19,14 @@ import click
 from embodichain.cli import process
 from embodichain.cli.app import overrides, split_overrides, verb
 from embodichain.cli.demonstrations import first_episode
-from embodichain.cli.jobs import resolved_job
+from embodichain.cli.jobs import check_extras, checked_job, pinned
 from embodichain.cli.output import print_json
 from embodichain.cli.reporting import warnings_on_stderr
 from embodichain.cli.unread_keys import refuse_unread, verb_of_keys
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.resolved import Resolved
+    from embodichain.config.resolved import Checked, Resolved
     from embodichain.config.schema import Verb
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
@@ -61,10 +63,10 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
         raise ConfigError("validate what? task=NAME or a file: `embodichain list tasks`")
     try:
         if files:
-            from embodichain.config.file_validation import notes_on_file, resolve_file
+            from embodichain.config.file_validation import checked_file, notes_on_file
 
             notes = notes_on_file(name)
-            resolved = resolve_file(name, verb)
+            config = checked_file(name, verb)
         else:
             from embodichain.config.composed import compose
 
@@ -75,14 +77,9 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
                 verb = verb_of_keys(lines)
             composed = compose(lines, verb)
             notes = composed.notes
-            resolved = resolved_job(composed, verb)
-        notes = resolved.notes
-        with warnings_on_stderr(), resolved.locating():
-            from embodichain.config.factory import with_warp_values
-
-            resolved = with_warp_values(resolved, verb)
-            notes = resolved.notes
-            notes = (*notes, *_try_out(resolved, verb))
+            config = checked_job(composed, verb)
+        further, problems = _every_mistake(config, notes)
+        notes = (*notes, *further)
     except ConfigError as error:
         problems = error.problems
     if json:
@@ -98,7 +95,79 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
     return process.OK
 
 
-def _try_out(resolved: Resolved, verb: Verb) -> list[Problem]:
+def _every_mistake(
+    config: Checked, before: Sequence[Problem]
+) -> tuple[list[Problem], tuple[Problem, ...]]:
+    """Check a config as far as a job of it can be, also where a part of it has mistakes.
+
+    Args:
+        config: The checked config.
+        before: Notes that are known.
+
+    Returns:
+        Further notes; and every mistake: of the config, of packages that it needs, of its building.
+
+    Raises:
+        Exception: Any other error that would end the job.
+    """
+    from embodichain.config.factory import with_warp_values
+    from embodichain.config.sound_part import further_mistakes
+
+    notes: list[Problem] = []
+    problems = list(config.found.problems)
+    root = config.found.types.root
+    if problems and root is not None:
+        with _collecting(problems, config.locating):
+            check_extras(root)
+        roots = {problem.path.partition(".")[0] for problem in problems}
+        if config.verb == "train" and roots == {"task"}:
+            from embodichain.learning.train import check_training
+
+            rest = replace(config, found=replace(config.found, problems=[]))
+            with _collecting(problems, config.locating):
+                check_training(rest.resolved())
+    elif not problems:
+        with warnings_on_stderr():
+            resolved = pinned(config.resolved())
+            notes += [note for note in resolved.notes if note not in before]
+            with _collecting(problems, resolved.locating):
+                if config.verb == "train":
+                    from embodichain.learning.train import check_training
+
+                    check_training(resolved)
+            with _collecting(problems, resolved.locating):
+                check_extras(resolved.root)
+            with _collecting(problems, resolved.locating):
+                known = resolved.notes
+                resolved = with_warp_values(resolved, config.verb)
+                notes += resolved.notes[len(known) :]
+                notes += _try_out(resolved, config.verb, complete=not problems)
+    if problems:
+        problems += further_mistakes(config, problems, _build)
+    return notes, tuple(problems)
+
+
+@contextmanager
+def _collecting(
+    problems: list[Problem], locating: Callable[[], AbstractContextManager[None]]
+) -> Iterator[None]:
+    """Add the mistakes that are raised inside the context, with their places, to a list."""
+    try:
+        with locating():
+            yield
+    except ConfigError as error:
+        problems += [problem for problem in error.problems if problem not in problems]
+
+
+def _build(resolved: Resolved) -> None:
+    """Build the environment of a config, which evaluates each term once."""
+    from embodichain.config.factory import make_env
+
+    with tempfile.TemporaryDirectory() as folder:
+        make_env(resolved, run_dir=Path(folder)).close()
+
+
+def _try_out(resolved: Resolved, verb: Verb, *, complete: bool) -> list[Problem]:
     """Build what the job builds, reset it and take one step.
 
     Terms write files into a temporary folder, which is removed; no viewer is opened and no log is
@@ -107,6 +176,7 @@ def _try_out(resolved: Resolved, verb: Verb) -> list[Problem]:
     Args:
         resolved: A checked config.
         verb: ``train`` also builds the algorithm, ``run`` and ``collect`` the policy.
+        complete: Whether nothing is wrong so far; else only the environment is built.
 
     Returns:
         Links of robots that overlap in many postures, one note for each robot.
@@ -115,15 +185,16 @@ def _try_out(resolved: Resolved, verb: Verb) -> list[Problem]:
         ConfigError: A mistake that the job would refuse, with its place.
         Exception: Any other error that would end the job.
     """
-    from embodichain.cli.jobs import check_extras, policy_name, policy_of
+    from embodichain.cli.jobs import policy_name, policy_of
     from embodichain.config.factory import make_env
 
     unseen = resolved.changed(viewer={**resolved.tree["viewer"], "name": "none"})
     root = resolved.root
     with tempfile.TemporaryDirectory() as folder, resolved.locating():
-        check_extras(root)
         env = make_env(unseen, run_dir=Path(folder))
         try:
+            if not complete:
+                return []
             if verb == "train":
                 from embodichain.learning.train import check_algorithm, check_episode
 

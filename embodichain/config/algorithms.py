@@ -39,6 +39,7 @@ ALGO_INSTEAD = {
     "n_envs": "it is a key of the root: num_envs=N",
     "seed": "it is a key of the root: seed=N",
     "device": "it is a key of the root: device=NAME",
+    "lr": "it is called learning_rate",
     "env": "the environment is the task's",
     "env_wrapper": _WRAPPER,
     "vec_env_wrapper": _WRAPPER,

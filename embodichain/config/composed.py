@@ -38,7 +38,7 @@ from embodichain.config.hydra_loader import (
     searched,
 )
 from embodichain.config.locate import COMMAND_LINE, ConfigFile, Locator
-from embodichain.config.override_text import readable
+from embodichain.config.override_text import malformed, readable
 from embodichain.config.removed_entries import remove_null_entries
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -349,10 +349,13 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
         try:
             override = parser.parse_override(line)
         except HydraException as error:
-            problems.append(_malformed(typed, error))
+            problems.append(malformed(typed, error))
+            group = line.lstrip("+~").partition("=")[0]
+            if loader.get_group_options(group):
+                broken.add(group)
             continue
         if not override.key_or_group:
-            problems.append(_malformed(line, HydraException("the key is missing")))
+            problems.append(malformed(line, "the key is missing"))
         elif override.is_sweep_override():
             key = override.key_or_group
             message = f"{typed!r} is a sweep: add -m to run every value, or write {key}=[...]"
@@ -389,7 +392,7 @@ def search_path(lines: Iterable[str]) -> tuple[list[str], list[Problem]]:
     try:
         override = OverridesParser.create().parse_override(readable(found[-1]))
     except HydraException as error:
-        return [], [_malformed(found[-1], error)]
+        return [], [malformed(found[-1], error)]
     return search_path_of(override)
 
 
@@ -457,14 +460,6 @@ def _is_folder(value: Any) -> bool:
 def _is_hydras(override: Override) -> bool:
     key = override.key_or_group
     return key == "hydra" or key.startswith(("hydra.", "hydra/"))
-
-
-def _malformed(line: str, error: HydraException) -> Problem:
-    reason = str(error).splitlines()[0]
-    if not line.partition("=")[0].isascii():
-        reason = "names of keys are of ASCII letters here; others can be written in a file"
-    message = f"malformed override {line!r}: {reason}; expected key=value, +key=value or ~key"
-    return Problem("", message, source=COMMAND_LINE)
 
 
 def _as_text(override: Override, line: str, options: list[str]) -> str:

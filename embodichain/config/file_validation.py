@@ -12,11 +12,12 @@ from embodichain.config.composed import Composed, compose
 from embodichain.config.gym_config import load_gym_config, override_of
 from embodichain.config.hydra_loader import explain_yaml
 from embodichain.config.locate import ConfigFile, Locator, display_path
-from embodichain.config.resolved import Resolved, resolve, resolve_tree
+from embodichain.config.resolved import Checked, Resolved, checked
 from embodichain.config.schema import Verb
+from embodichain.config.validation import check_tree
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["notes_on_file", "resolve_file", "validate_file"]
+__all__ = ["checked_file", "notes_on_file", "resolve_file", "validate_file"]
 
 _GROUPS = ("task", "scene", "sim", "record", "viewer", "algo", "experiment")
 _ANY_TASK = "task=random_reach"
@@ -37,7 +38,16 @@ def validate_file(path: str | Path, verb: Verb = "run") -> list[Problem]:
 
 
 def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
-    """Check a whole file and fill in defaults and derived values.
+    """Check a whole file and fill in defaults and derived values; see `checked_file`.
+
+    Raises:
+        ConfigError: Lists every mistake with its place.
+    """
+    return checked_file(path, verb).resolved()
+
+
+def checked_file(path: str | Path, verb: Verb = "run") -> Checked:
+    """Check a whole file.
 
     A file with a map ``task`` is a whole config, as in run folders; one with a map ``env`` is
     EmbodiChain's gym config; one in a folder with the name of a group is an option of that group;
@@ -48,13 +58,13 @@ def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
         verb: The verb for which the task's suggestions are used.
 
     Raises:
-        ConfigError: Lists every mistake with its place.
+        ConfigError: It cannot be read, or is no YAML.
     """
     file = Path(path)
     if not file.is_file():
         raise ConfigError([Problem("", f"no such file: {path}")])
     if file.suffix == ".json":
-        return resolve(compose([override_of(str(file))], verb), verb)
+        return checked(compose([override_of(str(file))], verb), verb)
     try:
         parsed = ConfigFile.read(file, "")
         tree = yaml.safe_load(file.read_text(encoding="utf-8"))
@@ -64,12 +74,13 @@ def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
         found = Problem("", f"cannot be read: {error}", source=display_path(file))
         raise ConfigError([found]) from error
     if is_gym_config(tree):
-        return resolve(compose([override_of(str(file))], verb), verb)
+        return checked(compose([override_of(str(file))], verb), verb)
     if isinstance(tree, dict) and isinstance(tree.get("task"), dict):
         if parsed.misread:
             raise ConfigError(parsed.problems())
-        return resolve_tree(tree, Locator([parsed]).source, verb, allow_import=True)
-    return resolve(_composed_option(file.resolve(), verb), _verb_of(file.resolve(), verb))
+        source = Locator([parsed]).source
+        return Checked(check_tree(tree, source, verb), verb, "task", source)
+    return checked(_composed_option(file.resolve(), verb), _verb_of(file.resolve(), verb))
 
 
 def notes_on_file(path: str | Path) -> tuple[Problem, ...]:

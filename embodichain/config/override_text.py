@@ -1,4 +1,4 @@
-"""Overrides as people type them, written so that Hydra's grammar reads them.
+"""Overrides as people type them: written for Hydra's grammar, or refused in plain words.
 
 Hydra's lexer knows ASCII letters and few signs. A value such as ``output_dir=größe`` or
 ``policy=runs/seed=0/best`` is put in quotes, item by item; what is quoted already stays.
@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["readable"]
+from embodichain.config.locate import COMMAND_LINE
+from embodichain.utils.errors import Problem
+
+__all__ = ["malformed", "readable"]
 
 _UNKNOWN = re.compile(r"[^\x00-\x7f]|[!#&;<>^`~=]")
 """Characters that have no meaning without quotes in a value."""
@@ -62,3 +65,28 @@ def _quoted(text: str) -> str:
     unescaped = re.sub(r"\\([\\()\[\]{}:=, \t])", r"\1", bare)
     inner = unescaped.replace("\\", "\\\\").replace("'", "\\'")
     return text.replace(bare, f"'{inner}'", 1)
+
+
+def malformed(line: str, error: Exception | str) -> Problem:
+    """Return the mistake of an override that Hydra cannot parse.
+
+    Args:
+        line: As typed.
+        error: Hydra's error, or the reason.
+    """
+    key, _, value = line.partition("=")
+    reason = str(error).splitlines()[0]
+    if not key.isascii():
+        reason = "names of keys are of ASCII letters here; others can be written in a file"
+    elif "=" not in line:
+        reason = "it has no ="
+    elif any(value.count(a) != value.count(b) for a, b in ("[]", "{}", "()")):
+        reason = "it has a bracket without its other one"
+    elif value.rstrip().endswith(","):
+        reason = "it ends with a comma"
+    elif value.count("'") % 2 or value.count('"') % 2:
+        reason = "it has a quote without its other one"
+    else:
+        reason = reason.partition(" expecting {")[0]  # a list of the grammar's own names
+    message = f"malformed override {line!r}: {reason}; expected key=value, +key=value or ~key"
+    return Problem("", message, source=COMMAND_LINE)

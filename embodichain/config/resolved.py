@@ -8,7 +8,7 @@ import secrets
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -43,8 +43,10 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
 __all__ = [
+    "Checked",
     "Resolved",
     "build_env",
+    "checked",
     "dump_yaml",
     "freeze",
     "resolve",
@@ -143,26 +145,70 @@ class Resolved:
             raise ConfigError("policy: there is no training for 'last' any more")
         return changed.changed(policy=str(path.resolve()))
 
-    @contextmanager
-    def locating(self, section: str = "") -> Iterator[None]:
+    def locating(self, section: str = "") -> AbstractContextManager[None]:
         """Add file and line to the mistakes of a `ConfigError` raised inside the context.
 
         Args:
             section: The key that their key paths are relative to; empty is the root.
         """
-        try:
-            yield
-        except ConfigError as error:
-            raise type(error)([self._located(p, section) for p in error.problems]) from error
+        return _locating(self.source, section)
 
-    def _located(self, problem: Problem, section: str) -> Problem:
-        if problem.source:
-            return problem
-        path = ".".join(part for part in (section, problem.path) if part)
-        key = path.rpartition(".")[2]
-        if key in _OF_ROOT:
-            path = key
-        return problem.at(self.source(path) if path else "", path)
+
+@contextmanager
+def _locating(source: Callable[[str], str], section: str) -> Iterator[None]:
+    try:
+        yield
+    except ConfigError as error:
+        raise type(error)([_located(p, source, section) for p in error.problems]) from error
+
+
+def _located(problem: Problem, source: Callable[[str], str], section: str) -> Problem:
+    if problem.source:
+        return problem
+    path = ".".join(part for part in (section, problem.path) if part)
+    key = path.rpartition(".")[2]
+    if key in _OF_ROOT:
+        path = key
+    return problem.at(source(path) if path else "", path)
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A config that was checked, with its mistakes.
+
+    Attributes:
+        found: The result of the check.
+        verb: The verb for which the task's suggestions are used.
+        task_name: The option of the group `task`.
+        source: Function from a key path to where the key was set, or an empty string.
+        overrides: As typed.
+        notes: What was left out or changed in converting a gym config.
+        ships: Whether the policy that ships for the task may be chosen.
+    """
+
+    found: Check
+    verb: Verb
+    task_name: str
+    source: Callable[[str], str]
+    overrides: tuple[str, ...] = ()
+    notes: tuple[Problem, ...] = ()
+    ships: bool = False
+
+    def locating(self, section: str = "") -> AbstractContextManager[None]:
+        """Add file and line to the mistakes raised inside the context; see `Resolved.locating`."""
+        return _locating(self.source, section)
+
+    def resolved(self) -> Resolved:
+        """Return the config with defaults and derived values filled in.
+
+        Raises:
+            ConfigError: Lists every mistake with its place.
+        """
+        resolved = _resolved(self.found, self.verb, self.task_name, self.source)
+        if self.ships:
+            resolved = _with_pretrained(resolved)
+        notes = (*self.notes, *resolved.notes)
+        return replace(resolved, overrides=self.overrides, notes=notes)
 
 
 def resolve(
@@ -181,11 +227,26 @@ def resolve(
         ConfigError: Lists every mistake with its place.
     """
     composed = config if isinstance(config, Composed) else compose(config, verb, config_dir)
-    found = check(composed, verb)
+    return checked(composed, verb).resolved()
+
+
+def checked(composed: Composed, verb: Verb) -> Checked:
+    """Check a whole config.
+
+    Args:
+        composed: The result of `compose`.
+        verb: The verb for which the task's suggestions are used.
+    """
     name = (composed.choices.get("task") or "task").rpartition("/")[2]
-    resolved = _with_pretrained(_resolved(found, verb, name, composed.source))
-    notes = (*composed.notes, *resolved.notes)
-    return replace(resolved, overrides=composed.overrides, notes=notes)
+    return Checked(
+        check(composed, verb),
+        verb,
+        name,
+        composed.source,
+        composed.overrides,
+        composed.notes,
+        ships=True,
+    )
 
 
 def resolve_tree(
@@ -210,7 +271,7 @@ def resolve_tree(
     """
     located = source if callable(source) else lambda path: source
     found = check_tree(tree, located, verb, allow_import=allow_import)
-    return _resolved(found, verb, task_name, located)
+    return Checked(found, verb, task_name, located).resolved()
 
 
 def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], str]) -> Resolved:

@@ -11,10 +11,12 @@ import os
 import platform
 import re
 import shutil
+from collections.abc import Collection, Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
 
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
     "CHECKPOINT",
@@ -28,8 +30,10 @@ __all__ = [
     "claim",
     "find_run",
     "latest_of",
+    "missing_folders",
     "named_checkpoint",
     "newest_run",
+    "take_back",
     "versions",
     "whole_run",
 ]
@@ -131,14 +135,17 @@ def latest_of(output_root: str | Path) -> str | None:
     return os.readlink(link) if link.is_symlink() else None
 
 
-def abandon(folder: Path, output_root: str | Path, latest: str | None) -> None:
+def abandon(
+    folder: Path, output_root: str | Path, latest: str | None, made: Sequence[Path]
+) -> None:
     """Remove the folder of a run that was refused before it began.
 
     Args:
         folder: A folder of `claim`.
-        output_root: The folder of runs; it and the day's folder are removed if they are empty.
+        output_root: The folder of runs.
         latest: What `latest_of` was before `claim`; ``latest`` links to it again, unless another
             run has replaced the link since.
+        made: The folders above it that `claim` has made; they are removed unless others use them.
     """
     root = Path(output_root)
     link = root / LATEST
@@ -147,8 +154,36 @@ def abandon(folder: Path, output_root: str | Path, latest: str | None) -> None:
         if latest is not None:
             link.symlink_to(latest, target_is_directory=True)
     shutil.rmtree(folder)
-    for empty in (folder.parent, root):
-        with contextlib.suppress(OSError):  # it has other runs
+    _remove_empty((folder.parent, *made))
+
+
+def take_back(folder: Path, before: Collection[str], made: Sequence[Path]) -> None:
+    """Remove what a run that was refused before it began has written to a given folder.
+
+    Args:
+        folder: A folder of `adopt`.
+        before: The names in it before `adopt`; these files stay.
+        made: It and the folders above it that were made for the run; they are removed if empty.
+    """
+    for entry in folder.iterdir():
+        if entry.name in before:
+            continue
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
+    _remove_empty(made)
+
+
+def missing_folders(folder: str | Path) -> list[Path]:
+    """Return a folder and those above it that do not exist, the innermost first."""
+    path = Path(folder).absolute()
+    return [place for place in (path, *path.parents) if not place.exists()]
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    for empty in folders:
+        with contextlib.suppress(OSError):  # others use it
             empty.rmdir()
 
 
@@ -165,7 +200,8 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
     path = Path(output_root) / LATEST if str(name) == "last" else Path(name)
     if not path.is_dir():
         there = f" ({Path(output_root) / LATEST} does not exist)" if str(name) == "last" else ""
-        raise ConfigError(f"there is no run {str(name)!r}{there}")
+        hint = did_you_mean(str(name), ["last"]) if there == "" else ""
+        raise ConfigError(f"there is no run {str(name)!r}{there}{'.' if hint else ''}{hint}")
     return path.resolve()
 
 

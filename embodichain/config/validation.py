@@ -43,7 +43,7 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.type_errors import unknown_key
 
-__all__ = ["Check", "check", "check_training_keys", "check_tree", "validate"]
+__all__ = ["Check", "check", "check_training_keys", "check_tree", "named_maps", "validate"]
 
 Chosen = Callable[[str, str], bool]
 """``chosen(path, package)``: whether a key was set outside the group option at `package`."""
@@ -96,7 +96,8 @@ def check(composed: Composed, verb: Verb) -> Check:
         found = replace(found, problems=[_advised(p, composed.locator) for p in once])
     else:
         types = check_types({**composed.tree, "task": {}})
-        found = Check(_located(types.problems, composed.source), types, PreparedScene())
+        located = _located(types.problems, composed.source)
+        found = Check(located, replace(types, root=None), PreparedScene())
     before = [*composed.problems, *_located(unknown, composed.source)]
     return replace(found, problems=[*before, *found.problems])
 
@@ -238,17 +239,17 @@ def _unknown_entries(composed: Composed) -> list[Problem]:
             continue
         for depth in range(2, len(parts)):
             path = ".".join(parts[: depth + 1])
-            named = parts[0] == "task" and depth == 2 and parts[1] in _named_maps()
+            named = parts[0] == "task" and depth == 2 and parts[1] in named_maps()
             if named and not composed.locator.sets(path):
                 problems[path] = _unknown_entry(path, composed)
     return list(problems.values())
 
 
 @cache
-def _named_maps() -> set[str]:
-    """The keys of a task that are maps from names to entities or terms."""
+def named_maps() -> set[str]:
+    """Return the keys of a task that are maps from names to entities or terms."""
     hints = typing.get_type_hints(EnvCfg)
-    return {
+    return {"sensors"} | {  # of several classes
         key
         for key, hint in hints.items()
         if typing.get_origin(hint) is dict and dataclasses.is_dataclass(typing.get_args(hint)[1])
@@ -386,6 +387,8 @@ def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
     name = _policy_name(root)
     if policy is None or name is None:
         return []
+    if not name:
+        return [Problem("policy", "is empty: leave it out, or name a policy")]
     if name == "expert" and root.task.expert is None and root.task.id is None:
         return [Problem("policy", "the task has no section `expert`, whose steps it would perform")]
     if ":" in name and not allow_import:

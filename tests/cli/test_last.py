@@ -74,3 +74,43 @@ def test_after_a_sweep_last_is_the_sweep(capsys):
     assert said.err.startswith("last: outputs/sweeps/") and said.err.count("\n") == 1
     assert main(["report", "last"]) == 0
     assert capsys.readouterr().err == said.err
+
+
+SIDE = "+task.rewards.side={func: position, weight: 1, params: {of: {uid: cart_pole}}}"
+
+
+@pytest.mark.parametrize("where", ["hydra.run.dir=a/b/c", "output_dir=a/b/c", "hydra.run.dir=mine"])
+def test_a_refusal_while_building_leaves_a_given_folder_as_it_was(where, capsys):
+    Path("mine").mkdir()
+    Path("mine/notes").touch()
+    before = sorted(Path().rglob("*"))
+    words = ["run", "task=cart_pole", "episodes=1", where, *SHORT]
+    for _ in range(2):  # the second is no run in a used folder
+        assert main([*words, SIDE]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("error: command line: task.rewards.side.shape: ")
+        assert sorted(Path().rglob("*")) == before
+    assert main(words) == 0
+    assert Path("mine/notes").exists()
+    assert len(list(Path().rglob("summary.json"))) == 1
+
+
+def test_a_folder_named_by_the_time_is_the_only_one(capsys):
+    words = ["run", "task=cart_pole", "episodes=1", "hydra.run.dir=x/${now:%H-%M-%S-%f}", *SHORT]
+    before = sorted(Path().iterdir())
+    assert main([*words, SIDE]) == 2
+    assert sorted(Path().iterdir()) == before
+    assert main(words) == 0
+    assert len(list(Path("x").iterdir())) == 1
+
+
+def test_validate_and_show_say_which_run_last_is(capsys):
+    assert main([*TRAIN, "eval.episodes=0"]) == 0
+    (trained,) = folders()
+    capsys.readouterr()
+    loud = [word for word in SHORT[:-1] if word != "record=none"]
+    for verb in ("validate", "show"):
+        assert main([verb, "task=cart_pole", "policy=last", *loud]) == 0
+        said = capsys.readouterr()
+        assert f"last: {trained}\n" in said.err
+        assert verb == "validate" or f"policy: {Path(trained).resolve()}\n" in said.out

@@ -1,4 +1,4 @@
-"""What never needs torch: overview, list, validate; and that it answers at once."""
+"""What never needs torch: overview, list, a refused run; and that it answers at once."""
 
 import json
 import sys
@@ -20,7 +20,7 @@ HEAVY = {"torch", "tensordict", "stable_baselines3"}
         (["list", "tasks"], HEAVY | {"mujoco", "pydantic", "gymnasium"}),
         (["list", "robots"], HEAVY | {"mujoco", "pydantic", "hydra", "gymnasium"}),
         (["list", "terms"], HEAVY),
-        (["validate", "task=reach", "num_envs=0"], HEAVY),
+        (["run", "task=reach", "num_envs=0"], HEAVY),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

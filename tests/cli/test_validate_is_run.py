@@ -1,4 +1,6 @@
-"""`run` refuses a config exactly if `validate` does, and says the same of it.
+"""`run` refuses a config exactly if `validate` does, and says the same of a single mistake.
+
+Of several, `validate` says also those that others hide from `run`, which builds nothing then.
 
 Tried on the table of bad configs, and on every registered term: the parameters of its example are
 spoiled, all terms of a kind at once; a term of several kinds is tried as one of them. What the
@@ -47,6 +49,18 @@ def refused_alike(capsys: pytest.CaptureFixture[str], lines: list[str], verb: st
     done = said(capsys, verb, *lines)
     assert checked == done
     return checked[1] if checked[0] else ""
+
+
+def refused_by_both(capsys: pytest.CaptureFixture[str], lines: list[str]) -> str:
+    """What `run` says of a config, which `validate` says too; empty if both take it."""
+    code, checked = said(capsys, "validate", *lines)
+    again, done = said(capsys, "run", *lines)
+    assert code == again
+    mistakes = [line for line in done.splitlines() if not line.endswith(" mistakes:")]
+    assert {line.removeprefix("error: ").strip() for line in mistakes} <= {
+        line.removeprefix("error: ").strip() for line in checked.splitlines()
+    }
+    return done if code else ""
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -164,13 +178,13 @@ def test_every_term_with_spoiled_parameters(kind: str, tmp_path: Path, capsys: A
     write_scene(section, terms, tmp_path / "all")
     shown = {p.path for p in validate(compose(lines, config_dir=tmp_path / "all"))}
     if shown:
-        assert refused_alike(capsys, [*lines, "--config-dir", str(tmp_path / "all")])
+        assert refused_by_both(capsys, [*lines, "--config-dir", str(tmp_path / "all")])
     rest = {
         name: term
         for name, term in terms.items()
         if not any(f"{path}.".startswith(f"task.{section}.{name}.") for path in shown)
     }
     write_scene(section, rest, tmp_path / "rest")
-    found = refused_alike(capsys, [*lines, "--config-dir", str(tmp_path / "rest")])
+    found = refused_by_both(capsys, [*lines, "--config-dir", str(tmp_path / "rest")])
     if kind in BUILT:
         assert len(re.findall(rf": task\.{section}\.\w+-an object", found)) >= 5

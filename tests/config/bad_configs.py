@@ -452,10 +452,10 @@ BAD = {
         ),
     ),
     "malformed overrides": bad(
-        "command line: malformed override 'num_envs': missing EQUAL at '<EOF>'; expected "
+        "command line: malformed override 'num_envs': it has no =; expected "
         "key=value, +key=value or ~key",
-        "command line: malformed override 'task.robot.init_qpos=[1,': no viable "
-        "alternative at input '[1,'; expected key=value, +key=value or ~key",
+        "command line: malformed override 'task.robot.init_qpos=[1,': it has a "
+        "bracket without its other one; expected key=value, +key=value or ~key",
         overrides=(
             "num_envs",
             "task.robot.init_qpos=[1,",

@@ -49,7 +49,7 @@ def test_command_imports_no_torch(arguments: list[str]) -> None:
 
 def test_a_mistake_in_a_config_is_found_without_torch() -> None:
     code = "import sys; from embodichain.cli import main; sys.exit(main(sys.argv[1:]) != 2)"
-    found = imported(["-c", code, "validate", "task=random_reach", "num_envs=0"])
+    found = imported(["-c", code, "run", "task=random_reach", "num_envs=0"])
     assert HEAVY & found == set()
 
 
