@@ -299,12 +299,18 @@ def job_options(options: Any) -> list[str]:
     return [*found, *(["traceback=true"] if "--traceback" in command_line() else [])]
 
 
-def checked_job(composed: Composed, verb: Verb) -> Checked:
-    """Check the whole config of a job, and that the verb reads each key of its command line."""
+def checked_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Checked:
+    """Check the whole config of a job, and that the verb reads each key of its command line.
+
+    Args:
+        composed: The config.
+        verb: The verb of the job.
+        any_key: Whether keys that the verb does not read are taken, too.
+    """
     from embodichain.config.resolved import checked
 
     config = checked(composed, verb)
-    unread = unread_keys(verb, composed.overrides)
+    unread = [] if any_key else unread_keys(verb, composed.overrides)
     paths = {problem.path for problem in unread}
     others = [problem for problem in config.found.problems if problem.path not in paths]
     return replace(config, found=replace(config.found, problems=[*unread, *others]))

@@ -36,12 +36,16 @@ def command(run: str, output: str | None, quiet: bool, json: bool) -> None:
             written.
     """
     from embodichain.cli.report_page import page_of
-    from embodichain.cli.sweep_report import page_of_sweep
+    from embodichain.cli.sweep_report import has_finished_training, page_of_sweep
     from embodichain.config.run_folder import CONFIG, SWEEP, find_run, newest_run, whole_run
     from embodichain.utils.atomic import write_text
 
     newest = newest_run("outputs", CONFIG) if run == "last" else None
-    folder = find_run(run) if newest is None else take_last(whole_run(newest))
+    if newest is None:
+        folder = find_run(run)
+    else:
+        whole = whole_run(newest)  # a page of a sweep compares trainings
+        folder = take_last(whole if has_finished_training(whole) else newest)
     out = folder / _PAGE if output is None else Path(output)
     if output is not None and os.path.lexists(out):
         raise ConfigError(f"{out} exists; it is never replaced")

@@ -23,7 +23,7 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.learning.comparison import Group
 
-__all__ = ["page_of_sweep", "report_sweep"]
+__all__ = ["has_finished_training", "page_of_sweep", "report_sweep"]
 
 PAGE = "report.html"
 _RESULTS = "optimization_results.yaml"
@@ -70,6 +70,17 @@ def page_of_sweep(folder: Path) -> str:
     if not groups:
         raise ConfigError(f"{folder} has no finished training")
     return _page(folder, groups, notes)
+
+
+def has_finished_training(folder: Path) -> bool:
+    """Whether a folder contains the finished training of a sweep's job.
+
+    Args:
+        folder: The sweep's folder.
+    """
+    from embodichain.learning.comparison import trainings_in
+
+    return any(is_finished(path, "train") for path in trainings_in(folder))
 
 
 def _groups(folder: Path) -> tuple[list[Group], list[str]]:

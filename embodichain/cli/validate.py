@@ -22,7 +22,7 @@ from embodichain.cli.demonstrations import first_episode
 from embodichain.cli.jobs import check_extras, checked_job, pinned
 from embodichain.cli.output import print_json
 from embodichain.cli.reporting import warnings_on_stderr
-from embodichain.cli.unread_keys import refuse_unread, verb_of_keys
+from embodichain.cli.unread_keys import verb_of_keys
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -71,13 +71,12 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
             from embodichain.config.composed import compose
 
             lines = split_overrides(words)
-            if train or collect:
-                refuse_unread(verb, lines)
-            else:  # keys of any job are taken
+            any_key = not (train or collect)
+            if any_key:
                 verb = verb_of_keys(lines)
             composed = compose(lines, verb)
             notes = composed.notes
-            config = checked_job(composed, verb)
+            config = checked_job(composed, verb, any_key=any_key)
         further, problems = _every_mistake(config, notes)
         notes = (*notes, *further)
     except ConfigError as error:

@@ -57,9 +57,9 @@ def test_finished_jobs_are_skipped(copied: Path, capsys: pytest.CaptureFixture) 
     said = capsys.readouterr()
     assert [f"finished already: {copied}/s/{n}" in said.err for n in (0, 1)] == [True, True]
     assert {path: path.read_bytes() for path in copied.glob("s/*/checkpoints/*")} == before
-    # The comparison at the end: two seeds are one line, with an interval over them.
+    # The comparison at the end: two seeds are one line, with the number of each.
     (line,) = [line for line in said.out.splitlines() if line.lstrip().startswith("cart_pole")]
-    assert line.count("[") >= 4 and f"{copied}/s/report.html" in said.err
+    assert line.count("(") >= 4 and f"{copied}/s/report.html" in said.err
 
 
 def test_a_killed_job_goes_on_in_its_folder_to_the_bit(copied: Path, reference: Path) -> None:

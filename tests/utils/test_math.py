@@ -125,6 +125,7 @@ WIDTHS = {
     "quat_to_matrix": (4,),
     "quat_to_rotvec": (4,),
     "quat_to_rpy": (4,),
+    "rpy_to_quat": (3,),
     "rotate": ((3, 3), 3),
     "rotate_back": ((3, 3), 3),
     "rotvec_to_quat": (3,),

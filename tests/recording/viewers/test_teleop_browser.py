@@ -67,7 +67,8 @@ class Run(threading.Thread):
         super().__init__(daemon=True)
         self.folder, self.result = folder, None
         self.line = [*words, "task=pick_place", "policy=teleop", "viewer=web", "seed=4"]
-        self.line += ["scene_png=false", f"output_dir={folder}", "task.max_episode_steps=600"]
+        self.line += [f"output_dir={folder}", "task.max_episode_steps=600"]
+        self.line += ["scene_png=false"] if words[0] == "run" else []
         self.start()
 
     def run(self):

@@ -198,7 +198,7 @@ def test_an_address_that_cannot_be_listened_on():
         port = taken.getsockname()[1]
         with pytest.raises(ConfigError, match=f"Port {port} is already in use"):
             WebPage(MODEL, PageOptions(port=port))
-    with pytest.raises(ConfigError, match=r"viewer: cannot listen on 192\.0\.2\.77"):
+    with pytest.raises(ConfigError, match=r"viewer\.port: cannot listen on 192\.0\.2\.77"):
         WebPage(MODEL, PageOptions("192.0.2.77"))
 
 
