@@ -18,8 +18,10 @@ __all__ = ["reachable_radius"]
 
 _CLOSE = 0.1
 """Of the radius: a corner counts as reached from this distance."""
-_SMALLEST = 0.25
-"""Of the radius: no smaller one is tried."""
+_SMALLEST = 0.01
+"""m: no smaller radius is tried."""
+_SMALLER = 0.9
+"""Of a radius: the next one."""
 _ITERATIONS = 40
 _DAMPING = 1e-4
 """m^2, of damped least squares (Wampler, 1986)."""
@@ -44,17 +46,16 @@ def reachable_radius(
         radius: Half of the cube's side, m.
 
     Returns:
-        The radius, m. It is the given one if no cube of a quarter of it is reached either, as by
+        The radius, m. It is the given one if no cube of 2 cm is reached either, as by
         arms that move in a plane.
     """
     corners = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
     reach = _Reach(model, data, tool, joints, scale)
-    share = 1.0
-    while share >= _SMALLEST:
-        size = share * radius
+    size = radius
+    while size >= _SMALLEST:
         if all(reach.misses(size * corner) < _CLOSE * size for corner in corners):
             return size
-        share -= 0.1
+        size *= _SMALLER
     return radius
 
 
