@@ -348,11 +348,10 @@ _GANTRY = """<mujoco><worldbody><body name="x" pos="0 0 0.5">
 
 
 def test_the_marker_is_only_where_the_tool_gets(capsys: pytest.CaptureFixture[str]) -> None:
-    """Slides move 0.03 m, a quarter of 0.1 m: a cube of 0.04 m has corners out of reach."""
+    """Slides move 0.03 m, a quarter of their range; an arm of 0.5 m would have 0.12 m."""
     Path("gantry.xml").write_text(_GANTRY)
     new(capsys, "mine", "--robot", "gantry.xml")
     task = yaml.safe_load(Path("conf/task/mine.yaml").read_text())
     assert task["actions"]["arm"]["params"]["scale"] == 0.03
     place = task["events"]["place_marker"]["params"]["position_range"]
-    assert place == [[-0.02] * 3, [0.02] * 3]
-    assert task["metrics"]["success"]["params"]["threshold"] == 0.01
+    assert place == [[-0.03] * 3, [0.03] * 3]
