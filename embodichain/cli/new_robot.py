@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from embodichain.cli.new_reach import reachable_radius
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -169,6 +170,11 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
     x, y, z = (data.body(tool) if kind == "link" else data.site(tool)).xpos.tolist()
     length = math.dist((x, y, z), data.body(parsed.root_link_name).xpos)
     limits = parsed.qf_limits[active]
+    scale = _scales(parsed, active)
+    radius = min(0.2, max(0.04, 0.25 * length))
+    if not (floating or passive):
+        moves = np.array(list(scale.values()))
+        radius = reachable_radius(parsed.model, data, (kind, tool), list(scale), moves, radius)
     words = _words(
         uid=uid,
         fpath=fpath,
@@ -176,8 +182,8 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
         home=[round(float(value), 4) for value in home],
         tool=(kind, tool),
         marker=[round(value, 2) + 0.0 for value in (x, y, z + lift)],
-        radius=round(min(0.2, max(0.04, 0.25 * length)), 2),
-        scale=_scale(parsed, active),
+        radius=math.floor(100 * radius + 1e-6) / 100,
+        scale=next(iter(scale.values())) if len(set(scale.values())) == 1 else scale,
         floating=floating,
         limited=bool(((limits > 0) & (limits < math.inf)).all()),
         bare=not parsed.control_names,
@@ -269,18 +275,18 @@ def _tool(parsed: ParsedArticulation) -> tuple[str, str]:
     return ("site", min(sites)[2]) if sites else ("link", last)
 
 
-def _scale(parsed: ParsedArticulation, active: list[int]) -> float | dict[str, float]:
-    """0.4 rad for hinges; a quarter of the range, at most 0.1 m, for slides."""
+def _scales(parsed: ParsedArticulation, active: list[int]) -> dict[str, float]:
+    """Joint -> 0.6 rad for hinges; a quarter of the range, at most 0.1 m, for slides."""
     import mujoco
 
     scales: dict[str, float] = {}
     for i in active:
         name = parsed.joint_names[i]
-        scales[name] = 0.4
+        scales[name] = 0.6
         if parsed.model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
             low, high = parsed.qpos_limits[i]
             scales[name] = float(f"{min(0.1, 0.25 * (high - low)):.1g}")
-    return next(iter(scales.values())) if len(set(scales.values())) == 1 else scales
+    return scales
 
 
 def _number(value: float) -> str:

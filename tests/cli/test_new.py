@@ -247,7 +247,7 @@ def test_what_is_written_of_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
     pedestal = {"size": [0.2, 0.2, task["robot"]["init_pos"][2]], "pos": [0, 0, 0]}
     assert task["scene"]["pedestal"] == {**pedestal, "collision": False}
     params = task["actions"]["arm"]["params"]
-    assert params["scale"] == {"turn|bend": 0.4, "reach": 0.02}
+    assert params["scale"] == {"turn|bend": 0.6, "reach": 0.02}
     pair = task["rewards"]["distance"]["params"]
     assert pair["from"] == {"uid": "small", "link_names": ["lower"]}
 
@@ -273,7 +273,7 @@ def test_a_robot_with_mimicking_joints_and_long_names(capsys: pytest.CaptureFixt
     task = yaml.safe_load(Path("conf/task/mine.yaml").read_text())
     # `twice` is inside up to 0.4, so its leader up to 0.2; `mirror` only at 0.
     assert task["robot"]["init_qpos"] == [0.1, 0.2, 0, 0, 0.1]
-    scale = {lead: 0.4, free: 0.4, r"slide\.x": 0.05}
+    scale = {lead: 0.6, free: 0.6, r"slide\.x": 0.05}
     assert task["actions"]["arm"]["params"]["scale"] == scale
     assert main(["validate", "task=mine"]) == 0, capsys.readouterr().err
 
@@ -337,3 +337,21 @@ def test_a_urdf_gets_the_largest_time_step_that_is_stable(capsys):
     new(capsys, "arm", "--robot", "UniversalRobots/UR10/UR10.urdf")
     task = yaml.safe_load(Path("conf/task/arm.yaml").read_text())
     assert (task["physics"]["physics_dt"], task["sim_steps_per_control"]) == (0.005, 4)
+
+
+_GANTRY = """<mujoco><worldbody><body name="x" pos="0 0 0.5">
+  <joint name="x" type="slide" axis="1 0 0" range="-0.05 0.05"/><geom size="0.02"/>
+  <body name="y"><joint name="y" type="slide" axis="0 1 0" range="-0.05 0.05"/><geom size="0.02"/>
+  <body name="z"><joint name="z" type="slide" axis="0 0 1" range="-0.05 0.05"/><geom size="0.02"/>
+  </body></body></body></worldbody><actuator><position joint="x" kp="50"/>
+  <position joint="y" kp="50"/><position joint="z" kp="50"/></actuator></mujoco>"""
+
+
+def test_the_marker_is_only_where_the_tool_gets(capsys: pytest.CaptureFixture[str]) -> None:
+    """Slides move 0.03 m, a quarter of their range; an arm of 0.5 m would have 0.12 m."""
+    Path("gantry.xml").write_text(_GANTRY)
+    new(capsys, "mine", "--robot", "gantry.xml")
+    task = yaml.safe_load(Path("conf/task/mine.yaml").read_text())
+    assert task["actions"]["arm"]["params"]["scale"] == 0.03
+    place = task["events"]["place_marker"]["params"]["position_range"]
+    assert place == [[-0.03] * 3, [0.03] * 3]
