@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 from embodichain.config.gymnasium_ids import task_of_id
 from embodichain.config.host_arrays import why_host, why_not_device, with_arrays
 from embodichain.config.resolved import Resolved, build_env, resolve, thaw
+from embodichain.lab.gym.envs.managers.term_errors import TermError
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -217,10 +218,11 @@ def with_warp_values(
             logged = verb not in (None, "train") and resolved.root.record.format != "none"
             _try_device(resolved, kwargs or {}, logged)
         except (ConfigError, IndexError, RuntimeError, TypeError, ValueError) as error:
-            if chosen == "device" and not isinstance(error, TypeError):
+            raised = _raised_by_term(error)
+            if chosen == "device" and not isinstance(raised, TypeError):
                 raise
             # What is wrong on the host too, the environment of the job raises again.
-            reasons = [f"{_term_of(error)}{error}"]
+            reasons = [f"{_term_of(raised)}{raised}"]
     if chosen == "device":
         if reasons:
             raise ConfigError([Problem("sim.warp.arrays", f"device: {why}") for why in reasons])
@@ -254,7 +256,14 @@ def _try_device(resolved: Resolved, kwargs: Mapping[str, Any], logged: bool) -> 
             obs, *_ = env.step(policy(obs, env))
 
 
-def _term_of(error: Exception) -> str:
+def _raised_by_term(error: BaseException) -> BaseException:
+    """What a term raised, of the error that names the term."""
+    while isinstance(error, TermError) and error.__cause__ is not None:
+        error = error.__cause__
+    return error
+
+
+def _term_of(error: BaseException) -> str:
     """The function or class of a term in which an error was raised, for messages."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
         code = frame.f_code

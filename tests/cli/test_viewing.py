@@ -34,7 +34,7 @@ def test_a_port_that_is_taken_is_the_users_mistake(capsys: pytest.CaptureFixture
         port = taken.getsockname()[1]
         assert main(["run", *SHORT, "viewer=web", f"viewer.port={port}"]) == 2
     err = capsys.readouterr().err
-    assert f"viewer.port: cannot listen on 127.0.0.1: Port {port} is already in use" in err
+    assert f"viewer.port: cannot listen on 127.0.0.1:{port}: Port {port} is already in use" in err
 
 
 def test_teleoperation_is_validated_without_an_operator(

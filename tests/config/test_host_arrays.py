@@ -55,8 +55,7 @@ def test_a_term_that_reads_the_host_is_named(tmp_path, monkeypatch):
     term = '+task.rewards.mine={func: "reads_host:Reads", weight: 1.0}'
     place, notes = chosen(*ALONE, term)
     assert place == "host" and len(notes) == 1
-    named = "task.rewards.mine: reads_host:Reads raised HostTransferError: an array of the device"
-    assert notes[0].startswith(f"host, because command line: {named}")
+    assert notes[0].startswith("host, because Reads.__call__ in reads_host.py: an array of the dev")
     assert f"{folder}/reads_host.py:9: " in notes[0]
     with pytest.raises(ConfigError, match=r"sim\.warp\.arrays: device: Reads\.__call__ in reads_"):
         chosen(*ALONE, term, "sim.warp.arrays=device")
@@ -181,9 +180,6 @@ def test_any_failure_of_the_trial_is_a_reason(tmp_path, monkeypatch):
     (tmp_path / "failing_reward.py").write_text(FAILS)
     monkeypatch.syspath_prepend(tmp_path)
     term = '+task.rewards.mine={func: "failing_reward:fails", weight: 1.0}'
-    place, (note,) = chosen(*ALONE, term)
-    raised = "failing_reward:fails raised RuntimeError: tensors of different devices"
-    assert place == "host"
-    assert note.startswith(f"host, because command line: task.rewards.mine: {raised}")
+    assert chosen(*ALONE, term) == ("host", ["host, because tensors of different devices"])
     with pytest.raises(RuntimeError, match="tensors of different devices"):
         chosen(*ALONE, term, "sim.warp.arrays=device")
