@@ -53,5 +53,5 @@ def degrading_text() -> Iterator[None]:
     finally:
         for stream, errors in zip(streams, before, strict=True):
             if not stream.closed:
-                with suppress(OSError):  # it flushes; nobody may be reading any more
+                with suppress(OSError):  # reconfigure flushes, and the pipe may be closed
                     stream.reconfigure(errors=errors)

@@ -124,8 +124,11 @@ def _misread_key(key: yaml.Node, prefix: str) -> Iterator[Misread]:
 
 def _misread_number(node: yaml.Node, path: str) -> Iterator[Misread]:
     text = str(node.value)
-    base = 8 if _BASE_8.fullmatch(text) else 60 if _BASE_60.fullmatch(text) else None
-    if base is None:
+    if _BASE_8.fullmatch(text):
+        base = 8
+    elif _BASE_60.fullmatch(text):
+        base = 60
+    else:
         return
     number = _shown(_value(node))
     message = f"YAML 1.1 reads {text} as {number}, in base {base}: write {number} for the number"

@@ -231,7 +231,7 @@ def rows(env: Any, steps: int) -> np.ndarray:
 
 
 def test_observing_before_judging_changes_no_observation(make) -> None:
-    """Noise, delay, history and terms with a state advance once, whoever looks before."""
+    """Noise, delay, history and terms with a state advance once in a step observed twice."""
     plain = rows(make(**DUE), 20)
     assert (rows(make(**DUE, rewards={"o": RewardCfg(takes_obs)}), 20) == plain).all()
 

@@ -74,7 +74,7 @@ class Episodes:
 
     @property
     def count(self) -> NDArray[np.int32]:
-        """(N,) int32 control steps as whoever runs now counts them; a copy. See `counting`."""
+        """(N,) int32 control steps, with or without the present one (see `counting`); a copy."""
         return self.elapsed - np.int32(1) if self._uncounted else self.elapsed.copy()
 
     @contextmanager

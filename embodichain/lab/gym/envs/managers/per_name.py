@@ -40,13 +40,12 @@ def _is_number(value: Any) -> bool:
 
 
 def _numbers(value: Any) -> Any:
-    parts = (
-        value.values()
-        if isinstance(value, Mapping)
-        else value
-        if isinstance(value, (list, tuple))
-        else [value]
-    )
+    if isinstance(value, Mapping):
+        parts = list(value.values())
+    elif isinstance(value, (list, tuple)):
+        parts = list(value)
+    else:
+        parts = [value]
     if not parts or not all(map(_is_number, parts)):
         raise ValueError("must be a finite number, a list of one a joint, or {joint regex: number}")
     return value

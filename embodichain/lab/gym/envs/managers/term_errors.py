@@ -144,9 +144,11 @@ def finite_physics(env: TermContext) -> NDArray[np.bool_]:
 
 def kind_of_values(values: NDArray[Any]) -> str:
     """What numbers that are not finite are: NaN, infinite or both."""
-    lost = bool(np.isnan(values).any())
-    endless = bool(np.isinf(values).any())
-    return "NaN or infinite" if lost and endless else "NaN" if lost else "infinite"
+    has_nan = bool(np.isnan(values).any())
+    has_infinity = bool(np.isinf(values).any())
+    if has_nan and has_infinity:
+        return "NaN or infinite"
+    return "NaN" if has_nan else "infinite"
 
 
 def counted(path: str, told: dict[str, int]) -> int:
