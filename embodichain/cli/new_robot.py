@@ -8,12 +8,15 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from embodichain.cli.new_reach import reachable_radius
+from embodichain.cli.new_home import bent_home, lowest_point
+from embodichain.cli.new_reach import ToolReach
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
+    import mujoco
+
     from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
 
 __all__ = ["UR10", "describe_robot"]
@@ -48,13 +51,16 @@ actions:                           # controls of its actuators
     params:
       of: {{uid: {uid}}}
 """
+_ENOUGH = 0.6
+"""Of the wanted radius: an arm that reaches less of it from its zero pose is bent."""
 _KEY = 1000
 """Characters of a key in a flow mapping; YAML 1.2, section 7.4.2, allows 1024 with its quotes."""
 _CLIP = "      clip: [-1, 1]\n"
 _TOOLS = ("tcp", "tool", "end_effector", "eef", "ee", "grasp", "grip", "pinch", "attachment")
-"""How sites at which tools are, or are to be fixed, are called: the first is preferred."""
+"""How sites and links are called at which tools are, or are fixed: the first is preferred."""
 _TOOL = re.compile(
-    rf"(?:^|[/_])({'|'.join(_TOOLS)})(?:_site|_frame|_point|_center)*$", re.IGNORECASE
+    rf"(?:^|[/_])({'|'.join(_TOOLS)})(?:per)?0?(?:_site|_frame|_point|_center|_link)*$",
+    re.IGNORECASE,
 )
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
 
@@ -69,6 +75,7 @@ def _words(
     radius: float,
     scale: float | Mapping[str, float],
     *,
+    axes: Sequence[float] = (1.0, 1.0, 1.0),
     floating: bool = False,
     limited: bool = True,
     bare: bool = False,
@@ -84,6 +91,7 @@ def _words(
         marker: (x, y, z) of the tool at the start, m.
         radius: Largest distance of the marker from the tool, m.
         scale: Displacement for an action of 1, rad or m: one number, or joint -> number.
+        axes: (3,) 1 for axes of the world along which the marker is moved, else 0.
         floating: Whether the base is not fixed to the world.
         limited: Whether the file has an effort limit for every driven joint.
         bare: Whether the file has no drives: an MJCF without actuators.
@@ -92,6 +100,7 @@ def _words(
     pedestal = ""
     if height > 0 and not floating:
         pedestal = _PEDESTAL.format(height=_number(height))
+    halves = [radius * axis for axis in axes]
     one = _map(scale) if isinstance(scale, Mapping) else _number(scale)
     return {
         "uid": uid,
@@ -107,6 +116,8 @@ def _words(
         "picked": f"link_names: [{tool[1]}]" if tool[0] == "link" else f"site: {tool[1]}",
         "marker": _list(marker),
         "radius": _number(radius),
+        "halves": _list(halves),
+        "range": f"[{_list([0.0 - half for half in halves])}, {_list(halves)}]",
         "near": _number(round(min(0.05, 0.5 * radius), 2)),
         "far": _number(4 * radius),
         "actions": _TARGETS.format(uid=uid, scale=one),
@@ -155,34 +166,41 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
         message = "a Python task sets joint targets, and these joints have no position servo: "
         raise ConfigError(f"--python: {message}{', '.join(passive)}; leave --python out")
 
-    home = _home(parsed)
     data = mujoco.MjData(parsed.model)
-    for name, value in zip(names, home, strict=True):
+    for name, value in zip(names, _home(parsed), strict=True):
         data.joint(name).qpos = value
     root = parsed.placement.root_pos
     if floating:
         at = int(parsed.model.jnt_qposadr[parsed.model.body(parsed.root_link_name).jntadr[0]])
         data.qpos[at : at + 7] = [0.0, 0.0, root[2], *parsed.placement.root_quat]
     mujoco.mj_kinematics(parsed.model, data)
-    lowest = _lowest(parsed.model, data)
-    lift = math.ceil(100 * (-lowest if floating else max(0.0, -lowest)) - 1e-6) / 100
     kind, tool = _tool(parsed)
-    x, y, z = (data.body(tool) if kind == "link" else data.site(tool)).xpos.tolist()
-    length = math.dist((x, y, z), data.body(parsed.root_link_name).xpos)
-    limits = parsed.qf_limits[active]
+    place = data.body(tool).xpos if kind == "link" else data.site(tool).xpos
+    length = math.dist(place, data.body(parsed.root_link_name).xpos)
     scale = _scales(parsed, active)
     radius = min(0.2, max(0.04, 0.25 * length))
+    axes = np.ones(3)
     if not (floating or passive):
         moves = np.array(list(scale.values()))
-        radius = reachable_radius(parsed.model, data, (kind, tool), list(scale), moves, radius)
+        reach = ToolReach(parsed.model, data, (kind, tool), list(scale), moves)
+        if parsed.keyframe is None:
+            _bend(parsed, data, reach, list(scale), _ENOUGH * radius)
+        pose = np.array([data.joint(name).qpos[0] for name in scale])
+        radius = reach.radius(pose, radius) or radius
+        axes = reach.axes.astype(float) if reach.axes.any() else axes
+    lowest = lowest_point(parsed.model, data)
+    lift = math.ceil(100 * (-lowest if floating else max(0.0, -lowest)) - 1e-6) / 100
+    x, y, z = place.tolist()
+    limits = parsed.qf_limits[active]
     words = _words(
         uid=uid,
         fpath=fpath,
         height=lift + float(root[2]) if floating else lift,
-        home=[round(float(value), 4) for value in home],
+        home=[round(float(data.joint(name).qpos[0]), 4) for name in names],
         tool=(kind, tool),
         marker=[round(value, 2) + 0.0 for value in (x, y, z + lift)],
         radius=math.floor(100 * radius + 1e-6) / 100,
+        axes=axes.tolist(),
         scale=next(iter(scale.values())) if len(set(scale.values())) == 1 else scale,
         floating=floating,
         limited=bool(((limits > 0) & (limits < math.inf)).all()),
@@ -194,6 +212,29 @@ def describe_robot(fpath: str, *, python: bool) -> tuple[dict[str, str], float |
         bounded = np.isfinite(parsed.ctrl_limits).all()
         words["actions"] = _CONTROLS.format(uid=uid) + ("" if bounded else _CLIP)
     return words, None if file.is_urdf else float(file.spec.option.timestep)
+
+
+def _bend(
+    parsed: ParsedArticulation,
+    data: mujoco.MjData,
+    reach: ToolReach,
+    joints: list[str],
+    enough: float,
+) -> None:
+    """Set `data` to a pose near the present one from which the tool reaches `enough`, m."""
+    import mujoco
+    import numpy as np
+
+    hinges = np.array([parsed.model.joint(name).type[0] for name in joints])
+    pose = bent_home(reach, hinges == mujoco.mjtJoint.mjJNT_HINGE, enough)
+    for name, value in zip(joints, pose, strict=True):
+        data.joint(name).qpos = value
+    linear = zip(parsed.mimic_ids, parsed.mimic_parents, strict=True)
+    factors = zip(parsed.mimic_multipliers, parsed.mimic_offsets, strict=True)
+    for (i, parent), (multiplier, offset) in zip(linear, factors, strict=True):
+        leader = data.joint(parsed.joint_names[parent]).qpos[0]
+        data.joint(parsed.joint_names[i]).qpos = multiplier * leader + offset
+    mujoco.mj_kinematics(parsed.model, data)
 
 
 def _home(parsed: ParsedArticulation) -> list[float]:
@@ -222,33 +263,10 @@ def _home(parsed: ParsedArticulation) -> list[float]:
     return home
 
 
-def _lowest(model: Any, data: Any) -> float:
-    """Height of the lowest moving point, m: a mesh's vertex, or a corner of a shape's box."""
-    import mujoco
-    import numpy as np
-
-    heights = []
-    for i, kind in enumerate(model.geom_type):
-        fixed = model.body_treeid[model.geom_bodyid[i]] < 0  # to the world
-        if fixed or kind == mujoco.mjtGeom.mjGEOM_PLANE:
-            continue
-        upwards = data.geom_xmat[i].reshape(3, 3)[2]
-        if kind == mujoco.mjtGeom.mjGEOM_MESH:
-            mesh = model.geom_dataid[i]
-            start = model.mesh_vertadr[mesh]
-            vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]]
-            low = (vertices @ upwards).min()
-        else:
-            middle, half = np.split(model.geom_aabb[i], 2)
-            low = upwards @ middle - np.abs(upwards) @ half
-        heights.append(float(data.geom_xpos[i, 2] + low))
-    return min(heights, default=0.0)
-
-
 def _tool(parsed: ParsedArticulation) -> tuple[str, str]:
-    """Kind and name: a site that is called as tools are, at the end of the longest chain of hinges.
+    """Kind and name: a site or a link that is called as tools are, in the last half of a chain.
 
-    Else the link there, before sliding fingers.
+    Else the link at the end of the longest chain of hinges, before sliding fingers.
     """
     import mujoco
 
@@ -263,16 +281,18 @@ def _tool(parsed: ParsedArticulation) -> tuple[str, str]:
         slides = kinds.count(mujoco.mjtJoint.mjJNT_SLIDE)
         return (hinges, -slides, depth) if hinges else (slides, 0, depth)
 
-    links = sorted(parsed.link_names, key=lambda name: model.body(name).id)
-    last = max(links, key=lambda name: rank(model.body(name).id))
-    end = rank(model.body(last).id)[:2]
-    named = {name: _TOOL.search(name) for name in parsed.site_names}
-    sites = [
-        (_TOOLS.index(found[1].lower()), -rank(int(model.site(name).bodyid[0]))[2], name)
-        for name, found in named.items()
-        if found and rank(int(model.site(name).bodyid[0]))[:2] == end
-    ]
-    return ("site", min(sites)[2]) if sites else ("link", last)
+    bodies = {name: model.body(name).id for name in parsed.link_names}
+    links = sorted(bodies, key=lambda name: bodies[name])
+    last = max(links, key=lambda name: rank(bodies[name]))
+    sites = {name: int(model.site(name).bodyid[0]) for name in parsed.site_names}
+    tools = []
+    for kind, places in (("site", sites), ("link", bodies)):
+        for name, body in places.items():
+            word = _TOOL.search(name)
+            joints, _, depth = rank(body)
+            if word and 2 * joints >= rank(bodies[last])[0]:
+                tools.append((_TOOLS.index(word[1].lower()), kind == "link", -depth, kind, name))
+    return min(tools)[3:] if tools else ("link", last)
 
 
 def _scales(parsed: ParsedArticulation, active: list[int]) -> dict[str, float]:

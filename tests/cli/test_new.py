@@ -1,6 +1,8 @@
 """`new task`: what is written validates and passes its own tests, and nothing is overwritten."""
 
+import itertools
 import json
+import math
 import os
 import subprocess
 import sys
@@ -355,3 +357,69 @@ def test_the_marker_is_only_where_the_tool_gets(capsys: pytest.CaptureFixture[st
     assert task["actions"]["arm"]["params"]["scale"] == 0.03
     place = task["events"]["place_marker"]["params"]["position_range"]
     assert place == [[-0.03] * 3, [0.03] * 3]
+
+
+_TWO_LINKS = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 0.2">
+  <joint name="lift" axis="0 1 0" range="-2 2"/><geom type="capsule" fromto="0 0 0 0 0 0.3"
+  size="0.02"/><body name="lower" pos="0 0 0.3"><joint name="bend" axis="0 1 0" range="-2 2"/>
+  <geom type="capsule" fromto="0 0 0.05 0 0 0.2" size="0.02"/><site name="tcp" pos="0 0 0.2"/>
+  </body></body></worldbody><actuator><position joint="lift" kp="50"/>
+  <position joint="bend" kp="50"/></actuator>{key}</mujoco>"""
+
+
+def test_a_stretched_arm_is_bent_and_its_marker_stays_in_its_plane(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Its tool moves in x and z; upright, at 0.5 m above the base, it cannot move in z at all.
+
+    `lift` is the first joint of the chain and stays; of `bend` 1.2 rad is the most that is tried.
+    """
+    Path("two.xml").write_text(_TWO_LINKS.format(key=""))
+    new(capsys, "mine", "--robot", "two.xml")
+    task = yaml.safe_load(Path("conf/task/mine.yaml").read_text())
+    lift, bend = task["robot"]["init_qpos"]
+    assert (lift, abs(bend)) == (0, pytest.approx(1.2))
+    x, z = 0.2 * math.sin(bend), 0.5 + 0.2 * math.cos(bend)
+    assert task["objects"]["marker"]["init_pos"] == pytest.approx([x, 0, z], abs=0.006)
+    low, high = task["events"]["place_marker"]["params"]["position_range"]
+    assert low == [-value for value in high]
+    assert high[1] == 0
+    assert high[0] == high[2] > 0.03
+    for corner in itertools.product((-high[0], high[0]), repeat=2):
+        # The law of cosines; the upper link is 0.3 m long, the lower one 0.2 m.
+        goal_x, goal_z = x + 0.9 * corner[0], z - 0.2 + 0.9 * corner[1]
+        square = goal_x**2 + goal_z**2
+        elbow = math.copysign(math.acos((square - 0.3**2 - 0.2**2) / (2 * 0.3 * 0.2)), bend)
+        fore = math.atan2(0.2 * math.sin(elbow), 0.3 + 0.2 * math.cos(elbow))
+        assert abs(elbow - bend) <= 0.61
+        assert abs(math.atan2(goal_x, goal_z) - fore - lift) <= 0.61
+
+
+def test_a_files_own_pose_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    key = '<keyframe><key name="home" qpos="0.1 0.2"/></keyframe>'
+    Path("two.xml").write_text(_TWO_LINKS.format(key=key))
+    new(capsys, "mine", "--robot", "two.xml")
+    task = yaml.safe_load(Path("conf/task/mine.yaml").read_text())
+    assert task["robot"]["init_qpos"] == [0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("file", "tool"),
+    [
+        # Both are stretched at zero. The jaw of the first has one more joint than its tool.
+        ("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
+        ("ur_description/urdf/ur5_robot.urdf", "tool0"),
+        ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
+    ],
+)
+def test_package_arms_have_room_around_their_tool(
+    capsys: pytest.CaptureFixture[str], file: str, tool: str
+) -> None:
+    new(capsys, "mine", "--robot", file)
+    task = yaml.safe_load(Path("conf/task/mine.yaml").read_text())
+    place = task["events"]["place_marker"]["params"]
+    assert place["relative_to"]["link_names"] == [tool]
+    half = place["position_range"][1][0]
+    assert half >= 0.05
+    near = task["metrics"]["success"]["params"]["threshold"]
+    assert near <= 0.5 * half + 0.005
