@@ -25,6 +25,7 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from embodichain.cli.hydra_folders import check_subfolders, folder_named
 from embodichain.cli.plain_text import degrading_text
 from embodichain.cli.process import Interrupted
 from embodichain.cli.sweep_jobs import JobStoppedError, enter, stop_mark
@@ -54,6 +55,7 @@ from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 __all__ = ["call_hydra", "points", "towards_scores"]
 
 _RUN_FOLDER = "hydra.run.dir"
+_SUBFOLDER = "hydra.sweep.subdir"
 _DIRECTION = "hydra.sweeper.direction"
 _MOST_CHECKED_JOBS = 64
 _ONE_BY_ONE, _AT_ONCE = "BasicLauncher", "JoblibLauncher"
@@ -93,7 +95,10 @@ def call_hydra(
     elif options.multirun:
         _parsed(overrides)
         overrides = with_sweepers_params(verb, overrides)
-        checked = [check(point) for point in points(overrides, _MOST_CHECKED_JOBS)]
+        jobs = list(points(overrides, _MOST_CHECKED_JOBS))
+        checked = [check(point) for point in jobs]
+        if any(line.lstrip("+").startswith(f"{_SUBFOLDER}=") for line in overrides):
+            check_subfolders([composed_for_hydra(verb, point) for point in jobs])
         plan = plan_sweep(verb, towards_scores(overrides), checked[0])
         overrides = plan.overrides
     else:
@@ -156,7 +161,7 @@ def _check_run_folder(verb: Verb, overrides: Sequence[str]) -> list[Path]:
     """
     config = composed_for_hydra(verb, overrides, RunMode.RUN)
     typed = any(line.lstrip("+").startswith(f"{_RUN_FOLDER}=") for line in overrides)
-    folder = str(config.hydra.run.dir)
+    folder = folder_named(config, _RUN_FOLDER)
     if not typed and folder == ".":
         return []  # the run claims one
     made = missing_folders(folder)
