@@ -62,7 +62,8 @@ def test_an_entry_that_is_not_inherited(write_task: WriteTask) -> None:
 
 
 def test_a_term_within_a_term(write_task: WriteTask) -> None:
-    terms = "{far: {func: within_distance, params: *pair}, near: {func: within_distance, params: *pair}}"
+    term = "{func: within_distance, params: *pair}"
+    terms = f"{{far: {term}, near: {term}}}"
     both = f"  both: {{func: all_of, params: {{terms: {terms}}}}}\nsuggested:"
     write_task("suggested:", both)
     child("metrics: {both: {params: {terms: {far: null}}}}\n")
