@@ -14,7 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 from embodichain.config.locate import COMMAND_LINE
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["check_subfolders", "folder_named"]
+__all__ = ["check_subfolders", "folder_named", "numbers_jobs"]
 
 _SUBFOLDER = "hydra.sweep.subdir"
 _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
@@ -43,6 +43,11 @@ def folder_named(config: DictConfig, key: str) -> str:
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
         raise ConfigError([Problem(key, reason, source=COMMAND_LINE)]) from error
+
+
+def numbers_jobs(config: DictConfig) -> bool:
+    """Whether the jobs of a sweep have their numbers as folders, which is the default."""
+    return _written(config, _SUBFOLDER) == "${hydra.job.num}"
 
 
 def check_subfolders(jobs: Sequence[DictConfig]) -> None:

@@ -25,7 +25,7 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from embodichain.cli.hydra_folders import check_subfolders, folder_named
+from embodichain.cli.hydra_folders import check_subfolders, folder_named, numbers_jobs
 from embodichain.cli.plain_text import degrading_text
 from embodichain.cli.process import Interrupted
 from embodichain.cli.sweep_jobs import JobStoppedError, enter, stop_mark
@@ -55,7 +55,6 @@ from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 __all__ = ["call_hydra", "points", "towards_scores"]
 
 _RUN_FOLDER = "hydra.run.dir"
-_SUBFOLDER = "hydra.sweep.subdir"
 _DIRECTION = "hydra.sweeper.direction"
 _MOST_CHECKED_JOBS = 64
 _ONE_BY_ONE, _AT_ONCE = "BasicLauncher", "JoblibLauncher"
@@ -97,7 +96,7 @@ def call_hydra(
         overrides = with_sweepers_params(verb, overrides)
         jobs = list(points(overrides, _MOST_CHECKED_JOBS))
         checked = [check(point) for point in jobs]
-        if any(line.lstrip("+").startswith(f"{_SUBFOLDER}=") for line in overrides):
+        if not numbers_jobs(composed_for_hydra(verb, jobs[0])):
             check_subfolders([composed_for_hydra(verb, point) for point in jobs])
         plan = plan_sweep(verb, towards_scores(overrides), checked[0])
         overrides = plan.overrides

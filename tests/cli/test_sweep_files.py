@@ -85,6 +85,15 @@ def test_folders_that_refer_to_what_has_no_name(
     assert list(Path().iterdir()) == []
 
 
+def test_a_file_gives_all_jobs_one_folder(empty_cwd: Path, capsys: pytest.CaptureFixture) -> None:
+    Path("conf/experiment").mkdir(parents=True)
+    text = "# @package _global_\nhydra: {sweep: {subdir: a}}\n"
+    Path("conf/experiment/one.yaml").write_text(text)
+    assert main(["train", "-m", *TINY, "experiment=one", "seed=0,1", "hydra.sweep.dir=s"]) == 2
+    assert "jobs 0 and 1 have the same folder, 'a'" in capsys.readouterr().err
+    assert not Path("s").exists()
+
+
 def test_a_run_folder_that_refers_to_a_map(empty_cwd: Path, capsys: pytest.CaptureFixture) -> None:
     assert main(["run", *SHORT, "hydra.run.dir=r/${task}"]) == 2
     assert "hydra.run.dir: ${task} is a map, and a folder's name" in capsys.readouterr().err

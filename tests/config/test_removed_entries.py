@@ -61,6 +61,16 @@ def test_an_entry_that_is_not_inherited(write_task: WriteTask) -> None:
         ]
 
 
+def test_a_whole_section_is_no_entry(write_task: WriteTask) -> None:
+    write_task(text=PARTS)
+    child("rewards: null\nrobot: {attach: null}\n")
+    hint = "expected a map, got null. Null takes out single entries: NAME: null."
+    assert {str(p) for p in validate(compose(["task=child"]))} == {
+        f"conf/task/child.yaml:2: task.rewards: {hint}",
+        f"conf/task/child.yaml:3: task.robot.attach: {hint}",
+    }
+
+
 def test_a_term_within_a_term(write_task: WriteTask) -> None:
     term = "{func: within_distance, params: *pair}"
     terms = f"{{far: {term}, near: {term}}}"

@@ -208,6 +208,18 @@ def test_a_name_in_a_defaults_list(write_task: WriteTask) -> None:
     ]
 
 
+def test_an_option_that_an_inherited_file_has_chosen(write_task: WriteTask) -> None:
+    write_task(text="defaults: [reach, /scene@scene: lab, _self_]\n")
+    assert said() == [
+        f"{FILE}:1: defaults: another file has chosen an option: write `override /scene@scene: lab`"
+    ]
+    write_task(text="defaults: [reach, override /scene@scene: lab, _self_]\n")
+    assert said() == []
+    assert said("+experiment=quick_reach") == [
+        "command line: experiment: an option is chosen already: write experiment=NAME, without +"
+    ]
+
+
 def test_files_in_a_circle(write_task: WriteTask) -> None:
     write_task(text="defaults:\n  - second\n  - _self_\n")
     write_task(name="second", text="defaults: [/task@_here_: mine]\n")

@@ -31,7 +31,7 @@ def mdp_values(env: BaseEnv, group: str = "policy") -> dict[str, Any]:
     """Return the values in the config that determine the MDP of an environment.
 
     The code of environment classes and terms is not part of it. Values that are zero, false or
-    None are left out; the ``takes`` of a term has all its parameters, each ``default`` or ``given``.
+    None are left out; `takes` of a term has all its parameters, each ``default`` or ``given``.
 
     Args:
         env: The environment.
