@@ -7,6 +7,7 @@ when the verb is called or its help is printed.
 from __future__ import annotations
 
 import importlib
+import itertools
 import os
 import re
 import shlex
@@ -116,8 +117,12 @@ class Verb(click.Command):
     keys = False
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Call the verb, if MuJoCo can be imported; `doctor` says why it cannot."""
+        """Call the verb, if its words are text and MuJoCo can be imported.
+
+        `doctor` says why not.
+        """
         if self.name != "doctor":
+            process.check_text([*(ctx.find_root().obj or ()), os.getcwd()])
             process.check_mujoco_gl()
         return super().invoke(ctx)
 
@@ -258,6 +263,10 @@ def call(arguments: list[str]) -> int:
         The exit code.
     """
     first = arguments[0] if arguments else "help"
+    key, _, value = first.removeprefix("--").replace("-", "_").partition("=")
+    if first.startswith("--") and key in _ROOT_KEYS:
+        value = value or next((word for word in arguments[1:2] if "=" not in word), "VALUE")
+        raise ConfigError(f"a verb comes first: embodichain run {key}={value}, without dashes")
     if "=" in first or first in ("-m", "--multirun"):
         raise ConfigError(f"a verb comes first: embodichain run {' '.join(arguments)}")
     words = ["--help"] if first == "help" else list(arguments)
@@ -274,7 +283,7 @@ def call(arguments: list[str]) -> int:
     except click.exceptions.Exit as end:
         return end.exit_code
     except click.exceptions.NoSuchCommand as error:
-        hint = did_you_mean(error.command_name, VERBS)
+        hint = _of_task(error.command_name) or did_you_mean(error.command_name, VERBS)
         verbs = ", ".join(VERBS)
         message = f"no such verb: '{error.command_name}'.{hint} There are: {verbs}."
         raise ConfigError(message) from error
@@ -282,7 +291,24 @@ def call(arguments: list[str]) -> int:
         raise ConfigError(_instead_of_flag(error, arguments)) from error
     except click.UsageError as error:
         program = error.ctx.command_path if error.ctx is not None else "embodichain"
-        raise ConfigError(f"{error.format_message()}\nTry '{program} --help'.") from error
+        message = f"{error.format_message()}{_without_keys(error, arguments)}"
+        raise ConfigError(f"{message}\nTry '{program} --help'.") from error
+
+
+def _of_task(name: str) -> str:
+    """What to type instead, if a word in place of the verb is the name of a task."""
+    from embodichain.config import list_options  # Hydra: only when needed
+
+    return f" To run the task: embodichain run task={name}." if name in list_options("task") else ""
+
+
+def _without_keys(error: click.UsageError, arguments: list[str]) -> str:
+    """That a verb takes no overrides, if some were typed; else empty."""
+    command = error.ctx.command if error.ctx is not None else None
+    typed = [word for word in arguments[1:] if "=" in word and not word.startswith("-")]
+    if not isinstance(command, Verb) or command.keys or not typed:
+        return ""
+    return f": `{command.name}` reads no KEY=VALUE"
 
 
 def _instead_of_flag(error: click.NoSuchOption, arguments: list[str]) -> str:
@@ -290,8 +316,10 @@ def _instead_of_flag(error: click.NoSuchOption, arguments: list[str]) -> str:
     program = error.ctx.command_path if error.ctx is not None else "embodichain"
     message = f"{error.format_message()}\nTry '{program} --help'."
     command = error.ctx.command if error.ctx is not None else None
-    if not (isinstance(command, Verb) and command.keys) or not error.option_name.startswith("--"):
+    if not (isinstance(command, Verb) and command.keys):
         return message
+    if not error.option_name.startswith("--"):
+        return f"{message} Values are given as key=value, without dashes."
     typed = error.option_name.removeprefix("--")
     key = typed.replace("-", "_")
     if key not in _ROOT_KEYS and "." not in key:
@@ -460,9 +488,9 @@ def log_of(name: str) -> Path:
     """Return the log of a name: a file, a run's folder, or ``last`` for the newest run.
 
     Raises:
-        ConfigError: There is no log yet, or the folder has none.
+        ConfigError: There is no log yet, no such file, or the folder has none.
     """
-    from embodichain.config.run_folder import LOG, SHARDS, newest_run
+    from embodichain.config.run_folder import LOG, SHARDS, newest_run, perhaps_last
 
     path = newest_run("outputs", LOG, SHARDS) if name == "last" else Path(name)
     if path is None:
@@ -471,6 +499,8 @@ def log_of(name: str) -> Path:
         from embodichain.cli.last import take_last
 
         take_last(path)
+    if not path.exists():
+        raise ConfigError(f"{name} does not exist{perhaps_last(name)}")
     if not path.is_dir():
         return path
     log = path.resolve() / LOG
@@ -498,9 +528,23 @@ def split_overrides(words: tuple[str, ...]) -> list[str]:
         typed = "".join(words[max(at - 1, 0) : at + 2])
         raise ConfigError(f"write {typed}, without blanks around =")
     bare = [word for word in words if "=" not in word and not word.startswith("~")]
+    _check_blanks(words, bare)
     if len(bare) > 1:
         raise ConfigError(f"one task at a time: {', '.join(bare)}. Values are given as key=value")
     return [*(f"task={word}" for word in bare), *(word for word in words if word not in bare)]
+
+
+def _check_blanks(words: tuple[str, ...], bare: list[str]) -> None:
+    """Refuse ``task reach``, ``task: reach``, ``task= reach`` and ``task =reach``, by the form."""
+    for word, value in itertools.pairwise(words):
+        key = word.rstrip("=:")
+        split = word.endswith("=") or (word in bare and key in _ROOT_KEYS)
+        if value.startswith("=") or (split and value in bare):
+            whole = f"{key}={value.lstrip('=')}"
+            if _open_brackets(whole):
+                following = words[words.index(value) + 1 :]
+                whole = _quoted(" ".join([whole, *following]))
+            raise ConfigError(f"write {whole}, without a blank after the key")
 
 
 def _check_quotes(words: tuple[str, ...]) -> None:

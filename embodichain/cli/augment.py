@@ -48,7 +48,7 @@ def _source(name: str) -> Path:
     Raises:
         ConfigError: There is no such file or folder.
     """
-    from embodichain.config.run_folder import LOG, newest_run
+    from embodichain.config.run_folder import LOG, newest_run, perhaps_last
 
     path = newest_run("outputs", LOG) if name == "last" else Path(name)
     if path is None:
@@ -56,7 +56,7 @@ def _source(name: str) -> Path:
     if name == "last":
         take_last(path)
     if not path.exists():
-        raise ConfigError(f"there is no {name!r}")
+        raise ConfigError(f"there is no {name!r}{perhaps_last(name)}")
     return path.resolve()
 
 

@@ -13,7 +13,7 @@ import click
 from embodichain.cli.app import complete_last, verb
 from embodichain.cli.last import take_last
 from embodichain.cli.output import number, print_json, print_table
-from embodichain.config.run_folder import CHECKPOINT, newest_run, whole_run
+from embodichain.config.run_folder import CHECKPOINT, newest_run, perhaps_last, whole_run
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -133,8 +133,10 @@ def _path(name: str) -> Path:
         path = take_last(whole_run(path))
     if path is None:
         raise ConfigError("no training in outputs yet: embodichain train task=NAME")
+    if not path.exists() and "=" in name:
+        raise ConfigError(f"{name}: `compare` reads no KEY=VALUE")
     if not path.exists():
-        raise ConfigError(f"there is no run {name!r}")
+        raise ConfigError(f"there is no run {name!r}{perhaps_last(name)}")
     return path.resolve()
 
 

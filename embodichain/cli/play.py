@@ -41,8 +41,9 @@ def command(**kwargs: Any) -> None:
     keys = {line.partition("=")[0] for line in lines}
     lines += [f"{key}={value}" for key, value in _DEFAULTS.items() if key not in keys]
     lines += [f"episodes={options.episodes or typed}", *job_options(options)]
+    resolved = target.resolve(lines, FRESH)
     _need_display(target.policy, lines)
-    execute(target.resolve(lines, FRESH), run_job, command_line())
+    execute(resolved, run_job, command_line())
 
 
 def _need_display(name: str, lines: list[str]) -> None:

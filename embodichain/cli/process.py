@@ -17,7 +17,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from types import FrameType
@@ -33,6 +33,7 @@ __all__ = [
     "Interrupted",
     "StopFlag",
     "check_mujoco_gl",
+    "check_text",
     "report",
     "signals_raise",
     "started",
@@ -89,6 +90,25 @@ def check_mujoco_gl() -> None:
             "osmesa (`apt-get install libosmesa6`), glfw (needs a display) or disable"
         )
         raise ConfigError([Problem(_GL, message, source="environment variable")]) from error
+
+
+def check_text(words: Iterable[str]) -> None:
+    """Check that words and paths of the system are text; files of a run are written with them.
+
+    Python reads letters that the locale's encoding lacks as surrogates, which UTF-8 has not.
+
+    Raises:
+        ConfigError: One is not text in the encoding of this process.
+    """
+    for word in words:
+        try:
+            word.encode()
+        except UnicodeEncodeError as error:
+            encoding = sys.getfilesystemencoding()
+            hint = "write it in UTF-8"
+            if encoding != "utf-8":
+                hint = "set LC_ALL=C.UTF-8, or PYTHONUTF8=1"
+            raise ConfigError(f"{word} is no text in {encoding}: {hint}") from error
 
 
 @contextmanager

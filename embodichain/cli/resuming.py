@@ -83,13 +83,13 @@ def resumed_folder(name: str, newest: Path | None, what: str) -> Path:
     Raises:
         ConfigError: There is none, or it has no config.
     """
-    from embodichain.config.run_folder import CONFIG
+    from embodichain.config.run_folder import CONFIG, perhaps_last
 
     found = newest if name == "last" else Path(name)
     if found is None:
         raise ConfigError([Problem("resume", f"there is no {what} to resume yet")])
     if not (found / CONFIG).is_file():
-        message = f"{name!r} is no {what}'s folder: it has no {CONFIG}"
+        message = f"{name!r} is no {what}'s folder: it has no {CONFIG}{perhaps_last(name)}"
         raise ConfigError([Problem("resume", message)])
     if name == "last":
         take_last(found)

@@ -15,6 +15,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from embodichain.cli.hydra_folders import folder_named
 from embodichain.config.composed import relax, search_path
 from embodichain.config.hydra_loader import (
     COMPOSING,
@@ -146,7 +147,7 @@ def plan_sweep(verb: Verb, overrides: Sequence[str], first: Resolved) -> Plan:
         else:
             threads = int(first.tree["sim"]["num_threads"])
         note = _note(jobs, at_once, threads, launcher)
-    folder = str(config.hydra.sweep.dir)
+    folder = folder_named(config, _FOLDER)
     if Path(folder).is_file():
         raise ConfigError([Problem(_FOLDER, f"{folder} is a file: name a folder")])
     quoted = folder.replace("\\", "\\\\").replace("'", "\\'")

@@ -25,6 +25,7 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from embodichain.cli.hydra_folders import check_subfolders, folder_named, numbers_jobs
 from embodichain.cli.plain_text import degrading_text
 from embodichain.cli.process import Interrupted
 from embodichain.cli.sweep_jobs import JobStoppedError, enter, stop_mark
@@ -93,7 +94,10 @@ def call_hydra(
     elif options.multirun:
         _parsed(overrides)
         overrides = with_sweepers_params(verb, overrides)
-        checked = [check(point) for point in points(overrides, _MOST_CHECKED_JOBS)]
+        jobs = list(points(overrides, _MOST_CHECKED_JOBS))
+        checked = [check(point) for point in jobs]
+        if not numbers_jobs(composed_for_hydra(verb, jobs[0])):
+            check_subfolders([composed_for_hydra(verb, point) for point in jobs])
         plan = plan_sweep(verb, towards_scores(overrides), checked[0])
         overrides = plan.overrides
     else:
@@ -156,7 +160,7 @@ def _check_run_folder(verb: Verb, overrides: Sequence[str]) -> list[Path]:
     """
     config = composed_for_hydra(verb, overrides, RunMode.RUN)
     typed = any(line.lstrip("+").startswith(f"{_RUN_FOLDER}=") for line in overrides)
-    folder = str(config.hydra.run.dir)
+    folder = folder_named(config, _RUN_FOLDER)
     if not typed and folder == ".":
         return []  # the run claims one
     made = missing_folders(folder)

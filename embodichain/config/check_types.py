@@ -169,6 +169,8 @@ def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> 
         values = "value" if 1 in (low, high) else "values"
         return Problem(path, f"expected {wanted} {values}, got {len(value)}: {show_value(value)}")
     message, hint = what_is_wrong(errors, PATTERNS)
+    if value is None and not hint and schema_at(loc, data).get("additionalProperties"):
+        hint = "Null takes out single entries: NAME: null."
     return Problem(path, message, hint, expected=expected_kind(errors))
 
 

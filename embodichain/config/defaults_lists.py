@@ -12,7 +12,7 @@ from embodichain.config.locate import display_path
 from embodichain.config.yaml_words import compose_nodes, quoting, scalar_text
 from embodichain.utils.errors import Problem
 
-__all__ = ["explain_defaults"]
+__all__ = ["chosen_twice", "explain_defaults"]
 
 
 class _Entry(NamedTuple):
@@ -22,6 +22,8 @@ class _Entry(NamedTuple):
     source: str
     written: str
     """The option as written, if YAML reads it as a flag or a number; else empty."""
+    key: str = ""
+    """The group as written: ``/scene@scene``, ``override /scene@scene``."""
 
 
 def explain_defaults(folders: Sequence[Path], *, circles: bool) -> list[Problem]:
@@ -47,6 +49,28 @@ def explain_defaults(folders: Sequence[Path], *, circles: bool) -> list[Problem]
     ]
 
 
+def chosen_twice(folders: Sequence[Path], group: str, option: str) -> list[Problem]:
+    """Return a problem for each file that chooses an option where another file has chosen one.
+
+    Args:
+        folders: Folders with groups, in the order in which they are searched; those of the first
+            folder with such a file are returned.
+        group: The group, with its package after ``@``.
+        option: The option that Hydra refuses.
+    """
+    name = f"{group.partition('@')[0]}/{option}"
+    for folder in folders:
+        paths = [(p, p.relative_to(folder).with_suffix("")) for p in sorted(folder.rglob("*.yaml"))]
+        entries = [e for path, own in paths for e in _entries(path, own.as_posix())]
+        found = [e for e in entries if e.name == name and e.key and not e.key.startswith("over")]
+        if found:
+            message = "another file has chosen an option: write `override {}: {}`"
+            return [
+                Problem("defaults", message.format(e.key, option), source=e.source) for e in found
+            ]
+    return []
+
+
 def _entries(path: Path, name: str) -> Iterator[_Entry]:
     try:
         root = compose_nodes(path.read_text(encoding="utf-8"))
@@ -65,7 +89,8 @@ def _entries(path: Path, name: str) -> Iterator[_Entry]:
                     chosen = option.value if isinstance(option, yaml.SequenceNode) else [option]
                     for one in chosen:
                         below = _absolute(str(of.value), group)
-                        yield _Entry(f"{below}/{one.value}", source, scalar_text(one))
+                        word = scalar_text(one)
+                        yield _Entry(f"{below}/{one.value}", source, word, str(of.value))
 
 
 def _absolute(name: str, group: str) -> str:

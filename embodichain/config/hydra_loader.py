@@ -31,7 +31,7 @@ from hydra.errors import HydraException, MissingConfigException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import OmegaConf
 
-from embodichain.config.defaults_lists import explain_defaults
+from embodichain.config.defaults_lists import chosen_twice, explain_defaults
 from embodichain.config.gymnasium_ids import CONFIG_MODULE, ENTRY_POINTS, LOCAL
 from embodichain.config.locate import COMMAND_LINE, ConfigFile, display_path
 from embodichain.utils.errors import ConfigError, Problem
@@ -244,6 +244,9 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
     twice = re.search(r"Multiple values for (\S+)\.|(\S+) appears more than once", str(error))
     if twice:
         group = twice[1] or twice[2]
+        refused = re.search(r"'override [^:']+: ([^']+)'", str(error))
+        if refused and (found := chosen_twice(_folders(loader), group, refused[1])):
+            return found
         message = f"an option is chosen already: write {group}=NAME, without +"
         return [Problem(group, message, source=COMMAND_LINE)]
     cause = error.__cause__ or error

@@ -17,6 +17,8 @@ from embodichain.utils.suggest import did_you_mean
 __all__ = ["remove_null_entries"]
 
 Parts = tuple[str, ...]
+_NESTED_TERMS = ("params", "terms")
+"""The terms within `all_of`, `sum_of` and the like; parameters have no schema of keys."""
 
 
 def remove_null_entries(
@@ -60,6 +62,8 @@ def _null_entries(node: Any, parts: Parts) -> Iterator[Parts]:
 
 def _is_keyed_by_name(parts: list[str], tree: dict[str, Any]) -> bool:
     """Whether a map has free names, and values of a type that null is not of."""
+    if tuple(parts[-2:]) == _NESTED_TERMS:
+        return True
     below = schema_at(parts, tree).get("additionalProperties")
     return isinstance(below, Mapping) and bool(below) and not _takes_null(below)
 

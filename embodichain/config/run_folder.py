@@ -15,8 +15,8 @@ from collections.abc import Collection, Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
 
-from embodichain.utils.errors import ConfigError
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
     "CHECKPOINT",
@@ -27,12 +27,14 @@ __all__ = [
     "abandon",
     "adopt",
     "check_unused",
+    "checkpoint_of",
     "claim",
     "find_run",
     "latest_of",
     "missing_folders",
     "named_checkpoint",
     "newest_run",
+    "perhaps_last",
     "take_back",
     "versions",
     "whole_run",
@@ -200,9 +202,14 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
     path = Path(output_root) / LATEST if str(name) == "last" else Path(name)
     if not path.is_dir():
         there = f" ({Path(output_root) / LATEST} does not exist)" if str(name) == "last" else ""
-        hint = did_you_mean(str(name), ["last"]) if there == "" else ""
-        raise ConfigError(f"there is no run {str(name)!r}{there}{'.' if hint else ''}{hint}")
+        raise ConfigError(f"there is no run {str(name)!r}{there}{perhaps_last(name)}")
     return path.resolve()
+
+
+def perhaps_last(name: str | Path) -> str:
+    """Return ``". Did you mean 'last'?"`` for a name that nothing has, or ``""``."""
+    hint = did_you_mean(str(name), ["last"]) if str(name) != "last" else ""
+    return f".{hint}" if hint else ""
 
 
 def newest_run(output_root: str | Path, *holding: str) -> Path | None:
@@ -236,6 +243,26 @@ def named_checkpoint(path: str | Path) -> Path:
     file = f"{given.name}.zip"
     choices = (given, given.parent / file, given.parent / Path(CHECKPOINT).parent / file)
     return next((choice for choice in choices if choice.exists()), given)
+
+
+def checkpoint_of(path: str | Path) -> Path:
+    """Return the checkpoint of a path: a file, ``RUN/best``, or a run folder's final checkpoint.
+
+    Raises:
+        ConfigError: There is none; lists the checkpoints of the folder.
+    """
+    given = named_checkpoint(path)
+    if given.is_file():
+        return given
+    if not given.is_dir():
+        message = f"no such file or folder: {given}{perhaps_last(path)}"
+        raise ConfigError([Problem("policy", message)])
+    if (given / CHECKPOINT).is_file():
+        return given / CHECKPOINT
+    others = sorted((given / CHECKPOINT).parent.glob("*.zip")) or sorted(given.glob("*.zip"))
+    there = f"there are: {listing(str(other) for other in others)}" if others else "it has none"
+    message = f"{given} has no {CHECKPOINT}: it is no finished training's folder; {there}"
+    raise ConfigError([Problem("policy", message)])
 
 
 def versions() -> dict[str, str | None]:

@@ -22,7 +22,7 @@ from embodichain.config.check_types import TypeCheck, check_types
 from embodichain.config.composed import Composed
 from embodichain.config.given_keys import check_given
 from embodichain.config.locate import COMMAND_LINE, Locator
-from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
+from embodichain.config.run_folder import CHECKPOINT, checkpoint_of, newest_run
 from embodichain.config.schema import (
     LARGEST_TRAINING_SEED,
     SUGGESTED_KEYS,
@@ -162,7 +162,7 @@ def _advised(problem: Problem, locator: Locator) -> Problem:
         hint = quoted if typed else quoting(written)
     elif "${oc.env:" in written:
         hint = f"A variable of the environment is text: write ${{oc.decode:{written}}}."
-    elif typed and written.lower() in _FLAGS:
+    elif typed and problem.expected == "true or false" and written.lower() in _FLAGS:
         hint = f"Write {problem.path}={_FLAGS[written.lower()]}."
     else:
         return problem
@@ -435,8 +435,8 @@ def _existing(root: RootCfg, path: Path) -> Any:
         if newest_run(root.output_dir, CHECKPOINT) is None:
             message = f"there is no finished training in {root.output_dir} (train first)"
             raise ConfigError([Problem("policy", message)])
-    elif str(path) != PRETRAINED and not named_checkpoint(path).exists():
-        raise ConfigError([Problem("policy", f"no such file or folder: {path}")])
+    elif str(path) != PRETRAINED:
+        checkpoint_of(path)
     return lambda obs, env: None
 
 

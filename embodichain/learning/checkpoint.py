@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.config.run_folder import named_checkpoint
+from embodichain.config.run_folder import checkpoint_of
 from embodichain.learning.task_digest import TaskDigest
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
@@ -79,18 +79,9 @@ def find_checkpoint(path: str | Path) -> Path:
     """Return the checkpoint of a path: a file, ``RUN/best``, or a run folder's final checkpoint.
 
     Raises:
-        ConfigError: If there is none; lists the paths that were tried.
+        ConfigError: If there is none; lists the checkpoints of the folder.
     """
-    given = named_checkpoint(path)
-    if given.is_file():
-        return given
-    if given.is_dir():
-        found = given / CHECKPOINTS / FINAL
-        if found.is_file():
-            return found
-        message = f"{given} has no {CHECKPOINTS}/{FINAL}: it is no finished training's folder"
-        raise ConfigError([Problem("policy", message)])
-    raise ConfigError([Problem("policy", f"there is no file or folder {str(given)!r}")])
+    return checkpoint_of(path)
 
 
 def read_note(path: Path) -> dict[str, Any]:

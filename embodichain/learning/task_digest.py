@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 
+from embodichain.lab.gym.envs.managers.registry import SECTIONS
 from embodichain.lab.gym.mdp_values import mdp_values
 from embodichain.lab.sim.physics_values import physics_values
 from embodichain.utils.errors import ConfigError
@@ -27,7 +28,9 @@ __all__ = ["ALLOW", "Change", "TaskDigest", "check_unchanged"]
 ALLOW = "allow_changed=true"
 """Override of the command line that accepts a changed task."""
 
-TOLD = ("rewards", "corruption", "curriculum", "mujoco")
+GAINED = "gained"
+"""Part of parameters of which an old digest does not say whether its term had them."""
+TOLD = ("rewards", "corruption", "curriculum", "mujoco", GAINED)
 """Parts that do not affect a policy's actions; a change only causes a warning."""
 
 _FORMAT = 1
@@ -122,8 +125,13 @@ class TaskDigest:
         found: list[Change] = []
         for part in dict.fromkeys([*self.parts, *now.parts]):
             before, after = self.parts.get(part), now.parts.get(part)
+            gained: set[str] = set()
+            if part in SECTIONS:
+                before, after, gained = _without_gained(part, before or {}, after or {})
             pairs = _model(before, after) if part == "model" else _section(part, before, after)
-            found += [Change(part, name, _text(a, b), _text(b, a)) for name, a, b in pairs]
+            for name, a, b in pairs:
+                of = GAINED if name in gained else part
+                found.append(Change(of, name, _text(a, b), _text(b, a)))
         return found
 
 
@@ -193,6 +201,40 @@ def _section(part: str, before: Any, now: Any) -> Iterator[_Difference]:
     a, b = before or {}, now or {}
     for key in dict.fromkeys([*a, *b]):
         yield from _walk(f"{name}{key}", a.get(key), b.get(key))
+
+
+def _without_gained(
+    part: str, before: Mapping[str, Any], now: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any], set[str]]:
+    """Leave out parameters at their default that a term did not have before.
+
+    Returns:
+        Two sections without ``takes``; and the names of parameters that may be such, where the
+        digest is of a version that did not say which parameters there were.
+    """
+    left: dict[str, Any] = {}
+    gained: set[str] = set()
+    for name, term in now.items():
+        earlier = before.get(name)
+        left[name] = term
+        if not (isinstance(term, Mapping) and isinstance(earlier, Mapping)):
+            continue
+        params, had = dict(term.get("params", {})), earlier.get("takes")
+        for key, kind in term.get("takes", {}).items():
+            if kind != "default" or key in (earlier.get("params", {}) if had is None else had):
+                continue
+            if had is None:
+                gained.add(f"task.{part}.{name}.params.{key}")
+            else:
+                params.pop(key, None)
+        left[name] = {**term, "params": params}
+    return _without_takes(before), _without_takes(left), gained
+
+
+def _without_takes(section: Mapping[str, Any]) -> dict[str, Any]:
+    terms = {name: term for name, term in section.items() if isinstance(term, Mapping)}
+    bare = {name: {k: v for k, v in term.items() if k != "takes"} for name, term in terms.items()}
+    return {**section, **bare}
 
 
 def _walk(name: str, before: Any, now: Any) -> Iterator[_Difference]:

@@ -36,6 +36,18 @@ def test_words_of_the_user_degrade(embodichain, tmp_path):
     assert "gr\\xf6\\xdfe" in wrong.stderr
 
 
+@pytest.mark.parametrize("words", [RUN, ("report", "last"), ("run", "task=größe")])
+def test_letters_that_are_no_text_are_refused_before_anything_is_made(embodichain, tmp_path, words):
+    """Without UTF-8 at all, a path's letters cannot be written into a run's files."""
+    cwd = tmp_path / ("plain" if "task=größe" in words else "grün")
+    cwd.mkdir(exist_ok=True)
+    done = embodichain(*words, cwd=cwd, env=C_LOCALE)
+    assert done.returncode == 2
+    assert done.stderr.endswith(" is no text in ascii: set LC_ALL=C.UTF-8, or PYTHONUTF8=1\n")
+    assert list(cwd.iterdir()) == []
+    assert embodichain("list", "--help", cwd=cwd, env=C_LOCALE).returncode == 0
+
+
 def test_bars_and_curves_of_a_training_degrade(tmp_path):
     """In a pseudo terminal, where rich draws."""
     words = ["train", "task=cart_pole", "num_envs=2", "total_timesteps=256", "record=none"]

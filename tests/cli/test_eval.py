@@ -134,7 +134,7 @@ def test_eval_of_other_policies(here: Path, capsys: pytest.CaptureFixture[str]) 
     [
         (["eval"], "evaluate what? One of: RUN"),
         (["eval", "a", "b"], "evaluate what?"),
-        (["eval", "no/such.zip"], "there is no file or folder 'no/such.zip'"),
+        (["eval", "no/such.zip"], "no such file or folder: no/such.zip"),
         (["eval", "zero"], "zero is not in the folder of a run: give the task, task=NAME"),
         (["eval", "zer", "task=reach"], "unknown policy 'zer'"),
         (["eval", "RUN", "episodes=0"], "episodes: must be an integer of at least 1, got '0'"),

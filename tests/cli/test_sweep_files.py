@@ -53,6 +53,53 @@ def test_a_search_without_an_objective(empty_cwd: Path, capsys: pytest.CaptureFi
     ) in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (
+            ["hydra.sweep.dir=s", "hydra.sweep.subdir=a"],
+            "hydra.sweep.subdir: jobs 0 and 1 have the same folder, 'a'. ${hydra.job.num} and "
+            "${hydra.job.override_dirname} differ in each job.",
+        ),
+        (
+            ["hydra.sweep.dir=s", "hydra.sweep.subdir=a_${task}"],
+            "hydra.sweep.subdir: ${task} is a map, and a folder's name is text. The option's name "
+            "is ${hydra.runtime.choices.task}.",
+        ),
+        (
+            ["hydra.sweep.dir=s", "hydra.sweep.subdir=${sed}"],
+            "hydra.sweep.subdir: Interpolation key 'sed' not found",
+        ),
+        (["hydra.sweep.dir=${sed}"], "hydra.sweep.dir: Interpolation key 'sed' not found"),
+        (
+            ["hydra.sweep.dir=s/${task.actions}"],
+            "hydra.sweep.dir: ${task.actions} is a map, and a folder's name is text",
+        ),
+    ],
+)
+def test_folders_that_refer_to_what_has_no_name(
+    words: list[str], says: str, empty_cwd: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert main(["train", "-m", *TINY, "seed=0,1", *words]) == 2
+    assert capsys.readouterr().err == f"error: command line: {says}\n"
+    assert list(Path().iterdir()) == []
+
+
+def test_a_file_gives_all_jobs_one_folder(empty_cwd: Path, capsys: pytest.CaptureFixture) -> None:
+    Path("conf/experiment").mkdir(parents=True)
+    text = "# @package _global_\nhydra: {sweep: {subdir: a}}\n"
+    Path("conf/experiment/one.yaml").write_text(text)
+    assert main(["train", "-m", *TINY, "experiment=one", "seed=0,1", "hydra.sweep.dir=s"]) == 2
+    assert "jobs 0 and 1 have the same folder, 'a'" in capsys.readouterr().err
+    assert not Path("s").exists()
+
+
+def test_a_run_folder_that_refers_to_a_map(empty_cwd: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main(["run", *SHORT, "hydra.run.dir=r/${task}"]) == 2
+    assert "hydra.run.dir: ${task} is a map, and a folder's name" in capsys.readouterr().err
+    assert list(Path().iterdir()) == []
+
+
 def test_odd_folders_of_a_run(empty_cwd: Path, capsys: pytest.CaptureFixture) -> None:
     Path("file").touch()
     Path("used").mkdir()

@@ -13,6 +13,51 @@ _EXPECTED = "; expected key=value, +key=value or ~key"
     ("words", "says"),
     [
         (["run", "task", "=", "reach"], "write task=reach, without blanks around ="),
+        (["run", "task", "reach"], "write task=reach, without a blank after the key"),
+        (["run", "task:", "reach"], "write task=reach, without a blank after the key"),
+        (["run", "task=", "reach"], "write task=reach, without a blank after the key"),
+        (["run", "task", "=reach"], "write task=reach, without a blank after the key"),
+        (["run", "num_envs", "4", "reach"], "write num_envs=4, without a blank after the key"),
+        (
+            ["run", "reach", "task.rewards=", "{a:", "1}"],
+            "write 'task.rewards={a: 1}', without a blank after the key",
+        ),
+        (
+            ["run", "-n", "4"],
+            "No such option '-n'.\nTry 'embodichain run --help'. Values are given as key=value, "
+            "without dashes.",
+        ),
+        (
+            ["--task", "reach"],
+            "a verb comes first: embodichain run task=reach, without dashes",
+        ),
+        (
+            ["--num-envs=4", "task=reach"],
+            "a verb comes first: embodichain run num_envs=4, without dashes",
+        ),
+        (["compare", "lst"], "there is no run 'lst'. Did you mean 'last'?"),
+        (["compare", "num_envs=2"], "num_envs=2: `compare` reads no KEY=VALUE"),
+        *(
+            ([*verb.split(), "lst", *more], "lst does not exist. Did you mean 'last'?")
+            for verb, more in {
+                "replay": [],
+                "view": [],
+                "export --format=hdf5 -o a.hdf5": [],
+                "recover": ["a.mcap"],
+                "diff": ["lst"],
+            }.items()
+        ),
+        (["augment", "lst"], "there is no 'lst'. Did you mean 'last'?"),
+        (["play", "lst"], "there is no run or policy 'lst'. Did you mean 'last'?"),
+        (
+            ["train", "resume=lst"],
+            "resume: 'lst' is no training's folder: it has no config.yaml. Did you mean 'last'?",
+        ),
+        (
+            ["report", "last", "episodes=2"],
+            "Got unexpected extra argument (episodes=2): `report` reads no KEY=VALUE\n"
+            "Try 'embodichain report --help'.",
+        ),
         (
             ["run", "task=reach,", "episodes=1"],
             f"command line: malformed override 'task=reach,': it ends with a comma{_EXPECTED}",
@@ -50,3 +95,27 @@ def test_one_sentence(
     assert main(words) == 2
     assert capsys.readouterr().err == f"error: {says}\n"
     assert list(Path().iterdir()) == []
+
+
+def test_a_task_in_place_of_a_verb(empty_cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reach"]) == 2
+    said = "error: no such verb: 'reach'. To run the task: embodichain run task=reach. There are: "
+    assert capsys.readouterr().err.startswith(said)
+
+
+def test_a_policy_of_a_training_that_did_not_finish(
+    empty_cwd: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("stopped/checkpoints").mkdir(parents=True)
+    without = "error: command line: policy: stopped has no checkpoints/final.zip: it is no finished"
+    for verb in ("run", "validate"):
+        assert main([verb, "task=cart_pole", "policy=stopped"]) == 2
+        assert capsys.readouterr().err == f"{without} training's folder; it has none\n"
+    for name in ("best", "step_000000002048"):
+        Path(f"stopped/checkpoints/{name}.zip").touch()
+    for verb in ("run", "validate"):
+        assert main([verb, "task=cart_pole", "policy=stopped"]) == 2
+        assert capsys.readouterr().err == (
+            f"{without} training's folder; there are: stopped/checkpoints/best.zip, "
+            "stopped/checkpoints/step_000000002048.zip\n"
+        )

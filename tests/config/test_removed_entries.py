@@ -61,6 +61,34 @@ def test_an_entry_that_is_not_inherited(write_task: WriteTask) -> None:
         ]
 
 
+def test_a_whole_section_is_no_entry(write_task: WriteTask) -> None:
+    write_task(text=PARTS)
+    child("rewards: null\nrobot: {attach: null}\n")
+    hint = "expected a map, got null. Null takes out single entries: NAME: null."
+    assert {str(p) for p in validate(compose(["task=child"]))} == {
+        f"conf/task/child.yaml:2: task.rewards: {hint}",
+        f"conf/task/child.yaml:3: task.robot.attach: {hint}",
+    }
+
+
+def test_a_term_within_a_term(write_task: WriteTask) -> None:
+    term = "{func: within_distance, params: *pair}"
+    terms = f"{{far: {term}, near: {term}}}"
+    both = f"  both: {{func: all_of, params: {{terms: {terms}}}}}\nsuggested:"
+    write_task("suggested:", both)
+    child("metrics: {both: {params: {terms: {far: null}}}}\n")
+    composed = compose(["task=child"])
+    assert validate(composed) == []
+    assert list(composed.tree["task"]["metrics"]["both"]["params"]["terms"]) == ["near"]
+    child("metrics: {both: {params: {terms: {fa: null}}}}\n")
+    (problem,) = validate(compose(["task=child"]))
+    path = "task.metrics.both.params.terms"
+    assert str(problem) == (
+        f"conf/task/child.yaml:2: {path}.fa: null removes an inherited entry, and there is no "
+        f"'fa' in {path}; there are: far, near. Did you mean 'far'?"
+    )
+
+
 def test_a_later_file_adds_it_again(write_task: WriteTask) -> None:
     write_task()
     child("rewards: {near: null}\n")

@@ -3,8 +3,11 @@
 from pathlib import Path
 
 import pytest
+import yaml
+from omegaconf import OmegaConf
 
 from embodichain.config import compose, validate, validate_file
+from embodichain.config.yaml_words import compose_nodes
 from tests.config.conftest import GOOD, WriteTask
 
 FILE = "conf/task/mine.yaml"
@@ -110,6 +113,50 @@ def test_flags_and_numbers_stay(write_task: WriteTask) -> None:
     assert composed.tree["task"]["ignore_terminations"] is True
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(
+            "on",
+            "Off",
+            "y",
+            "n",
+            "NO",
+            "true",
+            "null",
+            "~",
+            "",
+            "012",
+            "0o17",
+            "0x1F",
+            "0b11",
+            "1_000",
+        ),
+        *(
+            "1:30",
+            "1:30.5",
+            "1e3",
+            "1E-3",
+            "-1e+3",
+            "+1.5",
+            "1.",
+            ".5",
+            ".5e3",
+            ".5e+3",
+            "1.5e3",
+            "1_0.5",
+        ),
+        *(".inf", "-.INF", ".nan", "2026-11-27", "2026-11-27 10:00:00", "08", "1.2.3"),
+    ],
+)
+def test_scalars_are_read_as_omegaconf_reads_them(text: str) -> None:
+    read = OmegaConf.to_container(OmegaConf.create(f"key: {text}\n"))["key"]
+    node = compose_nodes(f"key: {text}\n")
+    mine = yaml.SafeLoader("").construct_object(node.value[0][1])
+    assert type(mine) is type(read)
+    assert mine == read or mine != mine  # nan
+
+
 def test_files_that_a_task_takes_in_and_dumps(write_task: WriteTask) -> None:
     write_task(name="base", old="interval_step: 5", new="interval_step: 05")
     write_task(text="defaults: [base, _self_]\n")
@@ -133,6 +180,7 @@ def test_the_command_line(write_task: WriteTask) -> None:
         "command line: task.ignore_terminations: expected true or false, got 'off'. Write "
         "task.ignore_terminations=false."
     ]
+    assert said("num_envs=on") == ["command line: num_envs: expected an integer, got 'on'"]
     assert said("+task.metrics={true: {func: distance}}")[0] == (
         "command line: task.metrics.true: the key true is read as no text: write "
         "+task.metrics.true.KEY=VALUE"
@@ -157,6 +205,18 @@ def test_a_name_in_a_defaults_list(write_task: WriteTask) -> None:
         "with the quotes.",
         f"{FILE}:3: defaults: expected a name. YAML 1.1 reads off as false: for the text write "
         "'off', with the quotes.",
+    ]
+
+
+def test_an_option_that_an_inherited_file_has_chosen(write_task: WriteTask) -> None:
+    write_task(text="defaults: [reach, /scene@scene: lab, _self_]\n")
+    assert said() == [
+        f"{FILE}:1: defaults: another file has chosen an option: write `override /scene@scene: lab`"
+    ]
+    write_task(text="defaults: [reach, override /scene@scene: lab, _self_]\n")
+    assert said() == []
+    assert said("+experiment=quick_reach") == [
+        "command line: experiment: an option is chosen already: write experiment=NAME, without +"
     ]
 
 

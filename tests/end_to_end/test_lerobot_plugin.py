@@ -46,7 +46,8 @@ def test_its_name_is_one_that_lerobot_imports():
 
 @pytest.mark.skipif(
     "LEROBOT_PYTHON" not in os.environ,
-    reason="LeRobot has its own environment, 8 GB with CUDA's torch: `make lerobot` runs this",
+    reason="LEROBOT_PYTHON names no interpreter with LeRobot: `make lerobot` makes one (8 GB) and "
+    "runs this",
 )
 def test_demonstrations_train_a_policy_that_lerobot_evaluates(tmp_path):
     task = "press_button"

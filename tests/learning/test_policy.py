@@ -123,7 +123,7 @@ def other_file(tmp_path, what):
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        ("missing", "there is no file or folder"),
+        ("missing", "no such file or folder"),
         ("text", "is no policy of Stable-Baselines3: File is not a zip file"),
         ("folder", "has no checkpoints/final.zip"),
         ("foreign zip", "it has no data"),

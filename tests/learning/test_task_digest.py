@@ -1,5 +1,7 @@
 """What a checkpoint says of its task: it is the config's alone, for every shipped task."""
 
+import json
+
 import pytest
 
 from embodichain.config import list_options, make
@@ -42,6 +44,42 @@ def test_terms_that_came_or_went_are_one_line_each() -> None:
     assert "task.observations.more none -> last_action" in changes
     assert sum(line.startswith("task.observations.qvel") for line in changes) == 1
     assert all(change.refused for change in before.changes(now))
+
+
+def without(digest: TaskDigest, *, whole: bool) -> TaskDigest:
+    """The digest of a version whose `joint_action` had no parameter `bounds`.
+
+    Args:
+        digest: A digest of this version.
+        whole: Whether that version said which parameters there were.
+    """
+    parts = json.loads(digest.to_json())
+    arm = parts["actions"]["arm"]
+    del arm["params"]["bounds"], arm["takes"]["bounds"]
+    if not whole:
+        for section in parts.values():
+            for term in section.values() if isinstance(section, dict) else ():
+                if isinstance(term, dict):
+                    term.pop("takes", None)
+    read = TaskDigest.from_json(json.dumps(parts))
+    assert read is not None
+    return read
+
+
+def test_a_parameter_that_a_term_gained() -> None:
+    now = digest("reach", 1)
+    unbounded = ("~task.actions.arm.params.clip", "+task.actions.arm.params.bounds=null")
+    other = digest("reach", 1, *unbounded)
+    name = "task.actions.arm.params.bounds"
+    assert without(now, whole=True).changes(now) == []
+    # Given, or there before: a change of the action.
+    assert [str(c) for c in now.changes(other) if c.name == name] == [f"{name} clip -> none"]
+    assert all(c.refused for c in other.changes(now))
+    assert [str(c) for c in other.changes(now) if c.name == name] == [f"{name} none -> clip"]
+    # Older checkpoints do not say whether it was there: a warning.
+    (told,) = without(now, whole=False).changes(now)
+    assert str(told) == f"{name} none -> clip"
+    assert not told.refused
 
 
 def test_places_and_objects_are_named() -> None:

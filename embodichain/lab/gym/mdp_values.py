@@ -31,7 +31,7 @@ def mdp_values(env: BaseEnv, group: str = "policy") -> dict[str, Any]:
     """Return the values in the config that determine the MDP of an environment.
 
     The code of environment classes and terms is not part of it. Values that are zero, false or
-    None are left out.
+    None are left out; `takes` of a term has all its parameters, each ``default`` or ``given``.
 
     Args:
         env: The environment.
@@ -74,13 +74,21 @@ def _terms(section: str, terms: Mapping[str, TermCfg]) -> dict[str, Any]:
 
 def _term(section: str, cfg: TermCfg) -> dict[str, Any]:
     checked, _ = check_term(SECTIONS[section], cfg, section)
-    params = dict(cfg.params)
+    params, takes = dict(cfg.params), dict.fromkeys(cfg.params, "given")
     if checked is not None:
         known = checked.spec.params.items()
-        params = {n: p.default for n, p in known if p.default is not p.empty} | checked.values
+        usual = {n: p.default for n, p in known if p.default is not p.empty}
+        params = usual | checked.values
+        takes = {n: _given(n, params, usual) for n in params}
     others = {f.name for f in dataclasses.fields(cfg)} - {"func", "params"}
     fields = {name: getattr(cfg, name) for name in sorted(others)}
-    return {"func": cfg.func, **fields, "params": params}
+    return {"func": cfg.func, **fields, "params": params, "takes": takes}
+
+
+def _given(name: str, params: Mapping[str, Any], usual: Mapping[str, Any]) -> str:
+    """Whether a parameter is ``default`` or ``given``."""
+    same = name in usual and _plain(params[name]) == _plain(usual[name])
+    return "default" if same else "given"
 
 
 def _initial(env: BaseEnv) -> dict[str, Any]:

@@ -183,7 +183,8 @@ def test_another_group_alone(logs, tmp_path):
 
 @pytest.mark.skipif(
     "LEROBOT_PYTHON" not in os.environ,
-    reason="LeRobot wants an older torch, 8 GB with CUDA: `make lerobot` runs this",
+    reason="LEROBOT_PYTHON names no interpreter with LeRobot: `make lerobot` makes one (8 GB) and "
+    "runs this",
 )
 def test_lerobot_itself_loads_observations(logs, tmp_path):
     root, out = export_episodes(logs, "lerobot", tmp_path / "set"), tmp_path / "read.npz"
@@ -212,8 +213,8 @@ def test_lerobot_itself_loads_observations(logs, tmp_path):
 
 @pytest.mark.skipif(
     "ROBOMIMIC_PYTHON" not in os.environ,
-    reason="robomimic 0.3.0 needs torchvision, diffusers and the old package gym: an environment "
-    "of its own, with this package in it",
+    reason="ROBOMIMIC_PYTHON names no interpreter with robomimic 0.3.0 and this package (a virtual "
+    "environment of their own: it needs torchvision, diffusers and the old package gym)",
 )
 def test_robomimic_itself_makes_the_environment(logs, tmp_path):
     path, out = export_episodes(logs, "robomimic", tmp_path / "set.hdf5"), tmp_path / "read.npz"

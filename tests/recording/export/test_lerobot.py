@@ -177,7 +177,8 @@ def test_rerun_reads_the_data_set(filmed, tmp_path):
 
 @pytest.mark.skipif(
     "LEROBOT_PYTHON" not in os.environ,
-    reason="LeRobot wants an older torch, 8 GB with CUDA: `make lerobot` runs this",
+    reason="LEROBOT_PYTHON names no interpreter with LeRobot: `make lerobot` makes one (8 GB) and "
+    "runs this",
 )
 def test_lerobot_itself_loads_the_data_set(filmed, tmp_path):
     root, out = export(filmed, "lerobot", tmp_path / "set"), tmp_path / "read.npz"

@@ -268,7 +268,10 @@ def headless(path):
         while not client.get_state().views and time.monotonic() < ends:
             time.sleep(0.2)
     except (ConnectionError, RuntimeError) as error:
-        pytest.skip(f"Rerun's viewer does not start here, it needs Vulkan: {error}")
+        pytest.skip(
+            "Rerun's viewer does not start here; it needs Vulkan, a software one is in Debian's "
+            f"mesa-vulkan-drivers: {error}"
+        )
     try:
         time.sleep(1.0)  # for its first pictures
         yield client
