@@ -35,13 +35,13 @@ _SWITCHES = {
     "filter_visual_rand": "Leave out visual randomization.",
 }
 _NO_EFFECT: dict[str, tuple[Any, str]] = {
-    "renderer": (click.Choice(RENDERERS), "pictures are MuJoCo's"),
+    "renderer": (click.Choice(RENDERERS), "cameras and viewers draw with rasterizers"),
     "arena_space": (float, "every environment is its own world"),
-    "gpu_id": (int, "physics runs on the CPU"),
     "action_config": (
         str,
-        "not read: expert demonstrations are not generated here; policy=NAME acts",
+        "declare `expert:` in the task: `embodichain collect` plays it",
     ),
+    "gpu_id": (int, "it numbers the card of --device cuda"),
     "preview": (bool, "viewer=web shows the run in a browser, viewer=native in a window"),
     "filter_dataset_saving": (
         bool,
@@ -86,6 +86,9 @@ def command(**options: Any) -> None:
     flags = SimpleNamespace(**options, cfg=None, info=None, multirun=False)
     if not flags.gym_config:
         raise ConfigError("no gym config is named: embodichain run-env --gym_config FILE")
+    if flags.device == "cuda" and flags.gpu_id is not None:
+        flags.device = f"cuda:{flags.gpu_id}"
+        options["gpu_id"] = None
     for flag, (_, why) in _NO_EFFECT.items():
         if options[flag] is not None and options[flag] is not False:  # 0 is a value that was typed
             sys.stderr.write(f"note: --{flag} has no effect: {why}\n")

@@ -37,7 +37,7 @@ _FLAGS: dict[str, tuple[Any, str]] = {
         "accepted for compatibility: images are MuJoCo's in any case",
     ),
     "arena_space": (DefaultFloat(5.0), "metres between environments in viewers"),
-    "gpu_id": (DefaultInt(0), f"{_UNUSED} on the CPU"),
+    "gpu_id": (DefaultInt(0), "the card of --device cuda"),
 }
 """Flags that are also keys of a gym config -> default and help."""
 

@@ -71,7 +71,7 @@ OURS: Final[Mapping[str, str]] = {
 """Name -> where it is here, for every module of EmbodiChain that has the name."""
 
 _SOLVERS = "declare solver_cfg, and call robot.compute_ik: the solver follows from the arm"
-_PLANNERS = "motion planning is not available: interpolate joint targets, or train a policy"
+_PLANNERS = "motions are declared: `expert:` in a task, with steps such as move_to, grasp and place"
 _LLM = "agents driven by language models are not available"
 _RL = "train with `embodichain train task=NAME`, on Stable-Baselines3"
 _LEROBOT = "a run's log becomes a data set: `embodichain export last --format lerobot`"
@@ -86,7 +86,9 @@ _ASSEMBLY = "robots are assembled when they are read: RobotCfg(urdf_cfg=URDFCfg(
 _SOFT = "soft bodies are not available"
 _CLOTH = "cloth is not available"
 _GROUP = "object groups are not available: add objects one by one"
-_TEXTURES = "declare visual_material on a shape; randomize_visual_material changes colours"
+_TEXTURES = (
+    "declare visual_material on a shape; randomize_visual_material and randomize_texture change it"
+)
 
 REASONS: Final[Mapping[str, str]] = {
     "embodichain.embodichain_dir": "use pathlib.Path(embodichain.__file__).parent",
@@ -102,8 +104,8 @@ REASONS: Final[Mapping[str, str]] = {
     f"{_DATA}.download": _ASSET,
     f"{_DATA}.enum": _HELPER,
     "embodichain.gen_sim": "assets are not generated here: name the files of finished ones",
-    "embodichain.lab.devices": "real robots are not driven",
-    f"{_ENVS}.action_bank": "expert demonstrations are not generated here: train a policy",
+    "embodichain.lab.devices": "policy=teleop moves a simulated robot; real robots are not driven",
+    f"{_ENVS}.action_bank": "declare `expert:` in a task, then `embodichain collect`",
     f"{_MANAGERS}.dataset_manager": _LEROBOT,
     f"{_MANAGERS}.datasets": _LEROBOT,
     f"{_MANAGERS}.events": _HELPER,
@@ -142,18 +144,18 @@ REASONS: Final[Mapping[str, str]] = {
     f"{_SIM}.utility.solver_utils": _SOLVERS,
     f"{_SIM}.utility.tensor": "use torch.as_tensor",
     f"{_SIM}.utility.workspace_analyzer": (
-        "workspaces are not analysed; sample_rigid_object_pose_from_workspace draws reachable poses"
+        "no map is kept: poses that are reached are drawn, by sampling"
     ),
-    "embodichain.toolkits.acd": "MuJoCo collides a mesh by its convex hull",
+    "embodichain.toolkits.acd": "`collision: decompose` splits a mesh into convex parts",
     "embodichain.toolkits.code_generation": _LLM,
-    "embodichain.toolkits.graspkit": "grasps are not generated",
+    "embodichain.toolkits.graspkit": "the step `grasp` of an `expert:` takes declared ones",
     "embodichain.toolkits.toolkits": _LLM,
     "embodichain.toolkits.urdf_assembly": _ASSEMBLY,
     f"{_UTILS}.GLOBAL_SEED": "EnvCfg.seed, or reset(seed=...)",
     f"{_UTILS}.set_seed": "EnvCfg.seed, or reset(seed=...)",
     f"{_UTILS}.cfg": "configs are configclasses; files are read by Hydra",
     f"{_UTILS}.configclass": "use configclass, and the methods to_dict, from_dict and replace",
-    f"{_UTILS}.device_utils": "physics runs on the CPU",
+    f"{_UTILS}.device_utils": "device=cpu, cuda or cuda:N says where physics runs",
     f"{_UTILS}.file": "use pathlib",
     f"{_UTILS}.img_utils": "use numpy or pillow",
     f"{_UTILS}.math": "embodichain.utils.math has quaternions and poses in numpy",
@@ -161,7 +163,7 @@ REASONS: Final[Mapping[str, str]] = {
     f"{_UTILS}.string": "use re.fullmatch",
     f"{_UTILS}.utility": _HELPER,
     f"{_UTILS}.visualizer": "embodichain train --plot draws curves; view opens a log",
-    f"{_UTILS}.warp": "kernels for CUDA are not here: physics runs on the CPU",
+    f"{_UTILS}.warp": "device=cuda runs physics on MuJoCo Warp, with its own kernels",
 }
 """Missing module, or a name of it -> what to use instead; the most specific entry applies."""
 

@@ -174,6 +174,11 @@ def _suggest(draft: Draft, config: Mapping[str, Any]) -> None:
             continue
         for verb in verbs:
             draft.put(("suggested", verb, name), value, (key,))
-    device = config.get("device")
-    if device not in (None, "cpu"):
+    device, card = config.get("device"), config.get("gpu_id")
+    if device == "cuda" and isinstance(card, int):
+        draft.note(("device",), f"give it on the command line: device=cuda:{card}")
+        draft.note(("gpu_id",), "it is the number in device=cuda:N")
+    elif device not in (None, "cpu"):
         draft.note(("device",), f"give it on the command line: device={device}")
+    elif card is not None:
+        draft.note(("gpu_id",), f"physics runs on a card with device=cuda:{card}, else on the CPU")

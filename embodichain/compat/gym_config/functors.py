@@ -29,7 +29,7 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
         "replace_assets_from_group": "a mesh is compiled once, from its file",
         "drop_rigid_object_group_sequentially": _GROUPS,
         **each(
-            "constraints are not available yet",
+            "constraints are equality constraints of an MJCF scene or robot",
             "create_rigid_constraint remove_rigid_constraint",
         ),
         **each(
@@ -55,16 +55,17 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
 }
 """Kind -> functor -> why it is left out. A registered term of the name has precedence."""
 
-_TEXTURES = "textures are not drawn: colours are"
+_TEXTURES = "use randomize_texture, which draws one of the textures that the object declares"
 PARAMS_LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
     "randomize_anchor_height": {"include_groups": _GROUPS},
     "sample_rigid_object_pose_from_workspace": each(
-        "there is no workspace analysis", "strategy use_workspace_orientation min_score"
+        "no maps of a workspace are kept: poses are drawn until inverse kinematics succeed",
+        "strategy use_workspace_orientation min_score",
     ),
     "randomize_camera_pose": each(_LOOK_AT, "eye_range target_range up_range"),
     "randomize_visual_material": {
-        "shared": "environments are drawn one by one",
-        "ior_range": "MuJoCo's rasterizer does not refract",
+        "shared": "every environment draws its own material",
+        "ior_range": "rasterizers do not refract",
         **each(_TEXTURES, "texture_path random_texture_prob fallback_to_new p_original p_library"),
         **each(_TEXTURES, "p_solid solid_texture_count"),
     },

@@ -156,6 +156,12 @@ def _shape(draft: Draft, data: Any, source: Path, target: Path) -> None:
     if material is not None:
         where = (*source, "visual_material")
         draft.carry(material, where, (*target, "visual_material"), known.MATERIAL)
+        texture = material.get("base_color_texture") if isinstance(material, Mapping) else None
+        if isinstance(texture, str):
+            place = (*target, "visual_material", "textures")
+            draft.put(place, [texture], (*where, "base_color_texture"))
+        elif texture is not None:
+            draft.note((*where, "base_color_texture"), "a texture is a file of an image")
 
 
 def convert_robot(draft: Draft, data: Any) -> str:

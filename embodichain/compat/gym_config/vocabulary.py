@@ -39,12 +39,12 @@ def each(rule: R, names: str) -> dict[str, R]:
 _PHYSX = "a PhysX setting; MuJoCo has none like it"
 _NEWTON = "a setting of the Newton backend"
 _SLEEP = "MuJoCo puts nothing to sleep here"
-_RENDER = "MuJoCo's rasterizer draws, in a log viewer or with viewer=native"
+_RENDER = "cameras and viewers draw with rasterizers: MuJoCo's, or this project's own"
 _USD = "USD is not read"
 _ROBOT_SENSORS = "a sensor on a robot is declared under sensor, with a link as parent"
 _RECORD = "the log of a run contains its trajectory: embodichain replay"
 _MESH = "a mesh collides as its convex hull; `collision: decompose` splits it into convex parts"
-_EXPERT = "expert data is not collected here"
+_EXPERT = "declare `expert:` in a task; `embodichain collect` makes demonstrations of it"
 _ROLLOUT = "a learner has its own buffer"
 _ASSEMBLED = "robots are assembled when they are read: nothing is written"
 
@@ -54,12 +54,12 @@ TOP: Vocabulary = {
     **each(HANDLED, "environment embodiment scene"),
     "max_episode_steps": KEEP,
     "headless": "a run opens no window unless viewer=native",
-    "gpu_id": "physics runs on the CPU",
+    "gpu_id": HANDLED,
     "arena_space": "every environment is its own world",
     **each(_RENDER, "renderer render_cfg"),
     "physics": "the physics is MuJoCo's",
     "enable_sensor": HANDLED,
-    "ground_plane_visible": "the ground plane is always drawn",
+    "ground_plane_visible": "`scene: {ground: {type: none}}` leaves it out, for collisions too",
     "startup_summary": "embodichain show prints the scene",
     "scene_node_capacity": "there is no such limit",
     **each("gizmos are not available", "enable_entity_gizmo robot_ik_gizmo"),
@@ -94,7 +94,7 @@ ARTICULATION: Vocabulary = {
     "build_pk_chain": "kinematics are MuJoCo's",
     "compute_uv": _RENDER,
     "use_usd_properties": _USD,
-    "link_attrs": "attributes of single links are not available",
+    "link_attrs": "`contact:` sets the friction of single links, `randomize` draws masses",
     "qpos_limits": "limits are those of the robot's file",
     "asset_physics_mode": "physics comes from the robot's file and from this section",
 }
@@ -103,7 +103,7 @@ ROBOT: Vocabulary = {
     **ARTICULATION,
     **each(HANDLED, "class_type robot_type init_qpos urdf_cfg solver_cfg"),
     "control_parts": KEEP,
-    "workspace_cfg": "workspaces are not analysed",
+    "workspace_cfg": "no maps of a workspace are kept",
     **each(_ROBOT_SENSORS, "sensors enable_sensor"),
 }
 
@@ -171,10 +171,11 @@ SHAPES: Mapping[str, Vocabulary] = {
     },
 }
 
-_COLOR = "MuJoCo's rasterizer shows base_color"
+_COLOR = "rasterizers show base_color and one texture"
 MATERIAL: Vocabulary = {
     "base_color": KEEP,
-    **each(_COLOR, "uid metallic roughness emissive emissive_intensity ior base_color_texture"),
+    "base_color_texture": HANDLED,
+    **each(_COLOR, "uid metallic roughness emissive emissive_intensity ior"),
     **each(_COLOR, "metallic_texture roughness_texture normal_texture ao_texture"),
 }
 

@@ -105,7 +105,7 @@ class SimulationManagerCfg:
     """False opens a viewer where a display exists, and warns where none does."""
     render_cfg: RenderCfg = RenderCfg()
     gpu_id: int = 0
-    """No effect on the CPU."""
+    """The card of `sim_device` "cuda"; "cuda:N" names it by itself."""
     thread_mode: Any = "RENDER_SHARE_ENGINE"
     """No effect."""
     cpu_num: int = 1
@@ -142,6 +142,12 @@ class SimulationManagerCfg:
     """Overwritten by `EnvCfg.scene`."""
     views: dict[str, ViewCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     """Camera views by name; overwritten by `EnvCfg.views`."""
+
+    @property
+    def device_name(self) -> str:
+        """`sim_device` with its card: "cpu", "cuda" or "cuda:N"."""
+        name = str(self.sim_device)
+        return f"cuda:{self.gpu_id}" if name == "cuda" and self.gpu_id else name
 
     @property
     def has_ground(self) -> bool:

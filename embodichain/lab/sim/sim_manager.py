@@ -115,12 +115,12 @@ class SimulationManager(Uncopied):
     def __init__(self, cfg: SimulationManagerCfg | None = None) -> None:
         self.sim_config = cfg if cfg is not None else SimulationManagerCfg(headless=True)
         self._engine_name, problems = choose_engine(
-            self.sim_config.engine, self.sim_config.sim_device
+            self.sim_config.engine, self.sim_config.device_name
         )
         if problems:
             raise DeviceError(problems)
         there = self._engine_name == "warp" and self.sim_config.warp.arrays == "device"
-        self.arrays = DeviceArrays(str(self.sim_config.sim_device)) if there else Arrays()
+        self.arrays = DeviceArrays(self.sim_config.device_name) if there else Arrays()
         self.device = self.arrays.device
         self.num_envs = int(self.sim_config.num_envs)
         if self.num_envs < 1:
@@ -282,7 +282,7 @@ class SimulationManager(Uncopied):
             from embodichain.lab.sim.engine.warp import WarpEngine
 
             kind = DeviceEngine if self.arrays.on_device else WarpEngine
-            sizes = str(cfg.sim_device), cfg.warp.nconmax, cfg.warp.njmax
+            sizes = cfg.device_name, cfg.warp.nconmax, cfg.warp.njmax
             self._engine = kind(scene.model, self.num_envs, cfg.num_threads, *sizes)
         else:
             each = bytes_of(scene.model, cfg.persistent)

@@ -29,14 +29,20 @@ Class = TypeVar("Class", bound=type)
 _SOFT, _CLOTH = "soft bodies are not available", "cloth is not available"
 _GROUP, _GIZMO = "object groups are not available", "gizmos are not available"
 _TEXTURE, _MATERIAL = "textures are compiled into the model", "declare visual_material"
-_LIGHT, _WELD = "MuJoCo has none; add lights", "welds come later"
+_LIGHT, _WELD = (
+    "MuJoCo has none; add lights",
+    "welds are equality constraints of an MJCF scene or robot",
+)
 _ENGINE = "the engine is MuJoCo's: model and data are scene.model and engine.rows"
 _WINDOW = "the log of a run contains it: record=mcap, then `embodichain replay last --video FILE`"
 
 SIMULATION_ANSWERS: Mapping[str, tuple[Any, str]] = {
     "flush_cleanup_queue": (None, "`destroy` frees at once"),
     "wait_scene_destruction": (None, "`destroy` frees at once"),
-    "init_gpu_physics": (None, "there is no GPU engine yet, and the CPU's needs no start"),
+    "init_gpu_physics": (
+        None,
+        "device=cuda is MuJoCo Warp from the first step; no engine needs a start",
+    ),
     "set_default_background": (None, "the background is MuJoCo's sky and ground plane"),
     "get_soft_object": (None, _SOFT),
     "get_soft_object_uid_list": ([], _SOFT),
@@ -54,8 +60,8 @@ SIMULATION_ANSWERS: Mapping[str, tuple[Any, str]] = {
 """Method of `SimulationManager` -> its constant return value, and why."""
 
 SIMULATION_REFUSALS: Mapping[str, str] = {
-    "add_soft_object": "soft bodies come later",
-    "add_cloth_object": "cloth comes later",
+    "add_soft_object": _SOFT,
+    "add_cloth_object": _CLOTH,
     "add_rigid_object_group": "add objects one by one",
     **dict.fromkeys(
         ("create_visual_material", "get_visual_material", "clean_materials"), _MATERIAL
@@ -63,14 +69,14 @@ SIMULATION_REFUSALS: Mapping[str, str] = {
     **dict.fromkeys(("create_rigid_constraint", "remove_rigid_constraint"), _WELD),
     "export_usd": "USD is not written",
     "draw_marker": "add a kinematic object instead",
-    "remove_marker": "no marker can be drawn",
+    "remove_marker": "remove or hide the kinematic object that stands for it",
     **dict.fromkeys(("enable_gizmo", "disable_gizmo", "toggle_gizmo_visibility"), _GIZMO),
     "set_gizmo_visibility": _GIZMO,
-    "visualize_point_cloud": "point clouds come later",
+    "visualize_point_cloud": "the observation camera_points returns them; no window draws them",
     **dict.fromkeys(("set_indirect_lighting", "set_emission_light"), _LIGHT),
     "set_ground_plane_visibility": "SimulationManagerCfg(ground_plane=False) leaves it out",
     "set_texture_cache": _TEXTURE,
-    "render_camera_group": "cameras come later",
+    "render_camera_group": "a camera sensor is drawn when it is read: update, then get_data",
     **dict.fromkeys(("get_env", "get_world"), _ENGINE),
     **dict.fromkeys(("start_window_record", "stop_window_record"), _WINDOW),
     **dict.fromkeys(("toggle_window_record", "enable_window_record_hotkey"), _WINDOW),
@@ -121,12 +127,10 @@ def _refusing(name: str, why: str) -> tuple[type[_Unavailable], type[_Unavailabl
     return type(name, (_Unavailable,), members), type(f"{name}Cfg", (_Unavailable,), members)
 
 
-SoftObject, SoftObjectCfg = _refusing("SoftObject", "soft bodies are not available yet")
-ClothObject, ClothObjectCfg = _refusing("ClothObject", "cloth is not available yet")
+SoftObject, SoftObjectCfg = _refusing("SoftObject", _SOFT)
+ClothObject, ClothObjectCfg = _refusing("ClothObject", _CLOTH)
 RigidObjectGroup, RigidObjectGroupCfg = _refusing(
-    "RigidObjectGroup", "object groups are not available yet; add objects one by one"
+    "RigidObjectGroup", "object groups are not available: add objects one by one"
 )
-RigidConstraint, RigidConstraintCfg = _refusing(
-    "RigidConstraint", "rigid constraints are not available yet"
-)
-Gizmo, GizmoCfg = _refusing("Gizmo", "gizmos are not available yet")
+RigidConstraint, RigidConstraintCfg = _refusing("RigidConstraint", _WELD)
+Gizmo, GizmoCfg = _refusing("Gizmo", _GIZMO)

@@ -229,7 +229,8 @@ def test_every_section_is_converted_or_listed() -> None:
     found = notes(conversion)
     for path, words in {
         "id": "Python class of EmbodiChain's",
-        "device": "device=cuda",
+        "device": "device=cuda:1",
+        "gpu_id": "device=cuda:N",
         "physics_config.bounce_threshold": "PhysX",
         "robot.solver_cfg.class_type": "the solver follows from the arm",
         "sensor.1": "sensors: {NAME: {sensor_type: contact",
@@ -462,7 +463,7 @@ def test_textures_are_left_out_and_what_needs_them() -> None:
     assert set(conversion.task["events"]["both"]["params"]) == {"entity_cfg", "base_color_range"}
     found = notes(conversion)
     assert found["env.events.only"].endswith("nothing is left that it would change")
-    assert "textures are not drawn" in found["env.events.both.params.texture_path"]
+    assert "use randomize_texture" in found["env.events.both.params.texture_path"]
 
 
 def test_a_class_of_ones_own_stays() -> None:
@@ -488,3 +489,12 @@ def test_what_a_gym_config_is() -> None:
     assert is_gym_config(COMPOSED)
     assert not is_gym_config({"task": {}, "env": {}})
     assert not is_gym_config({"robot": {}})
+
+
+def test_a_texture_of_a_surface_is_a_file() -> None:
+    material = {"base_color": [1, 1, 1, 1], "base_color_texture": "wood.png"}
+    shape = {"shape_type": "Cube", "size": [0.1, 0.1, 0.1], "visual_material": material}
+    conversion = convert({"rigid_object": [{"uid": "cube", "shape": shape}]})
+    textures = conversion.task["objects"]["cube"]["shape"]["visual_material"]["textures"]
+    assert textures == ["wood.png"]
+    assert not [path for path in notes(conversion) if "texture" in path]
