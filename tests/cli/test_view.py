@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import socket
 import stat
@@ -90,7 +91,7 @@ def test_it_is_played_to_who_looks_and_again(name, request):
     player.start()
     try:
         for _ in range(2):  # a later subscriber is sent the scene as well
-            with Client(server.port) as client:
+            with Client(server) as client:
                 client.meet(len(topics))
                 client.subscribe("/tf", "/env_1/scene")
                 assert client.until("/env_1/scene")[2].entities
@@ -105,7 +106,7 @@ def test_it_is_played_to_who_looks_and_again(name, request):
 def test_the_verb_serves_until_it_is_interrupted(log, capsys, monkeypatch):
     def interrupted(path, server, stopped, speed):
         assert (path, speed) == (log, 2.0)
-        with Client(server.port) as client:
+        with Client(server) as client:
             client.meet(5)
         os.kill(os.getpid(), signal.SIGINT)
         while not stopped():
@@ -127,11 +128,12 @@ def test_a_run_says_where_it_is_shown(capsys):
         port = taken.getsockname()[1]
     short = ("task=random_reach", "num_envs=2", "max_steps=3", "record=none", "viewer=foxglove")
     assert main(["run", *short, f"viewer.port={port}", "viewer.env=1"]) == 0
-    assert f"viewer: ws://127.0.0.1:{port} (Foxglove, Lichtblick: " in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert re.search(rf"viewer: ws://127.0.0.1:{port}/\?token=\S+ \(Foxglove, Lichtblick: ", said)
     assert main(["run", *short, f"viewer.port={port}", "viewer.host=0.0.0.0"]) == 0
     assert (
-        f"warning: the viewer at 0.0.0.0:{port} has no authentication; anyone who can reach this "
-        "address can watch the run\n"
+        f"warning: other machines reach the viewer at 0.0.0.0:{port}; who has its token can watch "
+        "the run. Nothing is encrypted; HTTPS needs a proxy\n"
     ) in capsys.readouterr().err
     with socket.create_server(("127.0.0.1", port)):
         assert main(["run", *short, f"viewer.port={port}"]) == 2

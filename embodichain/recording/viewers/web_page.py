@@ -28,6 +28,7 @@ import numpy as np
 from embodichain.lab.gym.teleop import ToolCommand
 from embodichain.lab.sim.engine.api import F64
 from embodichain.utils import platforms
+from embodichain.utils.access import Access
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 if TYPE_CHECKING:
@@ -110,6 +111,7 @@ class PageOptions:
         resets: Whether the page may end episodes, as truncated.
         title: Title of the page and its panel.
         teleop: Whether a person moves a robot's tool on the page.
+        access: Who may use the page: a drawn token by default.
     """
 
     host: str = "127.0.0.1"
@@ -119,6 +121,7 @@ class PageOptions:
     resets: bool = True
     title: str = "embodichain"
     teleop: bool = False
+    access: Access = Access()
 
 
 class WebPage:
@@ -131,10 +134,11 @@ class WebPage:
         stopped: Whether to end all waiting.
 
     Attributes:
-        url: Address of the page.
+        url: Address of the page, with its token.
+        address: The same without it, for logs.
 
     Raises:
-        ConfigError: If the address cannot be listened on.
+        ConfigError: If the address cannot be listened on, or `options.access` does not fit it.
     """
 
     is_open = True
@@ -169,6 +173,7 @@ class WebPage:
             self.close()
             raise ConfigError([Problem(*value)])
         self.url: str = value
+        self.address = self.url.partition("?")[0]
         self._listener = threading.Thread(target=self._listen, name="web viewer", daemon=True)
         self._listener.start()
 
