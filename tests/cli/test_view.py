@@ -117,6 +117,22 @@ def test_the_verb_serves_until_it_is_interrupted(log, capsys, monkeypatch):
     assert "playing it at ws://127.0.0.1:" in capsys.readouterr().out
 
 
+def test_the_verb_says_who_may_connect(log, capsys, monkeypatch):
+    def tried(path, server, stopped, speed):
+        with Client(server, origin="http://lichtblick.example") as client:
+            client.meet(5)
+
+    monkeypatch.setattr(foxglove, "stream_log", tried)
+    words = ["view", str(log), "--serve", "--port", "0"]
+    origin = ["--allow-origin", "http://lichtblick.example"]
+    assert main([*words, *origin, "--token", "of-mine"]) == 0
+    assert re.search(r"ws://127.0.0.1:\d+/\?token=of-mine: Open", capsys.readouterr().out)
+    assert main([*words, *origin, "--token", "none"]) == 0
+    assert "token" not in capsys.readouterr().out
+    assert main([*words, "--token", "none", "--host", "0.0.0.0"]) == 2
+    assert "viewer.token: none is for an address that only this" in capsys.readouterr().err
+
+
 def test_wrong_words_are_refused(log, capsys):
     assert main(["view", str(log), "--serve", "--speed", "0"]) == 2
     assert main(["view", str(log.with_name("none.mcap"))]) == 2

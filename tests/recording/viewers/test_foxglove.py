@@ -298,8 +298,8 @@ def test_a_viewer_that_never_reads_costs_the_run_nothing_and_others_see_all():
         client.subscribe("/env_2/metrics")
         wanted = view.server.is_wanted
         _step_until(env, lambda: wanted("/env_2/metrics") and wanted("/tf"))
-        big, waiting = bytes(1 << 20), 0
-        for i in range(200):
+        big, waiting = bytes(1 << 19), 0
+        for i in range(400):
             view.server.send(i, [("/tf", big)])  # 200 MB: returns each time, whoever reads
             waiting = max(waiting, *(one.outbox._bytes for one in view.server._clients))
         assert 16 << 20 < waiting <= (32 << 20) + (2 << 20)
