@@ -291,9 +291,9 @@ def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], 
     if verb == "train" and isinstance(tree["algo"], Mapping):
         tree, chosen, doubtful = _with_learning_scale(tree)
         notes = (*notes, *chosen, *(problem.at(source(problem.path)) for problem in doubtful))
-    tree, token = take_token(tree)
+    recorded, token = take_token(tree)
     notes = (*found.notes, *notes)
-    return Resolved(freeze(tree), (), task_name, notes, source, found.scene, token)
+    return Resolved(freeze(recorded), (), task_name, notes, source, found.scene, token)
 
 
 def _with_pretrained(resolved: Resolved) -> Resolved:

@@ -61,6 +61,7 @@ class Door:
             drawn = access.token in (AUTO, WITHHELD)
             self._token = (secrets.token_urlsafe(32) if drawn else access.token).encode()
         self._session = secrets.token_urlsafe(32)  # the cookie's value, which is not the token
+        self._ticket: bytes | None = None
         self._names = {_plain(name) for name in (host, *access.allow_hosts)}
         self._any_address = not is_loopback(host)
         if self._any_address:
@@ -78,6 +79,17 @@ class Door:
     def query(self) -> str:
         """The end of an address that has the token: ``?token=...``, or nothing."""
         return "" if self._token is None else f"?token={quote(self._token.decode(), safe='')}"
+
+    def query_once(self) -> str:
+        """Return the end of an address that opens one page, once: ``?token=...``, or nothing.
+
+        It is for a browser's command line, which other users of this machine can read.
+        """
+        if self._token is None:
+            return ""
+        ticket = secrets.token_urlsafe(32)
+        self._ticket = ticket.encode()
+        return f"?token={ticket}"
 
     def refusal(self, request: Request) -> Response | None:
         """The response if a request is refused, else None.
@@ -98,6 +110,8 @@ class Door:
                 return forbidden("pages of other sites may not use this viewer")
         if self._token is None or self._has_token(request) or self._has_cookie(request):
             return None
+        if self._has_ticket(request) and "Upgrade" not in request.headers:
+            return None  # `greet` takes it
         return _unauthorized(request)
 
     def greet(self, request: Request, response: Response) -> None:
@@ -107,7 +121,12 @@ class Door:
             request: A request that was not refused.
             response: Its response; changed.
         """
-        if self._token is not None and self._has_token(request) and not self._has_cookie(request):
+        if self._token is None or self._has_cookie(request):
+            return
+        once = self._has_ticket(request)
+        if once:
+            self._ticket = None
+        if once or self._has_token(request):
             response.headers["Set-Cookie"] = (
                 f"{_cookie_name(request)}={self._session}; Path=/; HttpOnly; SameSite=Strict"
             )
@@ -124,13 +143,15 @@ class Door:
 
     def _has_token(self, request: Request) -> bool:
         """Whether address or header have the token; the time does not tell how much of it."""
-        pairs = [pair.partition("=") for pair in request.path.partition("?")[2].split("&")]
-        given = [unquote(value) for key, _, value in pairs if key == "token"]
+        given = _tokens(request)
         for value in request.headers.get_all("Authorization"):
             scheme, _, text = value.strip().partition(" ")
             if scheme.lower() == "bearer":
                 given.append(text.strip())
         return any([_equal(text, self._token) for text in given])
+
+    def _has_ticket(self, request: Request) -> bool:
+        return any([_equal(text, self._ticket) for text in _tokens(request)])
 
     def _has_cookie(self, request: Request) -> bool:
         name = _cookie_name(request)
@@ -172,6 +193,12 @@ def _unauthorized(request: Request) -> Response:
     headers["Content-Length"] = str(len(body.encode()))
     headers["Cache-Control"] = "no-store"
     return harden(Response(401, "Unauthorized", headers, body.encode()))
+
+
+def _tokens(request: Request) -> list[str]:
+    """What the address gives as the token."""
+    pairs = [pair.partition("=") for pair in request.path.partition("?")[2].split("&")]
+    return [unquote(value) for key, _, value in pairs if key == "token"]
 
 
 def _equal(given: str, expected: bytes | None) -> bool:

@@ -135,7 +135,8 @@ class WebPage:
 
     Attributes:
         url: Address of the page, with its token.
-        address: The same without it, for logs.
+        url_once: An address that opens the page once, for a browser's command line.
+        address: The address without a token, for logs.
 
     Raises:
         ConfigError: If the address cannot be listened on, or `options.access` does not fit it.
@@ -172,7 +173,8 @@ class WebPage:
         if kind == "failed":
             self.close()
             raise ConfigError([Problem(*value)])
-        self.url: str = value
+        self.url: str = value[0]
+        self.url_once: str = value[1]
         self.address = self.url.partition("?")[0]
         self._listener = threading.Thread(target=self._listen, name="web viewer", daemon=True)
         self._listener.start()

@@ -69,7 +69,7 @@ def main(descriptor: int) -> None:
             problem = error.problems[0]
             run.send(("failed", (problem.path, problem.message, problem.hint)))
             return
-        run.send(("ready", studio.url))
+        run.send(("ready", (studio.url, studio.url_once)))
         reason = "The run has ended."
         try:
             reason = _serve(run, studio, panel, operators, changed)
@@ -138,6 +138,7 @@ class Studio:
 
     Attributes:
         url: Address of the page, with its token.
+        url_once: An address that opens the page once.
 
     Raises:
         ConfigError: If the address cannot be listened on, `options.access` does not fit it, or
@@ -183,7 +184,9 @@ class Studio:
                 why = f"cannot listen on {options.host}{port}: {reason}"
                 hint = "viewer.port=N is another; without it a free one is taken"
                 raise ConfigError([Problem("viewer.port", why, hint)]) from error
-        self.url, self._guard = made[0].url, made[0].guard
+        self._guard = made[0].guard
+        self.url = f"{made[0].url}{door.query}"
+        self.url_once = f"{made[0].url}{door.query_once()}"
 
     @property
     def watched(self) -> bool:
@@ -207,6 +210,9 @@ class Studio:
 class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     """Studio's web viewer, which listens on `_host`; here that is the configured address."""
 
+    guard: Guard
+    _tcp_sock: socket.socket
+
     def __init__(
         self, host: str, door: Door, operators: OperatorPages | None, *args: Any, **kwargs: Any
     ) -> None:
@@ -224,9 +230,8 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
 
     @property
     def url(self) -> str:
-        """Address of the page, for a browser on this machine, with the token."""
-        port = self._http_sock.getsockname()[1]
-        return f"http://{reachable(self._address)}:{port}/{self._door.query}"
+        """Address of the page, for a browser on this machine."""
+        return f"http://{reachable(self._address)}:{self._http_sock.getsockname()[1]}/"
 
     def _start_server(self) -> None:
         """Start serving, if the socket is the expected one and requests are checked."""
@@ -234,11 +239,12 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
         if bound not in {found[4][0] for found in socket.getaddrinfo(self._address, None)}:
             raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
         self._http_sock.listen()  # fails here, not in the server's thread, if the port is in use
-        if self._tcp_sock.getsockname()[0] != "127.0.0.1":
-            raise RuntimeError(f"MuJoCo {mujoco.__version__} draws its panel in another way")
         self._tcp_sock = OwnSocket(self._tcp_sock)
         self.guard = GUARDS[self._http_sock] = Guard(self._door, self._operators)
         super()._start_server()
+        if self._web_server.tcp_sock is not self._tcp_sock:
+            self._web_server.stop()
+            raise RuntimeError(f"MuJoCo {mujoco.__version__} draws its panel in another way")
         if not self.guard.serving.wait(_START_SECONDS):
             self._web_server.stop()
             raise RuntimeError(f"requests to MuJoCo {mujoco.__version__}'s viewer are not checked")

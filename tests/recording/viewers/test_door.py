@@ -1,4 +1,4 @@
-"""Who gets in: every server is asked with and without token, under other names, from other sites."""
+"""Who gets in: servers are asked with and without token, under other names, by other sites."""
 
 import contextlib
 import http.client
@@ -133,6 +133,22 @@ def test_the_first_page_sets_a_cookie_that_opens_the_rest():
         assert ask(other, Cookie=theirs)[0] == 401  # another page's
 
 
+def test_an_address_for_a_command_line_opens_one_page_once():
+    page = WebPage(MODEL)
+    try:
+        ticket = doors.token_of(page.url_once)
+        assert ticket != doors.token_of(page.url)
+        path = f"/?token={ticket}"
+        assert shake(page.url, f"/state?token={ticket}") == 401  # it is for a page alone
+        assert ask(page.url, "/", Authorization=f"Bearer {ticket}")[0] == 401
+        status, headers, _ = ask(page.url, path)
+        cookie = headers["Set-Cookie"].partition(";")[0]
+        assert status == ask(page.url, Cookie=cookie)[0] == 200
+        assert ask(page.url, path)[0] == 401
+    finally:
+        page.close()
+
+
 def test_behind_a_tunnel_the_cookie_has_the_port_that_the_browser_sees():
     with server("web") as url:
         path = f"/?token={doors.token_of(url)}"
@@ -223,9 +239,9 @@ def test_a_given_token_may_have_any_sign(kind):
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "lab.example.org"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_none_is_for_this_machine_alone(kind, host):
-    with pytest.raises(ConfigError, match=rf"viewer\.token: none is for .* viewer\.host is {host}"):
-        with server(kind, host, token="none"):
-            pass
+    why = rf"viewer\.token: none is for .* viewer\.host is {host}"
+    with pytest.raises(ConfigError, match=why), server(kind, host, token="none"):
+        pass
 
 
 def test_the_apps_of_foxglove_are_let_in_by_default_and_others_by_name():

@@ -242,11 +242,21 @@ def crc_of(state):
     return message[8:12]
 
 
+ANOTHER_SOCKET = """
+class Other(web_server.WebServer):
+    def start(self):
+        self.tcp_sock = web_server.bind_loopback_socket()
+        super().start()
+web_server.WebServer = Other
+"""
+
+
 @pytest.mark.parametrize(
     ("break_it", "why"),
     [
         ("s.guard_serving = lambda: None", "are not checked"),
         ("s._Viewer._host = '::'", "listens on ::"),
+        (f"from mujoco.studio.web import web_server\n{ANOTHER_SOCKET}", "in another way"),
     ],
 )
 def test_a_studio_that_cannot_be_confined_serves_nothing(break_it, why):
