@@ -23,7 +23,6 @@ from embodichain.config.locate import COMMAND_LINE, Locator
 from embodichain.config.removed_entries import remove_null_entries
 from embodichain.config.resolved import Resolved, resolve_tree
 from embodichain.config.run_folder import CONFIG, SUMMARY
-from embodichain.config.viewer_access import without_token
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["read_config", "resolve_again", "task_of"]
@@ -81,7 +80,7 @@ def resolve_again(
             else p
             for p in error.problems
         ) from error
-    return dataclasses.replace(found, overrides=without_token(overrides))
+    return dataclasses.replace(found, overrides=tuple(overrides))
 
 
 def _gives(tree: Any, path: str) -> bool:

@@ -94,6 +94,10 @@ class Resolved:
     prepared: PreparedScene = field(default_factory=PreparedScene, repr=False, compare=False)
     token: str = field(default=AUTO, repr=False, compare=False)
 
+    def __post_init__(self) -> None:
+        """Take the viewer's token out of the overrides, which are recorded."""
+        object.__setattr__(self, "overrides", without_token(self.overrides))
+
     @property
     def access(self) -> Access:
         """Who may use the viewer."""
@@ -217,7 +221,7 @@ class Checked:
         if self.ships:
             resolved = _with_pretrained(resolved)
         notes = (*self.notes, *resolved.notes)
-        return replace(resolved, overrides=without_token(self.overrides), notes=notes)
+        return replace(resolved, overrides=self.overrides, notes=notes)
 
 
 def resolve(

@@ -1,5 +1,6 @@
 """`viewer.token`: what is allowed, and that no record of a run has it."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -70,6 +71,23 @@ def test_a_given_token_is_in_no_record(viewer, embodichain, tmp_path):
     again = resolve_again(folder, [f"viewer.token={TOKEN}"])
     assert again.access.token == TOKEN
     assert TOKEN not in repr(again) and TOKEN not in str(thaw(again.tree))
+
+
+def test_a_training_that_is_resumed_draws_a_token(embodichain, tmp_path):
+    words = ["train", "task=cart_pole", "algo.n_steps=8", "algo.batch_size=8", "viewer=web"]
+    done = embodichain(*words, "total_timesteps=16", f"viewer.token={TOKEN}", cwd=tmp_path)
+    assert done.returncode == 0 and f"?token={TOKEN}\n" in done.stderr, done.stderr
+    done = embodichain("train", "resume=last", "total_timesteps=256", cwd=tmp_path)
+    assert done.returncode == 0 and re.search(r"\?token=\S{43}\n", done.stderr), done.stderr
+    assert files_with(tmp_path, TOKEN) == []
+
+
+def test_however_overrides_get_into_a_config_the_token_is_not_among_them():
+    found = resolve([*TASK, "viewer=web", f"+viewer.token={TOKEN}"])
+    assert found.overrides[-1] == "+viewer.token='<token>'"
+    again = dataclasses.replace(found, overrides=(f"viewer.token={TOKEN}", "seed=1"))
+    assert again.overrides == ("viewer.token='<token>'", "seed=1")
+    assert again.changed(seed=2).access.token == TOKEN
 
 
 @pytest.mark.parametrize("viewer", ["web", "foxglove"])
