@@ -144,10 +144,12 @@ class _Page:
 
     def _wait(self, job: Job, view: WebView) -> bool:
         """Wait for a browser; returns False if the run was stopped."""
-        opened = self._display and webbrowser.open(view.url)
+        # Other users can read a browser's command line: what is in it opens one page, once.
+        url = view.url_once if self._display else view.url
+        opened = self._display and webbrowser.open(url)
         if not job.root.quiet:
             why = "no browser could be opened here; " if self._display and not opened else ""
-            sys.stderr.write(f"{why}waiting for a browser at {view.url} (Ctrl-C ends the demo)\n")
+            sys.stderr.write(f"{why}waiting for a browser at {url} (Ctrl-C ends the demo)\n")
         while not view.watched and not job.stop.is_stopped():
             time.sleep(_NAP)
         return view.watched

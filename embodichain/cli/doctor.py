@@ -41,7 +41,6 @@ EXTRAS = {
     "export": ("policies as ONNX files", "onnx", "onnxruntime"),
     "video": ("films: video=true, replay --video", "imageio-ffmpeg"),
     "h264": ("videos of cameras in logs: record.images", "av"),
-    "foxglove": ("viewer=foxglove", "foxglove-sdk"),
     "pandas": ("logs as data frames", "pandas"),
     "parquet": ("logs as Parquet files", "pyarrow"),
     "hdf5": ("logs as HDF5 files", "h5py"),

@@ -180,26 +180,33 @@ class Job:
             shown = sorted({cfg.env, *record.view_envs})
             if (images := self.images) is not None:
                 images = replace(images, envs=sorted({cfg.env, *images.envs}))
-            live = FoxgloveView(env, cfg.host, cfg.port, shown, realtime=realtime, images=images)
+            live = FoxgloveView(
+                *(env, cfg.host, cfg.port, shown),
+                realtime=realtime,
+                images=images,
+                access=self.resolved.access,
+            )
             env.add_observer(live)
-            url = live.server.url
-            where = f"{url} (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
+            url, address = live.server.url, live.server.address
+            what = " (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
         elif cfg.name == "web":
             from embodichain.recording.viewers.web import PageOptions, WebView
 
-            page = PageOptions(cfg.host, cfg.port, cfg.env, realtime, resets)
+            page = PageOptions(
+                *(cfg.host, cfg.port, cfg.env, realtime, resets), access=self.resolved.access
+            )
             page_view = WebView(env, page, stopped=self.stop.is_stopped, teleop=teleop)
             env.add_observer(page_view)
-            url = where = page_view.url
+            url, address, what = page_view.url, page_view.address, ""
         else:
             if teleop is not None and cfg.name == "native":
                 from embodichain.recording.viewers.native_operator import NativeOperator
 
                 teleop.operator = NativeOperator(env, teleop, self.stop.is_stopped)
             return None
-        _log.info("viewer: %s", where)
-        if not self.quiet:
-            sys.stderr.write(f"viewer: {where}\n")
+        _log.info("viewer: %s%s", address, what)  # a log has no token
+        if not self.quiet or url != address:  # a token that is not printed opens nothing
+            sys.stderr.write(f"viewer: {url}{what}\n")
         warn_if_public(cfg.host, url, controls=cfg.name == "web")
         return page_view
 
@@ -402,8 +409,9 @@ def _execute(
 ) -> float | None:
     """Run a job in its folder; see `execute`."""
     from embodichain.config.resolved import write_record
+    from embodichain.config.viewer_access import without_token
 
-    command = with_paths(command)
+    command = without_token(with_paths(command))
     if not goes_on:
         write_record(folder, resolved, command)
     with log_to(folder / LOG_FILE) as log, StopFlag() as stop:
@@ -468,10 +476,6 @@ def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
         from embodichain.lab.sim.drawing.offscreen import need_colors
 
         yield partial(need_colors, *drawn)
-    if root.viewer.name == "foxglove":
-        from embodichain.recording.viewers.foxglove import need_sdk
-
-        yield need_sdk
 
 
 def policy_name(root: RootCfg) -> str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from embodichain.cli import process
+from embodichain.cli.access_options import access_given, access_options
 from embodichain.cli.app import log_argument, log_of, pair, verb
 from embodichain.cli.jobs import ended_early, film_progress
 from embodichain.cli.output import print_facts, print_json, print_table, say_warnings
@@ -43,6 +44,9 @@ _ONLY_WITH = {
     "size": ("video",),
     "host": ("view",),
     "port": ("view",),
+    "token": ("view",),
+    "allow_hosts": ("view",),
+    "allow_origins": ("view",),
 }
 
 
@@ -91,6 +95,7 @@ _ONLY_WITH = {
 )
 @click.option("--host", metavar="H", help="Address of --view web. Default: 127.0.0.1.")
 @click.option("--port", type=int, metavar="P", help="Its port. Default: a free one from 8080.")
+@access_options("--view web")
 @click.option(
     "--video",
     metavar="OUT",
@@ -101,7 +106,7 @@ _ONLY_WITH = {
 def command(**kwargs: Any) -> int:
     """Print the contents of a log, or verify, film, view or replay it."""
     options = SimpleNamespace(**kwargs)
-    given = {name for name, value in kwargs.items() if value not in (None, False)}
+    given = {name for name, value in kwargs.items() if value not in (None, False, ())}
     actions = [name for name in _ACTIONS if name in given]
     if len(actions) > 1:
         raise ConfigError(
@@ -110,7 +115,8 @@ def command(**kwargs: Any) -> int:
     for name, wanted in _ONLY_WITH.items():
         if name in given and not set(wanted) & given:
             needed = " or ".join(f"--{action}" for action in wanted)
-            raise ConfigError(f"--{name.replace('_', '-')} needs {needed}")
+            option = name.removesuffix("s") if name.startswith("allow_") else name
+            raise ConfigError(f"--{option.replace('_', '-')} needs {needed}")
     if options.verify and {"start", "stop"} & given:
         raise ConfigError("--from and --to choose what is listed; --verify needs every step before")
     options.last = None if options.stop is None else options.stop - 1
@@ -280,14 +286,17 @@ def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:
     if name == "native":
         if options.host is not None or options.port is not None:
             raise ConfigError("--host and --port are for --view web")
+        if options.token is not None or options.allow_hosts or options.allow_origins:
+            raise ConfigError("--token, --allow-host and --allow-origin are for --view web")
         return NativeScreen(env, stop.is_stopped)
     from embodichain.recording.viewers.web_page import PageOptions, WebPage
 
     host = options.host or "127.0.0.1"
     title = f"{log.task}: {log.path.name}"
-    shown = PageOptions(host, options.port, env, resets=False, title=title)
+    access = access_given(vars(options))
+    shown = PageOptions(host, options.port, env, resets=False, title=title, access=access)
     page = WebPage(log.model, shown, num_envs=log.num_envs, stopped=stop.is_stopped)
-    if not options.quiet:
+    if not options.quiet or page.url != page.address:
         sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
         sys.stderr.flush()
     warn_if_public(host, page.url, controls=True)

@@ -179,7 +179,7 @@ def warn_if_public(host: str, url: str, *, controls: bool) -> None:
 
     Args:
         host: The address it listens on.
-        url: Its URL, with the port.
+        url: Its URL, with the port, and the token if it asks for one.
         controls: Whether a viewer can control the run.
     """
     from embodichain.utils.addresses import is_loopback
@@ -187,8 +187,8 @@ def warn_if_public(host: str, url: str, *, controls: bool) -> None:
     if not is_loopback(host):
         use = " and use its controls" if controls else ""
         sys.stderr.write(
-            f"warning: the viewer at {host}:{urlsplit(url).port} has no authentication; "
-            f"anyone who can reach this address can watch the run{use}\n"
+            f"warning: other machines reach the viewer at {host}:{urlsplit(url).port}; who has "
+            f"its token can watch the run{use}. Nothing is encrypted; HTTPS needs a proxy\n"
         )
 
 

@@ -50,6 +50,7 @@ from embodichain.config.override_text import malformed
 from embodichain.config.resolved import Resolved, resolve
 from embodichain.config.run_folder import adopt, check_unused, missing_folders, take_back
 from embodichain.config.schema import Verb
+from embodichain.config.viewer_access import refuse_token
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 __all__ = ["call_hydra", "points", "towards_scores"]
@@ -93,6 +94,7 @@ def call_hydra(
             raise ConfigError(composed.problems)
     elif options.multirun:
         _parsed(overrides)
+        refuse_token(overrides)
         overrides = with_sweepers_params(verb, overrides)
         jobs = list(points(overrides, _MOST_CHECKED_JOBS))
         checked = [check(point) for point in jobs]

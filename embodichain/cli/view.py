@@ -7,16 +7,18 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from embodichain.cli.access_options import access_given, access_options
 from embodichain.cli.app import log_argument, log_of, verb
 from embodichain.cli.output import print_json, say_warnings
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.recording.summary import LogSummary
+    from embodichain.utils.access import Access
 
 __all__ = ["command"]
 
@@ -36,6 +38,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 @click.option("--serve", is_flag=True, help="Play it over a WebSocket.")
 @click.option("--host", default="127.0.0.1", help="Address of --serve. Default: 127.0.0.1.")
 @click.option("--port", type=int, metavar="N", help="Port of --serve. Default: 8765.")
+@access_options("--serve")
 @click.option(
     "--speed",
     type=click.FloatRange(min=0, min_open=True),
@@ -44,7 +47,14 @@ _MAGIC = b"\x89MCAP0\r\n"
     help="Speed of --serve; 1 is real time.",
 )
 def command(
-    file: str, opens: bool, serve: bool, host: str, port: int | None, speed: float, json: bool
+    file: str,
+    opens: bool,
+    serve: bool,
+    host: str,
+    port: int | None,
+    speed: float,
+    json: bool,
+    **who: Any,
 ) -> None:
     """Print how to open a log, open it, or play it."""
     from embodichain.recording import inspect
@@ -64,7 +74,7 @@ def command(
             first += "in Foxglove or Lichtblick"
         sys.stdout.write(f"{first}\nthen Layouts, Import from file, {layout}\n")
     if serve:
-        _serve(log.path, host, port, speed)
+        _serve(log.path, host, port, speed, access_given(who))
     elif opens:
         _open(log)
 
@@ -115,13 +125,13 @@ def _open(log: LogSummary) -> None:
     raise ConfigError("there is no xdg-open here, so no desktop that could open a file")
 
 
-def _serve(path: Path, host: str, port: int | None, speed: float) -> None:
+def _serve(path: Path, host: str, port: int | None, speed: float, access: Access) -> None:
     """Play until Ctrl-C."""
     from embodichain.cli.process import StopFlag
     from embodichain.cli.reporting import warn_if_public
     from embodichain.recording.viewers.foxglove import FoxgloveServer, declare_channels, stream_log
 
-    server = FoxgloveServer(host, port)
+    server = FoxgloveServer(host, port, access)
     try:
         declare_channels(path, server)
         sys.stdout.write(f"playing it at {server.url}: Open connection; Ctrl-C ends it\n")

@@ -29,12 +29,14 @@ from embodichain.config.run_folder import (
 )
 from embodichain.config.schema import RootCfg, Verb
 from embodichain.config.validation import Check, check, check_tree
+from embodichain.config.viewer_access import access_of, take_token, without_token
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.term_errors import KeySources
 from embodichain.lab.gym.policies import PRETRAINED
 from embodichain.lab.sim.cfg import SimulationManagerCfg, choose_engine
 from embodichain.lab.sim.compiler.names import exact_pattern
 from embodichain.lab.sim.prepared_scene import PreparedScene
+from embodichain.utils.access import AUTO, Access
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -75,12 +77,13 @@ class Resolved:
 
     Attributes:
         tree: Frozen plain mappings and tuples, as written to files (`dump_yaml`).
-        overrides: As typed.
+        overrides: As typed, without the viewer's token.
         task_name: The option of the group `task`.
         notes: What was left out or changed in converting a gym config, given keys that change
             nothing, and derived values that change the physics.
         source: Function from a key path to where the key was set, or an empty string.
         prepared: The scene that the check compiled, reused by the first environment.
+        token: The viewer's, which `tree` does not have; ``auto`` and ``none`` as in the config.
     """
 
     tree: Mapping[str, Any]
@@ -89,6 +92,16 @@ class Resolved:
     notes: tuple[Problem, ...] = ()
     source: Callable[[str], str] = field(default=lambda path: "", repr=False, compare=False)
     prepared: PreparedScene = field(default_factory=PreparedScene, repr=False, compare=False)
+    token: str = field(default=AUTO, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Take the viewer's token out of the overrides, which are recorded."""
+        object.__setattr__(self, "overrides", without_token(self.overrides))
+
+    @property
+    def access(self) -> Access:
+        """Who may use the viewer."""
+        return access_of(self.root.viewer, self.token)
 
     @cached_property
     def root(self) -> RootCfg:
@@ -282,7 +295,9 @@ def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], 
     if verb == "train" and isinstance(tree["algo"], Mapping):
         tree, chosen, doubtful = _with_learning_scale(tree)
         notes = (*notes, *chosen, *(problem.at(source(problem.path)) for problem in doubtful))
-    return Resolved(freeze(tree), (), task_name, (*found.notes, *notes), source, found.scene)
+    recorded, token = take_token(tree)
+    notes = (*found.notes, *notes)
+    return Resolved(freeze(recorded), (), task_name, notes, source, found.scene, token)
 
 
 def _with_pretrained(resolved: Resolved) -> Resolved:
@@ -384,7 +399,7 @@ def write_record(folder: Path, resolved: Resolved, argv: Sequence[str] | None = 
     Raises:
         ConfigError: A file cannot be written (the disk is full); gives its name and the reason.
     """
-    command = shlex.join(sys.argv if argv is None else argv)
+    command = shlex.join(without_token(sys.argv if argv is None else argv))
     files = {
         CONFIG: dump_yaml(resolved.tree),
         "overrides.yaml": dump_yaml(list(resolved.overrides)),

@@ -131,11 +131,18 @@ class ViewerCfg:
     name: Literal["none", "native", "web", "foxglove"] = "none"
     """`native` is MuJoCo's window; `web` and `foxglove` serve a page and a WebSocket."""
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
-    """The address to listen on; there is no password."""
+    """The address to listen on."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """None is the viewer's default: the first free port from 8080 (`web`) or 8765 (`foxglove`)."""
     env: Annotated[int, Field(ge=0)] = 0
     """The environment that is shown first."""
+    token: str = "auto"
+    """What a browser or viewer must know: `auto` draws it, `none` asks for none (on addresses of
+    this machine alone); records have `<token>` instead of another text."""
+    allow_hosts: list[str] = []
+    """Names of the server beside its address, such as those of a proxy."""
+    allow_origins: list[str] | None = None
+    """Sites whose pages may connect; None is the apps of Foxglove and Lichtblick for `foxglove`."""
 
 
 FilmPixels = Annotated[int, Field(ge=16, le=8192, multiple_of=2)]

@@ -32,6 +32,7 @@ from embodichain.config.schema import (
     SimCfg,
     Verb,
 )
+from embodichain.config.viewer_access import access_of
 from embodichain.config.yaml_words import quoting
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
@@ -296,6 +297,7 @@ def _check_root(root: RootCfg, allow_import: bool) -> list[Problem]:
     if root.viewer.name != "none" and root.viewer.env >= count:
         message = f"no such environment: {root.viewer.env}; num_envs is {count}"
         problems.append(Problem("viewer.env", message))
+    problems += access_of(root.viewer).problems(root.viewer.host)
     if root.video and (root.record.format == "none" or root.record.state == "none"):
         message = "films are made from the log: they need record=mcap with record.state=all"
         problems.append(Problem("video", message))

@@ -7,8 +7,6 @@ import pytest
 
 @pytest.mark.parametrize("viewer", ["web", "foxglove"])
 def test_a_busy_port_names_the_key(embodichain, tmp_path, viewer):
-    if viewer == "foxglove":
-        pytest.importorskip("foxglove")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         words = ["run", "task=cart_pole", "num_envs=1", "episodes=1", f"viewer={viewer}"]

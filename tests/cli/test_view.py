@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import socket
 import stat
@@ -90,7 +91,7 @@ def test_it_is_played_to_who_looks_and_again(name, request):
     player.start()
     try:
         for _ in range(2):  # a later subscriber is sent the scene as well
-            with Client(server.port) as client:
+            with Client(server) as client:
                 client.meet(len(topics))
                 client.subscribe("/tf", "/env_1/scene")
                 assert client.until("/env_1/scene")[2].entities
@@ -105,7 +106,7 @@ def test_it_is_played_to_who_looks_and_again(name, request):
 def test_the_verb_serves_until_it_is_interrupted(log, capsys, monkeypatch):
     def interrupted(path, server, stopped, speed):
         assert (path, speed) == (log, 2.0)
-        with Client(server.port) as client:
+        with Client(server) as client:
             client.meet(5)
         os.kill(os.getpid(), signal.SIGINT)
         while not stopped():
@@ -114,6 +115,22 @@ def test_the_verb_serves_until_it_is_interrupted(log, capsys, monkeypatch):
     monkeypatch.setattr(foxglove, "stream_log", interrupted)
     assert main(["view", str(log), "--serve", "--port", "0", "--speed", "2"]) == 0
     assert "playing it at ws://127.0.0.1:" in capsys.readouterr().out
+
+
+def test_the_verb_says_who_may_connect(log, capsys, monkeypatch):
+    def tried(path, server, stopped, speed):
+        with Client(server, origin="http://lichtblick.example") as client:
+            client.meet(5)
+
+    monkeypatch.setattr(foxglove, "stream_log", tried)
+    words = ["view", str(log), "--serve", "--port", "0"]
+    origin = ["--allow-origin", "http://lichtblick.example"]
+    assert main([*words, *origin, "--token", "of-mine"]) == 0
+    assert re.search(r"ws://127.0.0.1:\d+/\?token=of-mine: Open", capsys.readouterr().out)
+    assert main([*words, *origin, "--token", "none"]) == 0
+    assert "token" not in capsys.readouterr().out
+    assert main([*words, "--token", "none", "--host", "0.0.0.0"]) == 2
+    assert "viewer.token: none is for an address that only this" in capsys.readouterr().err
 
 
 def test_wrong_words_are_refused(log, capsys):
@@ -127,11 +144,12 @@ def test_a_run_says_where_it_is_shown(capsys):
         port = taken.getsockname()[1]
     short = ("task=random_reach", "num_envs=2", "max_steps=3", "record=none", "viewer=foxglove")
     assert main(["run", *short, f"viewer.port={port}", "viewer.env=1"]) == 0
-    assert f"viewer: ws://127.0.0.1:{port} (Foxglove, Lichtblick: " in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert re.search(rf"viewer: ws://127.0.0.1:{port}/\?token=\S+ \(Foxglove, Lichtblick: ", said)
     assert main(["run", *short, f"viewer.port={port}", "viewer.host=0.0.0.0"]) == 0
     assert (
-        f"warning: the viewer at 0.0.0.0:{port} has no authentication; anyone who can reach this "
-        "address can watch the run\n"
+        f"warning: other machines reach the viewer at 0.0.0.0:{port}; who has its token can watch "
+        "the run. Nothing is encrypted; HTTPS needs a proxy\n"
     ) in capsys.readouterr().err
     with socket.create_server(("127.0.0.1", port)):
         assert main(["run", *short, f"viewer.port={port}"]) == 2

@@ -21,11 +21,11 @@ def test_json_is_json_and_other_addresses_are_warned_of(
     assert main(["run", *SHORT, "viewer=web", "viewer.host=0.0.0.0", "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["status"] == "max_steps"
-    port = err.partition("viewer at 0.0.0.0:")[2].partition(" ")[0]
+    port = err.partition("viewer at 0.0.0.0:")[2].partition(";")[0]
     assert int(port) >= 8080
     assert (
-        f"warning: the viewer at 0.0.0.0:{port} has no authentication; anyone who can reach this "
-        "address can watch the run and use its controls\n"
+        f"warning: other machines reach the viewer at 0.0.0.0:{port}; who has its token can watch "
+        "the run and use its controls. Nothing is encrypted; HTTPS needs a proxy\n"
     ) in err
 
 

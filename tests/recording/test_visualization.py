@@ -31,12 +31,16 @@ def _env(visualization: VisualizationCfg | None) -> BaseEnv:
     return BaseEnv(EnvCfg(num_envs=2, sim_cfg=sim_cfg, objects={"cube": RigidObjectCfg()}))
 
 
-def test_viser_is_the_page_of_the_web_viewer(caplog: pytest.LogCaptureFixture) -> None:
+def test_viser_is_the_page_of_the_web_viewer(
+    caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
     port = _free_port()
     cfg = VisualizationCfg(backend="viser", viser_server=ViserServerCfg(port=port))
     env = _env(cfg)
     assert f"viewer: http://127.0.0.1:{port}" in caplog.text
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=20) as page:
+    assert "token" not in caplog.text  # a log may be read by others
+    url = capsys.readouterr().err.partition("viewer: ")[2].split()[0]
+    with urllib.request.urlopen(url, timeout=20) as page:
         assert b"html" in page.read(2000).lower()
     env.close()
     with pytest.raises(OSError):

@@ -1,39 +1,35 @@
 """The log's channels for viewers over Foxglove's WebSocket protocol.
 
 Foxglove and Lichtblick connect to a `FoxgloveServer`. `FoxgloveView` serves a running environment,
-`stream_log` a recorded log. Needs foxglove-sdk.
+`stream_log` a recorded log.
 """
 
 from __future__ import annotations
 
 import logging
 import re
-import threading
 import time
 import weakref
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.api import EnvIndex, Write
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.options import ImageOptions, RecordOptions, check_options
 from embodichain.recording.pictures import camera_sensors
-from embodichain.recording.schema import descriptor_set
+from embodichain.recording.viewers.foxglove_server import FoxgloveServer
 from embodichain.recording.views.images import Images
 from embodichain.recording.views.views import Views
-from embodichain.utils.errors import ConfigError, Problem, RenderError
+from embodichain.utils.access import Access
+from embodichain.utils.errors import RenderError
 
 if TYPE_CHECKING:
-    from foxglove import Channel
-    from foxglove.websocket import ChannelView, Client
-
     from embodichain.lab.gym.envs.observers import ObservedEnv
 
-__all__ = ["FoxgloveServer", "FoxgloveView", "declare_channels", "need_sdk", "stream_log"]
+__all__ = ["FoxgloveServer", "FoxgloveView", "declare_channels", "stream_log"]
 
-_PORT = 8765  # Foxglove's default
 _ENV = re.compile(r"/env_(\d+)/")
 _EVERY_STEP = 1e9
 """Sampling rate in Hz of simulated time; a live view is limited by the wall clock instead."""
@@ -41,144 +37,31 @@ _NAP = 0.02
 _log = logging.getLogger(__name__)
 
 
-def need_sdk() -> Any:
-    """Return the package `foxglove`; ConfigError names the extra if it is not installed."""
-    try:
-        import foxglove
-    except ImportError as error:
-        message, hint = "needs the package foxglove-sdk", "pip install 'embodichain[foxglove]'"
-        raise ConfigError([Problem("viewer.name", message, hint)]) from error
-    return foxglove
-
-
-class FoxgloveServer:
-    """Serves messages to viewers, read-only; a channel without subscribers costs nothing.
-
-    Args:
-        host: The address to listen on.
-        port: None is 8765, 0 a free one.
-
-    Attributes:
-        port: The port.
-        url: Address for viewers: *Open connection*, Foxglove WebSocket.
-
-    Raises:
-        ConfigError: If foxglove-sdk is not installed, or the address cannot be listened on.
-    """
-
-    def __init__(self, host: str, port: int | None = None) -> None:
-        foxglove = self._sdk = need_sdk()
-        self._context = foxglove.Context()
-        self._channels: dict[str, Channel] = {}
-        self._schemas: dict[str, Any] = {}
-        self._lock = threading.Lock()
-        self._new: set[str] = set()
-        self._subscriptions: set[tuple[int, int]] = set()  # client, channel
-        port = _PORT if port is None else port
-        try:
-            self._server = foxglove.start_server(
-                name="embodichain",
-                host=host,
-                port=port,
-                server_listener=self,
-                context=self._context,
-            )
-        except RuntimeError as error:
-            message, hint = f"cannot listen on {host}:{port}: {error}", "viewer.port=N is another"
-            raise ConfigError([Problem("viewer.port", message, hint)]) from error
-        self.port = int(self._server.port)
-        self.url = f"ws://[{host}]:{self.port}" if ":" in host else f"ws://{host}:{self.port}"
-
-    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """Add a subscription; called on the server's threads."""
-        with self._lock:
-            self._subscriptions.add((client.id, channel.id))
-            self._new.add(channel.topic)
-
-    def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        """Remove a subscription; also called when a client has disconnected."""
-        with self._lock:
-            self._subscriptions.discard((client.id, channel.id))
-
-    @property
-    def wanted(self) -> bool:
-        """Whether any channel has a subscriber."""
-        return bool(self._subscriptions)
-
-    def is_wanted(self, topic: str) -> bool:
-        """Whether a channel has a subscriber; KeyError if it was not declared."""
-        return bool(self._channels[topic].has_sinks())
-
-    def newcomers(self) -> set[str]:
-        """Return topics with new subscriptions since the last call."""
-        if not self._new:
-            return set()
-        with self._lock:
-            found, self._new = self._new, set()
-        return found
-
-    def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
-        """Declare a channel; a second call does nothing.
-
-        Args:
-            topic: Its name.
-            schema: ``embodichain.NAME`` or ``foxglove.NAME``.
-            data: The schema's FileDescriptorSet if it is specific to this run.
-        """
-        if topic in self._channels:
-            return
-        if schema not in self._schemas:
-            content = descriptor_set(schema) if data is None else data
-            self._schemas[schema] = self._sdk.Schema(name=schema, encoding="protobuf", data=content)
-        self._channels[topic] = self._sdk.Channel(
-            topic,
-            message_encoding="protobuf",
-            schema=self._schemas[schema],
-            context=self._context,
-        )
-
-    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
-        """Send messages to their subscribers; KeyError if a channel was not declared."""
-        for topic, data in messages:
-            if self.is_wanted(topic):
-                self._channels[topic].log(data, log_time=time_ns)
-
-    def restart(self) -> None:
-        """Signal that time starts again: clients drop their data and stay subscribed."""
-        self._server.clear_session()
-
-    def close(self) -> None:
-        """Close all connections. A second call does nothing."""
-        self._server.stop()
-        for channel in self._channels.values():
-            channel.close()
-        self._channels.clear()
-
-
 class FoxgloveView(StepObserver):
     """Shows environments to every viewer that connects; attach it with `env.add_observer`.
 
     Without subscriptions no messages are encoded. A scene is sent again with every subscription to
-    it. The server sends on its own threads and drops messages for viewers that are too slow.
+    it. The server sends on its own thread and drops messages for viewers that are too slow.
 
     Pictures of cameras are drawn while something is subscribed to them. If they cannot be drawn
     here, a warning and a line of ``/log`` give the reason, and the other channels continue.
 
     Args:
         env: The environment.
-        host: The address to listen on; there is no password.
+        host: The address to listen on.
         port: None is 8765, 0 a free one.
         view_envs: Environments to show.
         fps: Maximum sampling rate in 1/s of wall-clock time.
         realtime: Whether steps run in real time while there are subscriptions.
         images: Pictures; `rate` is their maximum in 1/s of wall-clock time. None: of all camera
             sensors in `view_envs`, as JPEG.
+        access: Who may connect: a drawn token by default.
 
     Attributes:
-        server: The server, with its address: `url`, `port`.
+        server: The server, with its address: `url`, which has the token, and `port`.
 
     Raises:
-        ConfigError: If foxglove-sdk is not installed, the address cannot be listened on, or an
+        ConfigError: If the address cannot be listened on, `access` does not fit it, or an
             environment or a camera does not exist.
     """
 
@@ -191,13 +74,14 @@ class FoxgloveView(StepObserver):
         fps: float = 30.0,
         realtime: bool = False,
         images: ImageOptions | None = None,
+        access: Access | None = None,
     ) -> None:
         if images is None and camera_sensors(env):
             images = ImageOptions(envs=view_envs, format="jpeg")
         options = RecordOptions(view_envs=view_envs, view_hz=_EVERY_STEP, images=images)
         check_options(options, env.num_envs)
-        self.server = FoxgloveServer(host, port)
-        weakref.finalize(self, self.server.close)  # also when Python exits: it has native threads
+        self.server = FoxgloveServer(host, port, access)
+        weakref.finalize(self, self.server.close)  # also when Python exits
         self._envs = view_envs
         self._interval, self._realtime = 1.0 / fps, realtime
         self._step_dt = float(env.step_dt)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import sys
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
@@ -79,7 +80,9 @@ class VisualizationCfg:
         )
         view = WebView(env, options)
         env.add_observer(view)
-        _log.warning("viewer: %s", view.url)
+        _log.warning("viewer: %s", view.address)
+        if view.url != view.address:
+            sys.stderr.write(f"viewer: {view.url}\n")  # logs have no token
 
 
 def add_viser_args_to_parser(parser: argparse.ArgumentParser) -> None:

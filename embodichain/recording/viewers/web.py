@@ -39,10 +39,12 @@ class WebView(StepObserver):
         teleop: The policy of a person who moves the robot on this page, bound to `env`.
 
     Attributes:
-        url: Address of the page.
+        url: Address of the page, with its token.
+        url_once: An address that opens the page once, for a browser's command line.
+        address: The address without a token, for logs.
 
     Raises:
-        ConfigError: If the address cannot be listened on.
+        ConfigError: If the address cannot be listened on, or `options.access` does not fit it.
     """
 
     def __init__(
@@ -60,7 +62,8 @@ class WebView(StepObserver):
         self._env_id = options.env_id
         model = env.sim.engine.model_of(self._env_id)
         self._page = WebPage(model, options, num_envs=env.num_envs, stopped=stopped)
-        self.url = self._page.url
+        self.url, self.url_once = self._page.url, self._page.url_once
+        self.address = self._page.address
         self._restyled = False
         self._next = self._next_facts = 0.0
         self._step: StepRecord | None = None

@@ -10,27 +10,28 @@ import socket
 import threading
 from collections.abc import Callable
 from typing import Any
-from urllib.parse import urlsplit
 from weakref import WeakKeyDictionary
 
 from mujoco.studio.web import web_server
 
+from embodichain.recording.viewers.door import Door, forbidden, harden
 from embodichain.recording.viewers.operator_pages import SCRIPT, OperatorPages
-from embodichain.utils.addresses import is_loopback
 
 __all__ = ["GUARDS", "Guard", "guard_serving"]
 
 _TELEOP = "/teleop"
+_SWITCHING = 101
 _HEAD_END = b"</head>"
 _TELEOP_TAG = f'<script src="{SCRIPT.name}"></script>'.encode()
-_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_FORGET = b"<script>history.replaceState(null, '', location.pathname)</script>"
+"""Takes the token out of the address, once the cookie is set: it is not for bookmarks."""
 
 
 class Guard:
     """Checks the requests to one socket, and answers those for the operator's operators.
 
     Args:
-        host: The address it listens on.
+        door: Decides who may use the page.
         operators: The operator's place; None serves Studio's page as it is.
 
     Attributes:
@@ -38,8 +39,8 @@ class Guard:
         connections: Paths of open WebSockets.
     """
 
-    def __init__(self, host: str, operators: OperatorPages | None = None) -> None:
-        self._names = {host.lower(), *_LOOPBACK} if is_loopback(host) else None
+    def __init__(self, door: Door, operators: OperatorPages | None = None) -> None:
+        self._door = door
         self._operators = operators
         self.serving = threading.Event()
         self.connections: list[str] = []
@@ -58,37 +59,31 @@ class Guard:
 
     def answer(self, answer: Callable[[Any, Any], Any], connection: Any, request: Any) -> Any:
         """The response to a request that is not refused; None opens a WebSocket."""
-        path = request.path.partition("?")[0]
-        if self._operators is None:
-            return answer(connection, request)
-        if path == _TELEOP:
-            return None
-        if path == f"/{SCRIPT.name}":
-            return _response(SCRIPT.read_bytes(), "text/javascript")
-        response = answer(connection, request)
-        if path in ("/", "/index.html"):
-            page = response.body.replace(_HEAD_END, _TELEOP_TAG + _HEAD_END, 1)
-            return _response(page, "text/html; charset=utf-8")
+        response = self._content(answer, connection, request)
+        if response is not None:
+            self._door.greet(request, response)
         return response
 
-    def refusal(self, request: Any) -> Any:
-        """The response if a request is refused, else None.
+    def _content(self, answer: Callable[[Any, Any], Any], connection: Any, request: Any) -> Any:
+        path, _, query = request.path.partition("?")
+        if self._operators is not None:
+            if path == _TELEOP:
+                return None
+            if path == f"/{SCRIPT.name}":
+                return _response(SCRIPT.read_bytes(), "text/javascript")
+        response = answer(connection, request)
+        if path not in ("/", "/index.html"):
+            return response
+        tags = (_FORGET if "token=" in query else b"") + (_TELEOP_TAG if self._operators else b"")
+        page = response.body.replace(_HEAD_END, tags + _HEAD_END, 1)
+        return _response(page, "text/html; charset=utf-8")
 
-        Browsers let any page open a WebSocket to any address, with the page's site in ``Origin``;
-        pages of other sites are refused. Another name in ``Host`` than ours is refused too: it may
-        be a site's name that was made to resolve to this machine (DNS rebinding).
-        """
-        if request.path.partition("?")[0].endswith("/drop"):
-            return _forbidden("this viewer takes no files")
-        hosts = request.headers.get_all("Host")
-        if len(hosts) != 1:
-            return _forbidden("one Host is needed")
-        if self._names is not None and urlsplit(f"//{hosts[0]}").hostname not in self._names:
-            return _forbidden("this viewer is not known by that name")
-        for origin in request.headers.get_all("Origin"):
-            if urlsplit(origin).netloc.lower() != hosts[0].lower():
-                return _forbidden("pages of other sites may not use this viewer")
-        return None
+    def refusal(self, request: Any) -> Any:
+        """The response if a request is refused, else None."""
+        refused = self._door.refusal(request)
+        if refused is None and request.path.partition("?")[0].endswith("/drop"):
+            return forbidden("this viewer takes no files")
+        return refused
 
 
 GUARDS: WeakKeyDictionary[socket.socket, Guard] = WeakKeyDictionary()
@@ -109,8 +104,15 @@ def guard_serving() -> None:
             refused = guard.refusal(request)
             return guard.answer(answer, connection, request) if refused is None else refused
 
+        finish = kwargs["process_response"]
+
+        def finished(connection: Any, request: Any, response: Any) -> Any:
+            """MuJoCo opens every response to other pages, for proxies; a WebSocket's stays so."""
+            made = finish(connection, request, response) or response
+            return made if made.status_code == _SWITCHING else harden(made)
+
         guard.serving.set()
-        kwargs["process_request"] = checked
+        kwargs["process_request"], kwargs["process_response"] = checked, finished
         return plain(functools.partial(guard.count, handler), *args, **kwargs)
 
     web_server.serve = serve
@@ -124,7 +126,3 @@ def _response(body: bytes, kind: str) -> Any:
     headers["Cross-Origin-Opener-Policy"] = "same-origin"
     headers["Cross-Origin-Embedder-Policy"] = "require-corp"
     return web_server.Response(200, "OK", headers, body)
-
-
-def _forbidden(why: str) -> Any:
-    return web_server.Response(403, "Forbidden", web_server.Headers(), f"{why}\n".encode())

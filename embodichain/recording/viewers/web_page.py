@@ -28,6 +28,7 @@ import numpy as np
 from embodichain.lab.gym.teleop import ToolCommand
 from embodichain.lab.sim.engine.api import F64
 from embodichain.utils import platforms
+from embodichain.utils.access import Access
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 if TYPE_CHECKING:
@@ -110,6 +111,7 @@ class PageOptions:
         resets: Whether the page may end episodes, as truncated.
         title: Title of the page and its panel.
         teleop: Whether a person moves a robot's tool on the page.
+        access: Who may use the page: a drawn token by default.
     """
 
     host: str = "127.0.0.1"
@@ -119,6 +121,7 @@ class PageOptions:
     resets: bool = True
     title: str = "embodichain"
     teleop: bool = False
+    access: Access = Access()
 
 
 class WebPage:
@@ -131,10 +134,12 @@ class WebPage:
         stopped: Whether to end all waiting.
 
     Attributes:
-        url: Address of the page.
+        url: Address of the page, with its token.
+        url_once: An address that opens the page once, for a browser's command line.
+        address: The address without a token, for logs.
 
     Raises:
-        ConfigError: If the address cannot be listened on.
+        ConfigError: If the address cannot be listened on, or `options.access` does not fit it.
     """
 
     is_open = True
@@ -168,7 +173,9 @@ class WebPage:
         if kind == "failed":
             self.close()
             raise ConfigError([Problem(*value)])
-        self.url: str = value
+        self.url: str = value[0]
+        self.url_once: str = value[1]
+        self.address = self.url.partition("?")[0]
         self._listener = threading.Thread(target=self._listen, name="web viewer", daemon=True)
         self._listener.start()
 

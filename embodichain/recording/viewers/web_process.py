@@ -4,9 +4,11 @@ MuJoCo Studio is native code with one user interface per process; a failure ther
 training. The run's process (`web_page.py`) sends models, states and facts through a socket; this
 process sends back the controls. It ends when the socket closes.
 
-MuJoCo 4.0's web viewer listens on every interface, accepts files dropped on its page, and answers
-pages of other sites. `_Viewer` sets the address, and `web_guard.py` checks every request first.
-If a version of MuJoCo does not allow these two changes, nothing is served.
+MuJoCo 4.0's web viewer listens on every interface, accepts files dropped on its page, answers
+pages of other sites, asks for no token, and has a second port, to which its own native code
+connects. `_Viewer` sets the address, `web_guard.py` checks every request first, and `own_socket.py`
+refuses other processes at the second port. If a version of MuJoCo does not allow these changes,
+nothing is served.
 """
 
 from __future__ import annotations
@@ -27,9 +29,12 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
 
 from embodichain.lab.sim.compiler.views import DEFAULT_VIEW
+from embodichain.recording.viewers.door import Door
 from embodichain.recording.viewers.operator_pages import OperatorPages, View, look_like, view_of
+from embodichain.recording.viewers.own_socket import OwnSocket
 from embodichain.recording.viewers.web_guard import GUARDS, Guard, guard_serving
 from embodichain.recording.viewers.web_page import SPEEDS, Controls, Facts, PageOptions
+from embodichain.utils.addresses import reachable
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Panel", "Studio", "main"]
@@ -64,7 +69,7 @@ def main(descriptor: int) -> None:
             problem = error.problems[0]
             run.send(("failed", (problem.path, problem.message, problem.hint)))
             return
-        run.send(("ready", studio.url))
+        run.send(("ready", (studio.url, studio.url_once)))
         reason = "The run has ended."
         try:
             reason = _serve(run, studio, panel, operators, changed)
@@ -127,16 +132,17 @@ class Studio:
 
     Args:
         model: The first model to show; copied.
-        options: Address, port and title.
+        options: Address, port and title, and who may use it.
         plugins: Studio's viewer plugins.
         operators: The operator's place, if the page moves a robot.
 
     Attributes:
-        url: Address of the page.
+        url: Address of the page, with its token.
+        url_once: An address that opens the page once.
 
     Raises:
-        ConfigError: If the address cannot be listened on, or this version of MuJoCo's viewer
-            cannot be restricted to it.
+        ConfigError: If the address cannot be listened on, `options.access` does not fit it, or
+            this version of MuJoCo's viewer cannot be restricted to it.
     """
 
     def __init__(
@@ -146,6 +152,7 @@ class Studio:
         *plugins: Any,
         operators: OperatorPages | None = None,
     ) -> None:
+        door = Door(options.host, options.access)
         made: list[_Viewer] = []
         ready = threading.Event()
 
@@ -155,7 +162,9 @@ class Studio:
                     title=options.title, gfx="web", http_port=options.port or 0
                 )
                 viewer = _Viewer(
-                    options.host, operators, config, endpoint, model=model, plugins=[*plugins]
+                    *(options.host, door, operators, config, endpoint),
+                    model=model,
+                    plugins=[*plugins],
                 )
                 made.append(viewer)
             finally:
@@ -175,7 +184,9 @@ class Studio:
                 why = f"cannot listen on {options.host}{port}: {reason}"
                 hint = "viewer.port=N is another; without it a free one is taken"
                 raise ConfigError([Problem("viewer.port", why, hint)]) from error
-        self.url, self._guard = made[0].url, made[0].guard
+        self._guard = made[0].guard
+        self.url = f"{made[0].url}{door.query}"
+        self.url_once = f"{made[0].url}{door.query_once()}"
 
     @property
     def watched(self) -> bool:
@@ -199,10 +210,13 @@ class Studio:
 class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     """Studio's web viewer, which listens on `_host`; here that is the configured address."""
 
+    guard: Guard
+    _tcp_sock: socket.socket
+
     def __init__(
-        self, host: str, operators: OperatorPages | None, *args: Any, **kwargs: Any
+        self, host: str, door: Door, operators: OperatorPages | None, *args: Any, **kwargs: Any
     ) -> None:
-        self._address, self._operators = host, operators
+        self._address, self._door, self._operators = host, door, operators
         self._scene: tuple[Any, mujoco.MjvScene] | None = None  # a model, and what was made for it
         super().__init__(*args, **kwargs)
 
@@ -217,9 +231,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     @property
     def url(self) -> str:
         """Address of the page, for a browser on this machine."""
-        host = "127.0.0.1" if self._address in ("0.0.0.0", "::") else self._address
-        name = f"[{host}]" if ":" in host else host
-        return f"http://{name}:{self._http_sock.getsockname()[1]}/"
+        return f"http://{reachable(self._address)}:{self._http_sock.getsockname()[1]}/"
 
     def _start_server(self) -> None:
         """Start serving, if the socket is the expected one and requests are checked."""
@@ -227,8 +239,12 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
         if bound not in {found[4][0] for found in socket.getaddrinfo(self._address, None)}:
             raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
         self._http_sock.listen()  # fails here, not in the server's thread, if the port is in use
-        self.guard = GUARDS[self._http_sock] = Guard(self._address, self._operators)
+        self._tcp_sock = OwnSocket(self._tcp_sock)
+        self.guard = GUARDS[self._http_sock] = Guard(self._door, self._operators)
         super()._start_server()
+        if self._web_server.tcp_sock is not self._tcp_sock:
+            self._web_server.stop()
+            raise RuntimeError(f"MuJoCo {mujoco.__version__} draws its panel in another way")
         if not self.guard.serving.wait(_START_SECONDS):
             self._web_server.stop()
             raise RuntimeError(f"requests to MuJoCo {mujoco.__version__}'s viewer are not checked")

@@ -21,6 +21,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.reader import make_reader
 from PIL import Image
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 import embodichain
@@ -28,6 +29,7 @@ from embodichain.lab.sim.drawing.offscreen import VARIABLE
 from embodichain.recording import ImageOptions, McapRecorder, pictures
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.viewers.foxglove import FoxgloveView
+from embodichain.recording.viewers.foxglove_server import FoxgloveServer
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import SmallEnv
 from tests.recording.views.test_images import SCENE, WALL_PIXEL, nal_types, recorded
@@ -42,10 +44,9 @@ DECODERS = {
 class Client:
     """Speaks Foxglove's WebSocket protocol, as its published text says."""
 
-    def __init__(self, port):
-        self.connection = connect(
-            f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], close_timeout=0.1
-        )
+    def __init__(self, server, **options):
+        options = {"subprotocols": ["foxglove.sdk.v1"], "close_timeout": 0.1, **options}
+        self.connection = connect(server.url, **options)
         self.channels, self.topics, self.server = {}, {}, None
 
     def __enter__(self):
@@ -139,10 +140,10 @@ def test_its_channels_are_those_of_the_file(live, tmp_path):
     env.reset()
     env.step()
     env.close()
-    check_channels(live[1].server.port, tmp_path / "log.mcap")
+    check_channels(live[1].server, tmp_path / "log.mcap")
 
 
-def check_channels(port, path):
+def check_channels(server, path):
     """The server has the channels that a log has for people."""
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -151,7 +152,7 @@ def check_channels(port, path):
         for channel in summary.channels.values()
         if not channel.topic.startswith(("/sim/", "/episode", "/pictures"))  # for programs
     }
-    with Client(port) as client:
+    with Client(server) as client:
         found = client.meet(len(in_file))
     assert client.server["capabilities"] == []  # clients cannot change anything
     assert set(found) == set(in_file)
@@ -164,7 +165,7 @@ def check_channels(port, path):
 
 def test_what_comes_is_the_state_of_the_simulation(live):
     running, view = live
-    with Client(view.server.port) as client:
+    with Client(view.server) as client:
         client.meet(7)
         client.subscribe("/tf", "/env_2/joint_states")
         _, _, joints = client.until("/env_2/joint_states")
@@ -182,7 +183,7 @@ def test_what_comes_is_the_state_of_the_simulation(live):
 def test_a_scene_is_sent_to_every_subscriber(live):
     _, view = live
     for _ in range(2):
-        with Client(view.server.port) as client:
+        with Client(view.server) as client:
             client.meet(7)
             client.subscribe("/env_2/scene", "/log")
             _, _, scene = client.until("/env_2/scene")
@@ -191,7 +192,7 @@ def test_a_scene_is_sent_to_every_subscriber(live):
             # It was painted before the subscription.
             assert entities["env_2/cube"].cubes[0].color.r == 0.75
             assert "move_goal" in client.until("/log")[2].message
-    with Client(view.server.port) as first, Client(view.server.port) as second:
+    with Client(view.server) as first, Client(view.server) as second:
         first.meet(7)
         first.subscribe("/env_0/scene")
         assert first.until("/env_0/scene")[2].entities
@@ -209,7 +210,7 @@ def test_no_message_is_made_without_a_subscription(monkeypatch):
     env.reset()
     for _ in range(5):
         env.step()
-    with Client(view.server.port) as client:
+    with Client(view.server) as client:
         client.meet(5)
         env.step()
         assert not made  # connected, but subscribed to nothing
@@ -239,7 +240,7 @@ def test_real_time_is_kept_while_anything_is_subscribed_to(monkeypatch):
     env.reset()
     env.step()
     assert not slept
-    with Client(view.server.port) as client:
+    with Client(view.server) as client:
         client.meet(5)
         client.subscribe("/tf")
         while not view.server.wanted:
@@ -256,7 +257,7 @@ def test_it_changes_nothing(live):
     plain.reset()
     geom = np.array([4 * plain.sim.engine.model.geom("cube/geom").id])
     plain.sim.engine.write_model("geom_rgba", 0.75, np.array([2]), geom)
-    with Client(view.server.port) as client:
+    with Client(view.server) as client:
         client.meet(7)
         client.subscribe("/tf", "/env_0/scene", "/env_2/metrics")
         for _ in range(5):
@@ -270,7 +271,7 @@ def test_it_changes_nothing(live):
 
 def test_other_addresses_do_not_answer(live):
     port = live[1].server.port
-    assert live[1].server.url == f"ws://127.0.0.1:{port}"
+    assert live[1].server.address == f"ws://127.0.0.1:{port}"
     with pytest.raises(OSError):
         socket.create_connection(("127.0.0.2", port), timeout=2)
 
@@ -283,10 +284,84 @@ def test_an_address_that_is_taken_and_an_environment_that_is_not_there(live):
         FoxgloveView(SmallEnv(), port=0, view_envs=[3])
 
 
-def test_without_the_package_it_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "foxglove", None)
-    with pytest.raises(ConfigError, match=r"pip install 'embodichain\[foxglove\]'"):
-        FoxgloveView(SmallEnv(), port=0)
+def test_a_viewer_that_never_reads_costs_the_run_nothing_and_others_see_all():
+    env = SmallEnv(length=1000)
+    view = FoxgloveView(env, port=0, view_envs=[0, 2], fps=1e9)
+    env.add_observer(view)
+    env.reset()
+    env.step()
+    topics = "/tf", "/env_0/scene", "/env_0/joint_states", "/env_2/metrics"
+    with Client(view.server, max_queue=1) as stuck, Client(view.server) as client:
+        stuck.meet(7)
+        stuck.subscribe(*topics)  # and reads nothing from now on
+        client.meet(7)
+        client.subscribe("/env_2/metrics")
+        wanted = view.server.is_wanted
+        _step_until(env, lambda: wanted("/env_2/metrics") and wanted("/tf"))
+        big, waiting = bytes(1 << 19), 0
+        for i in range(400):
+            view.server.send(i, [("/tf", big)])  # 200 MB: returns each time, whoever reads
+            waiting = max(waiting, *(one.outbox._bytes for one in view.server._clients))
+        assert 16 << 20 < waiting <= (32 << 20) + (2 << 20)
+        assert max(one.outbox.dropped for one in view.server._clients) > 100
+        env.step()
+        assert client.until("/env_2/metrics")
+    env.close()
+
+
+def test_what_is_no_request_is_answered_with_a_reason(live):
+    _, view = live
+    wrong = [
+        ("no json", "not a request of the protocol"),
+        ("[]", "not a request of the protocol"),
+        ('{"op": "subscribe"}', "not a request of the protocol"),
+        (b"\x01", "this server takes no messages"),
+        ('{"op": "advertise", "channels": []}', "read-only"),
+        ('{"op": "setParameters", "parameters": []}', "read-only"),
+        ('{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 99}]}', "no such channel"),
+        ('{"op": "unsubscribe", "subscriptionIds": [7]}', "no subscription 7"),
+        ("[" * 100_000, "not a request of the protocol"),
+    ]
+    with Client(view.server) as client:
+        client.meet(7)
+        for message, why in wrong:
+            client.socket.send(message)
+            answer = json.loads(client.socket.recv(timeout=10))
+            assert answer["op"] == "status" and why in answer["message"]
+        client.subscribe("/tf")
+        assert client.until("/tf")
+        client.socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": [100]}))
+        end = time.monotonic() + 10
+        while view.server.wanted and time.monotonic() < end:
+            time.sleep(0.01)
+        assert not view.server.wanted
+
+
+def test_both_names_of_the_protocol_are_spoken_and_no_other(live):
+    _, view = live
+    for name in ("foxglove.sdk.v1", "foxglove.websocket.v1"):
+        with Client(view.server, subprotocols=[name]) as client:
+            assert client.socket.subprotocol == name
+            client.meet(7)
+    with pytest.raises(InvalidStatus), Client(view.server, subprotocols=["graphql-ws"]):
+        pass
+
+
+def test_a_replay_that_starts_again_is_another_session():
+    server = FoxgloveServer("127.0.0.1", 0)
+    server.channel("/tf", "foxglove.FrameTransforms")
+    with Client(server) as client:
+        client.meet(1)
+        first = client.server["sessionId"]
+        server.channel("/later", "foxglove.Log")
+        assert {"/tf", "/later"} == set(client.meet(2))
+        server.restart()
+        again = json.loads(client.socket.recv(timeout=10))
+        assert again["op"] == "serverInfo" and again["sessionId"] != first
+    server.close()
+    server.close()
+    server.send(0, [])
+    server.channel("/after", "foxglove.Log")  # the run goes on without its viewers
 
 
 # -- pictures of cameras ---------------------------------------------------------------------------
@@ -320,13 +395,13 @@ def log_with_pictures(tmp_path_factory):
 def test_camera_sensors_have_the_channels_of_a_log_with_pictures(log_with_pictures):
     env = WithCamera(view_envs=[1])
     env.step()
-    check_channels(env.view.server.port, log_with_pictures)
+    check_channels(env.view.server, log_with_pictures)
     env.close()
 
 
 def test_live_pictures_are_of_the_simulation():
     env = WithCamera(ImageOptions(envs=[1], format="png", rate=1e9), view_envs=[1])
-    with Running(env), Client(env.view.server.port) as client:
+    with Running(env), Client(env.view.server) as client:
         client.meet(9)
         client.subscribe("/tf", CAMERA + "/image", CAMERA + "/depth", CAMERA + "/calibration")
         _, time_ns, depth = client.until(CAMERA + "/depth")
@@ -352,7 +427,7 @@ def test_pictures_are_drawn_only_for_their_subscribers(monkeypatch):
         pictures, "OffscreenRenderer", lambda model: opened.append(model) or renderer(model)
     )
     env = WithCamera(view_envs=[1])
-    with Running(env), Client(env.view.server.port) as client:
+    with Running(env), Client(env.view.server) as client:
         client.meet(9)
         client.subscribe("/tf", CAMERA + "/calibration")
         client.until(CAMERA + "/calibration")
@@ -364,7 +439,7 @@ def test_pictures_are_drawn_only_for_their_subscribers(monkeypatch):
 
 def test_the_rate_bounds_pictures():
     env = WithCamera(ImageOptions(rate=1e-9))
-    with Client(env.view.server.port) as client:
+    with Client(env.view.server) as client:
         env.step()
         client.meet(9)
         topic = "/env_0/camera/front/image"
@@ -382,13 +457,13 @@ def test_the_rate_bounds_pictures():
 def test_a_later_subscriber_of_a_video_begins_with_a_picture_that_needs_none_before():
     pytest.importorskip("av")
     env = WithCamera(ImageOptions(envs=[1], rate=1e9), view_envs=[1])
-    port, topic = env.view.server.port, CAMERA + "/image"
-    with Running(env), Client(port) as first:
+    server, topic = env.view.server, CAMERA + "/image"
+    with Running(env), Client(server) as first:
         first.meet(9)
         first.subscribe(topic)
         kinds = [nal_types(first.until(topic)[2].data) for _ in range(5)]
         assert any(5 not in kind for kind in kinds)
-        with Client(port) as second:
+        with Client(server) as second:
             second.meet(9)
             second.subscribe(topic)
             kinds = [nal_types(second.until(topic)[2].data) for _ in range(5)]
@@ -398,7 +473,7 @@ def test_a_later_subscriber_of_a_video_begins_with_a_picture_that_needs_none_bef
 def test_a_run_goes_on_where_no_picture_can_be_drawn(monkeypatch, caplog):
     monkeypatch.setenv(VARIABLE, "rays")
     env = WithCamera(view_envs=[1])
-    with Running(env), Client(env.view.server.port) as client:
+    with Running(env), Client(env.view.server) as client:
         client.meet(9)
         client.subscribe("/tf", "/log", CAMERA + "/image")
         line = client.until("/log")[2]

@@ -158,6 +158,8 @@ def test_the_window_pauses_at_the_space_bar(path, monkeypatch):
         (["--view", "foxglove"], "embodichain view FILE"),
         (["--view", "hologram"], "there are native, web"),
         (["--view", "native", "--port", "1"], "--host and --port are for --view web"),
+        (["--view", "native", "--token", "x"], "--token, --allow-host and --allow-origin are for"),
+        (["--allow-origin", "https://a.example"], "--allow-origin needs --view"),
         (["--view", "web", "--speed", "0"], "'--speed': 0.0 is not in the range x>0"),
         (["--view", "--env", "7"], "no environment 7"),
         (["--port", "8080"], "--port needs --view"),

@@ -22,6 +22,7 @@ from tests.helpers.browser import chromium, needs_chromium
 pytestmark = [needs_chromium, pytest.mark.unmeasured]
 
 SECONDS = 60.0
+TOKEN = "of-these-tests"
 KEYS = {
     "x": ("KeyW", "KeyS"),
     "y": ("KeyA", "KeyD"),
@@ -68,6 +69,7 @@ class Run(threading.Thread):
         self.folder, self.result = folder, None
         self.line = [*words, "task=pick_place", "policy=teleop", "viewer=web", "seed=4"]
         self.line += [f"output_dir={folder}", "task.max_episode_steps=600"]
+        self.line += [f"viewer.token={TOKEN}"]  # a drawn one is in no file of the run
         self.line += ["scene_png=false"] if words[0] == "run" else []
         self.start()
 
@@ -76,7 +78,8 @@ class Run(threading.Thread):
 
     def url(self):
         logs = wait(lambda: list(self.folder.rglob("run.log")))
-        return wait(lambda: re.search(r"viewer: (http\S+)", logs[0].read_text()))[1]
+        address = wait(lambda: re.search(r"viewer: (http\S+)", logs[0].read_text()))[1]
+        return f"{address}?token={TOKEN}"
 
     @property
     def log(self):

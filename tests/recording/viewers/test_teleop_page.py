@@ -15,6 +15,7 @@ from embodichain.lab.gym.teleop import ToolCommand
 from embodichain.recording.viewers.operator_pages import OperatorPages, look_like, view_of
 from embodichain.recording.viewers.web_page import PageOptions, WebPage
 from embodichain.utils.errors import EmbodichainError
+from tests.helpers import doors
 from tests.recording.scene import MODEL
 
 STATUS = {"tool": [0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0], "step": 3}
@@ -42,12 +43,12 @@ def until(condition, seconds=20.0):
 
 
 def port_of(page):
-    return int(page.url.rstrip("/").rpartition(":")[2])
+    return doors.port_of(page.url)
 
 
 def get(page, path):
     connection = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
-    connection.request("GET", path)
+    connection.request("GET", path, headers=doors.bearer(page.url))
     answer = connection.getresponse()
     return answer.status, answer.read().decode(errors="replace"), answer
 
@@ -57,7 +58,8 @@ class Browser:
 
     def __init__(self, page, **options):
         address = f"ws://127.0.0.1:{port_of(page)}/teleop"
-        self.connecting = connect(address, close_timeout=0.1, **options)
+        headers = doors.bearer(page.url)
+        self.connecting = connect(address, close_timeout=0.1, additional_headers=headers, **options)
 
     def __enter__(self):
         self.socket = self.connecting.__enter__()

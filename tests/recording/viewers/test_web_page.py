@@ -14,6 +14,7 @@ from websockets.sync.client import connect
 
 from embodichain.recording.viewers.web_page import Controls, Facts, PageOptions, WebPage
 from embodichain.utils.errors import ConfigError
+from tests.helpers import doors
 from tests.recording.scene import MODEL, SmallEnv
 
 OTHERS = "pages of other sites"
@@ -35,20 +36,21 @@ def page(served):
 
 
 def port_of(page):
-    return int(page.url.rstrip("/").rpartition(":")[2])
+    return doors.port_of(page.url)
 
 
 def ask(page, path="/", **headers):
-    """A plain request; returns status and text."""
+    """A plain request with the token; returns status and text."""
     connection = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
-    connection.request("GET", path, headers=headers)
+    connection.request("GET", path, headers=doors.bearer(page.url) | headers)
     answer = connection.getresponse()
     return answer.status, answer.read().decode(errors="replace")
 
 
 def visit(page, path="/state?sid=me", **options):
-    """A WebSocket, as the page opens it."""
-    options = {"close_timeout": 0.1, **options}
+    """A WebSocket with the token."""
+    headers = doors.bearer(page.url)
+    options = {"close_timeout": 0.1, "additional_headers": headers, **options}
     return connect(f"ws://127.0.0.1:{port_of(page)}{path}", **options)
 
 
@@ -240,11 +242,21 @@ def crc_of(state):
     return message[8:12]
 
 
+ANOTHER_SOCKET = """
+class Other(web_server.WebServer):
+    def start(self):
+        self.tcp_sock = web_server.bind_loopback_socket()
+        super().start()
+web_server.WebServer = Other
+"""
+
+
 @pytest.mark.parametrize(
     ("break_it", "why"),
     [
         ("s.guard_serving = lambda: None", "are not checked"),
         ("s._Viewer._host = '::'", "listens on ::"),
+        (f"from mujoco.studio.web import web_server\n{ANOTHER_SOCKET}", "in another way"),
     ],
 )
 def test_a_studio_that_cannot_be_confined_serves_nothing(break_it, why):
