@@ -6,13 +6,14 @@
 #   make docs      the documentation site, into build/site; DOCS_NOTEBOOKS=0 leaves out their execution
 #   make lint types imports     the other checks; `make check` is all of them
 #   make lerobot   LeRobot loads a data set of ours, trains on it, evaluates in a task (8 GB: CUDA's torch)
-#   make dist      build wheel, sdist and SHA256SUMS of the commit  (TAG=v0.1.0 insists on the tag)
+#   make dist      build wheel, sdist, bill of materials and SHA256SUMS of the commit  (TAG=v0.1.0
+#                  insists on the tag)
 #   make smoke     the same, then try the wheel alone on every Python from 3.11 to 3.13 that is found
 #   make test-oldest, make test-newest     a part of the tests with the lowest and highest versions
 #                  that pyproject.toml allows
 #   make names     write the list of public names that a test compares with
 #   make format    sort imports, lay out the code
-#   make pins      write constraints.txt from what .venv holds now
+#   make pins      write constraints.txt, locked.txt and the list of licences from what .venv holds now
 #   make clean     remove the environments and what the tools left; outputs/ stays
 #
 # PYTHON=python3.13 chooses the interpreter, VENV=DIR the place.
@@ -43,17 +44,19 @@ run: $(RUNS)
 venv: $(TESTS)
 
 # A stamp is newer than both files: nothing is installed again.
-# torch comes first and pinned: asked for by another package, pip would take the newest one.
-# Python compiles what it imports at its first import: compiling all of torch beforehand takes longer
-# than installing it. Without build isolation the pinned setuptools builds, not the newest.
-$(RUNS): pyproject.toml constraints.txt | system
+# Dependencies first, each file compared with its hash, torch before the others; then the project
+# itself, for pip takes no hashes together with an editable installation. `pip check` says whether it
+# misses one. Without build isolation the locked setuptools builds, not the newest.
+$(RUNS): pyproject.toml locked.txt | system
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) install --no-compile -c constraints.txt setuptools torch
-	$(PIP) install --no-compile -c constraints.txt --no-build-isolation -e .
+	$(BIN)/python scripts/locked.py install
+	$(PIP) install --no-compile --no-deps --no-build-isolation -e .
+	$(PIP) check
 	touch $@
 
 $(TESTS): $(RUNS) | system-tests
-	$(PIP) install --no-compile -c constraints.txt --no-build-isolation -e '.[dev]'
+	$(BIN)/python scripts/locked.py install --extra dev
+	$(PIP) check
 	touch $@
 
 system:
@@ -110,19 +113,19 @@ smoke: dist
 	$(BIN)/python scripts/smoke.py dist/embodichain-*.whl
 
 # uv resolves to the lowest versions, which pip cannot; each environment has its own.
-# Tests of packages that are in neither (optuna, moviepy, sb3-contrib) are left out. Test tools are the
-# pinned ones. UV_TORCH_BACKEND=cpu avoids the CUDA build where uv reaches it.
+# Tests of packages that are in neither (optuna, sb3-contrib) are left out. Test tools are the pinned
+# ones; what is resolved anew has no hashes. UV_TORCH_BACKEND=cpu avoids the CUDA build where uv reaches it.
 BOUNDS := tests/utils tests/config tests/lab/gym/test_base_env.py tests/lab/gym/test_vector.py \
     tests/lab/gym/test_single.py tests/lab/sim/meshes tests/recording/test_api.py \
     tests/recording/test_recorder.py tests/recording/test_log_file.py \
     tests/learning/test_vec_env.py tests/learning/test_train.py tests/learning/test_resume.py \
-    -m "not slow" -k "not optuna and not record_video and not recurrent and not with_a_memory"
+    -m "not slow" -k "not optuna and not recurrent and not with_a_memory"
 
 $(OLDEST)/.installed: RESOLUTION := lowest-direct
 $(NEWEST)/.installed: RESOLUTION := highest
 $(OLDEST)/.installed $(NEWEST)/.installed: pyproject.toml | system
 	$(PYTHON) -m venv $(@D)
-	$(@D)/bin/python -m pip --disable-pip-version-check install uv
+	$(@D)/bin/python scripts/locked.py install --only uv
 	$(@D)/bin/uv pip install --python $(@D)/bin/python --resolution $(RESOLUTION) \
 	    -r pyproject.toml --extra robots --extra gpu --extra video --extra pandas --extra decompose
 	$(@D)/bin/uv pip install --python $(@D)/bin/python -c constraints.txt \
@@ -148,8 +151,7 @@ format: venv
 	$(BIN)/ruff format .
 
 pins: venv
-	$(BIN)/python scripts/pins.py > constraints.tmp
-	mv constraints.tmp constraints.txt
+	$(BIN)/python -m scripts.pins
 
 clean:
 	rm -rf $(VENV) $(LEROBOT) $(OLDEST) $(NEWEST) build dist *.egg-info .coverage .coverage.* htmlcov \

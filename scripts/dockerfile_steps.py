@@ -86,8 +86,9 @@ def context(root: Path, ignored: str) -> Iterator[Path]:
         for name in (*files, *links):
             if not _is_ignored((at / name).as_posix(), rules):
                 yield at / name
-        if at == Path():  # nothing of other folders is taken in again
-            folders[:] = [name for name in folders if not _is_ignored(f"{name}/x", rules)]
+        if at == Path():  # of other folders only what a rule names
+            named = {rule[1:].partition("/")[0] for rule in rules if rule.startswith("!")}
+            folders[:] = [n for n in folders if n in named or not _is_ignored(f"{n}/x", rules)]
 
 
 def _is_ignored(path: str, rules: Iterable[str]) -> bool:

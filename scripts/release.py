@@ -4,11 +4,11 @@
 CITATION.cff, and makes a dated section of the changelog's *Unreleased*; commit that, and tag the
 commit ``v0.1.0``.
 
-`python scripts/release.py build` (`make dist`) builds sdist, wheel and SHA256SUMS into ``dist/``
-from the files of the commit, never from the working tree. The same commit gives the same bytes:
-times are the commit's, owners and modes are fixed, and the tools are those of constraints.txt. It
-refuses a dirty tree, and a tag, version and changelog that differ; ``--tag v0.1.0`` insists on the
-tag. The exit code is 2 for these.
+`python scripts/release.py build` (`make dist`) builds sdist, wheel, bill of materials and
+SHA256SUMS into ``dist/`` from the files of the commit, never from the working tree. The same commit
+gives the same bytes: times are the commit's, owners and modes are fixed, and the tools are those of
+locked.txt. It refuses a dirty tree, and a tag, version and changelog that differ; ``--tag v0.1.0``
+insists on the tag. The exit code is 2 for these.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ ROOT = Path(__file__).parents[1]
 VERSION_FILE = Path("embodichain", "__init__.py")
 CHANGELOG = Path("CHANGELOG.md")
 CITATION = Path("CITATION.cff")
+LOCK = Path("locked.txt")
 SUMS = "SHA256SUMS"
 UNRELEASED = "## [Unreleased]"
 _VERSION = re.compile(r'^__version__ = "([^"]+)"$', re.MULTILINE)
@@ -131,7 +132,7 @@ def git(root: Path, *arguments: str) -> str:
 
 
 def build(tree: Path, out: Path, epoch: int) -> list[Path]:
-    """Builds a tree of source files: the sdist, and the wheel from it.
+    """Builds a tree of source files: the sdist, the wheel from it, and the bill of materials.
 
     Args:
         tree: The files, as in a checkout; setuptools writes into it.
@@ -139,7 +140,7 @@ def build(tree: Path, out: Path, epoch: int) -> list[Path]:
         epoch: Time of all files inside, in seconds since 1970.
 
     Returns:
-        sdist, wheel and SHA256SUMS.
+        sdist, wheel, bill of materials (`scripts/sbom.py`) and SHA256SUMS.
 
     Raises:
         ReleaseError: A build failed; with its output.
@@ -158,20 +159,41 @@ def build(tree: Path, out: Path, epoch: int) -> list[Path]:
         (made,) = (work / "wheel").glob("*.whl")
         wheel = out / made.name
         shutil.move(made, wheel)
+    version = version_of(tree)
+    bill = out / f"embodichain-{version}.cdx.json"
+    options = [f"--lock={tree / LOCK}", f"--wheel={wheel}", f"--version={version}"]
+    _run(
+        "bill of materials", ["scripts.sbom", *options, f"--epoch={epoch}", f"--out={bill}"], epoch
+    )
     sums = out / SUMS
-    lines = [f"{hashlib.sha256(p.read_bytes()).hexdigest()}  {p.name}" for p in (wheel, sdist)]
+    files = (wheel, sdist, bill)
+    lines = [f"{hashlib.sha256(p.read_bytes()).hexdigest()}  {p.name}" for p in files]
     sums.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return [sdist, wheel, sums]
+    return [sdist, wheel, bill, sums]
 
 
 def _run_build(what: str, source: Path, out: Path, epoch: int) -> None:
-    command = [sys.executable, "-m", "build", "--no-isolation", what, "--outdir", out, source]
+    _run(what[2:], ["build", "--no-isolation", what, f"--outdir={out}", str(source)], epoch)
+
+
+def _run(what: str, module: list[str], epoch: int) -> None:
+    """Run a module in a process of its own.
+
+    Raises:
+        ReleaseError: It failed; with its output.
+    """
     environment = {**os.environ, "SOURCE_DATE_EPOCH": str(epoch)}
     done = subprocess.run(
-        command, capture_output=True, text=True, env=environment, check=False, umask=0o022
+        [sys.executable, "-m", *module],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+        umask=0o022,
+        cwd=ROOT,
     )
     if done.returncode:
-        raise ReleaseError(f"{what[2:]}: {done.stdout[-2000:]}{done.stderr[-2000:]}")
+        raise ReleaseError(f"{what}: {done.stdout[-2000:]}{done.stderr[-2000:]}")
 
 
 def _normalized(sdist: Path, epoch: int) -> bytes:
@@ -198,7 +220,7 @@ def main(arguments: list[str] | None = None) -> int:
     prepared = verbs.add_parser("prepare", help="write version and changelog")
     prepared.add_argument("version")
     prepared.add_argument("--date", default=f"{datetime.now(UTC):%Y-%m-%d}")
-    built = verbs.add_parser("build", help="sdist, wheel, checksums")
+    built = verbs.add_parser("build", help="sdist, wheel, bill of materials, checksums")
     built.add_argument("--tag", help="the tag that the commit must have")
     built.add_argument("--out", type=Path, default=ROOT / "dist")
     for verb in (prepared, built):
@@ -219,7 +241,7 @@ def main(arguments: list[str] | None = None) -> int:
             )
             with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as files:
                 files.extractall(tree, filter="tar")
-            made = build(tree, options.out, int(git(root, "log", "-1", "--format=%ct")))
+            made = build(tree, options.out.resolve(), int(git(root, "log", "-1", "--format=%ct")))
     except ReleaseError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -1,12 +1,13 @@
 """Tries a built wheel as a user gets it: alone with its dependencies, away from the checkout.
 
 `python scripts/smoke.py dist/embodichain-*.whl` makes a virtual environment for every interpreter
-of 3.11 to 3.13 that it finds (``python3.X`` on the PATH, or of pyenv), installs the wheel and
-nothing else, and runs what a new user runs: see `STEPS`. Interpreters that are not found are named
-as untried. The exit code is 1 if a step failed, 2 if no interpreter was found.
+of 3.11 to 3.13 that it finds (``python3.X`` on the PATH, or of pyenv), installs the wheel and what
+it needs, and runs what a new user runs: see `STEPS`. Interpreters that are not found are named as
+untried. The exit code is 1 if a step failed, 2 if no interpreter was found.
 
-Versions are those of constraints.txt (``--pins FILE`` names another file, ``--no-pins`` takes what
-the installer chooses). ``--installed DIR`` makes nothing and tries the environment in DIR.
+Dependencies are those of locked.txt, compared with their hashes, then the wheel without
+dependencies, which must not miss one (``--no-pins``: the wheel, and what pip chooses).
+``--installed DIR`` makes nothing and tries the environment in DIR.
 """
 
 from __future__ import annotations
@@ -85,19 +86,30 @@ def _is(python: Path, version: str) -> bool:
     return done.returncode == 0 and done.stdout.strip() == version
 
 
-def installed(python: Path, wheel: Path, place: Path, pins: Path | None) -> Path:
+def installed(python: Path, wheel: Path, place: Path, *, locked: bool) -> Path:
     """Makes an environment with a wheel and what it needs.
 
-    torch comes first: asked for by another package, pip would not prefer a build for CPUs.
+    Args:
+        python: The interpreter.
+        wheel: The project's.
+        place: The environment's folder.
+        locked: Whether its dependencies are those of locked.txt; else pip chooses, torch first:
+            asked for by another package, pip would not prefer a build for CPUs.
 
     Raises:
-        subprocess.CalledProcessError: If something could not be installed.
+        subprocess.CalledProcessError: If something could not be installed, or is missing.
     """
     subprocess.run([python, "-m", "venv", place], check=True)
-    pip = [place / "bin" / "python", "-m", "pip", "--disable-pip-version-check", "install", "-q"]
-    pip += ["--no-compile", *(["-c", pins] if pins else [])]
+    own = place / "bin" / "python"
+    pip = [own, "-m", "pip", "--disable-pip-version-check"]
+    add = [*pip, "install", "-q", "--no-compile"]
+    if locked:
+        subprocess.run([own, ROOT / "scripts" / "locked.py", "install"], check=True)
+        subprocess.run([*add, "--no-deps", wheel], check=True)
+        subprocess.run([*pip, "check"], check=True)
+        return place
     for what in ("torch", wheel):
-        subprocess.run([*pip, what], check=True)
+        subprocess.run([*add, what], check=True)
     return place
 
 
@@ -146,7 +158,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("wheel", type=Path, nargs="?", help="the wheel; not with --installed")
     parser.add_argument("--python", action="append", default=[], metavar="3.X", help="only these")
-    parser.add_argument("--pins", type=Path, default=ROOT / "constraints.txt")
     parser.add_argument("--no-pins", action="store_true", help="newest allowed versions")
     parser.add_argument("--installed", type=Path, metavar="DIR", help="try this environment")
     parser.add_argument("--json", action="store_true")
@@ -157,14 +168,14 @@ def main(arguments: list[str] | None = None) -> int:
     if options.installed:
         outcomes.append(tried(options.installed.resolve()))
     else:
-        pins = None if options.no_pins else options.pins
         for version, python in interpreters(options.python or VERSIONS):
             if python is None:
                 missing.append(version)
                 continue
             with tempfile.TemporaryDirectory(prefix="smoke-") as folder:
                 print(f"Python {version}: {python}", file=sys.stderr, flush=True)
-                place = installed(python, options.wheel.resolve(), Path(folder, "env"), pins)
+                place = Path(folder, "env")
+                installed(python, options.wheel.resolve(), place, locked=not options.no_pins)
                 outcomes.append(tried(place))
     if options.json:
         print(json.dumps({"tried": [asdict(o) for o in outcomes], "not found": missing}, indent=1))

@@ -1,10 +1,9 @@
 """SB3VecEnv with observations by name, pictures among them; VecTransposeImage, VecVideoRecorder."""
 
-import sys
-from types import ModuleType
-
 import gymnasium as gym
+import imageio_ffmpeg
 import numpy as np
+import pytest
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import (
@@ -15,6 +14,7 @@ from stable_baselines3.common.vec_env import (
 )
 
 from embodichain.learning import SB3VecEnv
+from tests.helpers.films import install_moviepy
 from tests.learning.counting import CountingEnv
 
 
@@ -86,26 +86,16 @@ REST = {"time": None, "where/id": None}
 
 
 def test_videos_of_all_environments(make_reach, tmp_path, monkeypatch):
-    """Stable-Baselines3 needs moviepy for the file only; a stand-in takes the pictures."""
-    clips = []
-
-    class ImageSequenceClip:
-        def __init__(self, frames, fps):
-            clips.append((frames, fps))
-
-        def write_videofile(self, path):
-            clips[-1] += (path,)
-
-    for name in ("moviepy", "moviepy.video", "moviepy.video.io"):
-        monkeypatch.setitem(sys.modules, name, ModuleType(name))
-    module = ModuleType("moviepy.video.io.ImageSequenceClip")
-    module.ImageSequenceClip = ImageSequenceClip
-    monkeypatch.setitem(sys.modules, module.__name__, module)
+    """Stable-Baselines3 needs moviepy for the file only."""
+    install_moviepy(monkeypatch)
     vec_env = SB3VecEnv(make_reach(2, render_mode="rgb_array"))
     env = VecVideoRecorder(vec_env, str(tmp_path), lambda step: step == 0, video_length=2)
     env.reset()
     for _ in range(3):
         env.step(np.zeros((2, 6), np.float32))
-    frames, fps, path = clips[0]
-    assert len(frames) == 3 and fps == vec_env.base.metadata["render_fps"]
-    assert frames[0].size == 2 * vec_env.get_images()[0].size and path.endswith(".mp4")
+    (path,) = tmp_path.glob("*.mp4")
+    film = imageio_ffmpeg.read_frames(str(path))
+    meta = next(film)
+    assert meta["fps"] == pytest.approx(vec_env.base.metadata["render_fps"])
+    sizes = [len(frame) for frame in film]
+    assert sizes == 3 * [2 * vec_env.get_images()[0].size]

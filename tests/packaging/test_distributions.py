@@ -27,6 +27,7 @@ class Built(NamedTuple):
     wheel: Path  # straight from the tree
     sdist: Path
     wheel_of_sdist: Path
+    bill: Path
     tree: Path
 
 
@@ -38,7 +39,7 @@ def built(repo: Path, tracked: dict[str, str], tmp_path_factory: pytest.TempPath
         target = root / "tree" / path
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(repo / path, target, follow_symlinks=False)
-    sdist, wheel_of_sdist, _ = release.build(root / "tree", root / "both", EPOCH)
+    sdist, wheel_of_sdist, bill, _ = release.build(root / "tree", root / "both", EPOCH)
     command = [sys.executable, "-m", "build", "--no-isolation", "--wheel"]
     done = subprocess.run(
         [*command, "--outdir", root / "direct", root / "tree"],
@@ -48,7 +49,7 @@ def built(repo: Path, tracked: dict[str, str], tmp_path_factory: pytest.TempPath
     )
     assert done.returncode == 0, done.stdout + done.stderr
     (wheel,) = (root / "direct").glob("*.whl")
-    return Built(wheel, sdist, wheel_of_sdist, root / "tree")
+    return Built(wheel, sdist, wheel_of_sdist, bill, root / "tree")
 
 
 def test_the_same_files_give_the_same_bytes(built: Built, tmp_path: Path) -> None:
@@ -59,12 +60,13 @@ def test_the_same_files_give_the_same_bytes(built: Built, tmp_path: Path) -> Non
     for path in tree.rglob("*.py"):
         path.chmod(0o600)
     again = release.build(tree, tmp_path / "dist", EPOCH)
-    for first, second in zip((built.sdist, built.wheel_of_sdist), again, strict=False):
+    files = (built.sdist, built.wheel_of_sdist, built.bill)
+    for first, second in zip(files, again, strict=False):
         assert first.read_bytes() == second.read_bytes(), first.name
     sums = (tmp_path / "dist" / "SHA256SUMS").read_text().splitlines()
     assert sums == [
         f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}"
-        for path in (built.wheel_of_sdist, built.sdist)
+        for path in (built.wheel_of_sdist, built.sdist, built.bill)
     ]
 
 

@@ -116,14 +116,15 @@ def make(repo: Path, goal: str, venv: Path) -> str:
 
 
 def installs(plan: str) -> list[str]:
-    """What pip would be told to install."""
-    pip = " install --no-compile -c constraints.txt "
-    found = (line.partition(pip)[2] for line in plan.splitlines())
+    """What would be installed, in this order."""
+    commands = (" scripts/locked.py ", " --disable-pip-version-check ")
+    found = (line.partition(c)[2] for line in plan.splitlines() for c in commands)
     return [what for what in found if what]
 
 
-RUN = ["setuptools torch", "--no-build-isolation -e ."]  # torch first, and pinned
-REST = "--no-build-isolation -e '.[dev]'"
+# Hashes first, then the project: pip takes no hashes together with an editable installation.
+RUN = ["install", "install --no-compile --no-deps --no-build-isolation -e .", "check"]
+REST = ["install --extra dev", "check"]
 
 
 def test_the_main_job_installs_what_it_needs_and_no_more(repo: Path, tmp_path: Path) -> None:
@@ -135,10 +136,10 @@ def test_the_main_job_installs_what_it_needs_and_no_more(repo: Path, tmp_path: P
 
 @pytest.mark.parametrize("goal", ["test", "lint", "types", "imports"])
 def test_checks_add_the_rest(repo: Path, tmp_path: Path, goal: str) -> None:
-    assert installs(make(repo, goal, tmp_path / "venv")) == [*RUN, REST]
+    assert installs(make(repo, goal, tmp_path / "venv")) == [*RUN, *REST]
     (tmp_path / ".installed").touch()
     plan = make(repo, goal, tmp_path)
-    assert installs(plan) == [REST]
+    assert installs(plan) == REST
     assert "system_deps.sh" in plan
     assert "chromium" in plan
 
@@ -153,9 +154,9 @@ def test_second_call_installs_nothing(repo: Path, tmp_path: Path, goal: str) -> 
 def test_changed_dependencies_install_again(repo: Path, tmp_path: Path) -> None:
     for stamp in (tmp_path / ".installed", tmp_path / ".installed-dev"):
         stamp.touch()
-        os.utime(stamp, (0, 0))  # older than pyproject.toml and constraints.txt
+        os.utime(stamp, (0, 0))  # older than pyproject.toml and locked.txt
     assert installs(make(repo, "run", tmp_path)) == RUN
-    assert installs(make(repo, "test", tmp_path)) == [*RUN, REST]
+    assert installs(make(repo, "test", tmp_path)) == [*RUN, *REST]
 
 
 def test_old_python_is_refused(repo: Path, tmp_path: Path) -> None:

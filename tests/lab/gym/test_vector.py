@@ -7,6 +7,7 @@ from gymnasium.wrappers import vector as wrappers
 
 from embodichain.lab.gym.envs.cfg import ObservationCfg, RewardCfg, TerminationCfg
 from embodichain.lab.gym.vector import NumpyVectorEnv
+from tests.helpers.films import install_moviepy
 from tests.lab.gym.conftest import jumping, marker, noise
 
 LIMIT = 5
@@ -168,7 +169,8 @@ def test_a_reset_mask_resets_those_and_must_be_one(make_vec):
             env.reset(options={"reset_mask": wrong})
 
 
-def test_record_video_with_next_step(make_vec, tmp_path):
+def test_record_video_with_next_step(make_vec, tmp_path, monkeypatch):
+    install_moviepy(monkeypatch)
     env = make_vec("NEXT_STEP", flatten=True, env_kwargs={"render_mode": "rgb_array"})
     assert env.metadata["render_fps"] == env.env.control_frequency
     env = wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda episode: episode == 0)
