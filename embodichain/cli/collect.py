@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CollectionError", "collect_job", "command", "summary_rows"]
 
-MAY_CHANGE = ("episodes", "num_envs", "max_steps", "collect", "viewer", "video", "device")
+MAY_CHANGE = ("trust", "episodes", "num_envs", "max_steps", "collect", "viewer", "video", "device")
 """Keys (and what is below them) that may differ from those of the collection that is resumed,
 besides those that may always."""
 _log = logging.getLogger(__name__)
@@ -81,6 +81,7 @@ def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
     folder = resumed_folder(name, newest, "collection")
     done = len(read_collection(folder))
     fresh = {"quiet": False, "json": False, "traceback": False, "resume": str(folder)}
+    fresh |= {"trust": False}  # whoever made the folder does not say whom to trust
     tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
     source = str(folder / CONFIG)
     found = resolve_tree(tree, source, "collect", task_name=task_of(folder), allow_import=True)
