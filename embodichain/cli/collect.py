@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CollectionError", "collect_job", "command", "summary_rows"]
 
-MAY_CHANGE = ("trust", "episodes", "num_envs", "max_steps", "collect", "viewer", "video", "device")
+MAY_CHANGE = ("episodes", "num_envs", "max_steps", "collect", "viewer", "video", "device")
 """Keys (and what is below them) that may differ from those of the collection that is resumed,
 besides those that may always."""
 _log = logging.getLogger(__name__)
@@ -75,7 +75,7 @@ def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
     from embodichain.config.resolved import resolve_tree
     from embodichain.recording.collection import SUCCESSES, read_collection
 
-    changes = parsed_changes(overrides, MAY_CHANGE, "a resumed collection")
+    changes = parsed_changes(overrides, (*MAY_CHANGE, "trust"), "a resumed collection")
     name = str(changes.pop("resume"))
     newest = newest_run(changes.get("output_dir", "outputs"), SUCCESSES)
     folder = resumed_folder(name, newest, "collection")

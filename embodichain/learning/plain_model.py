@@ -13,9 +13,11 @@ import json
 import logging
 import zipfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from embodichain.learning.inert_pickle import InertPickle, read_inert
@@ -58,6 +60,7 @@ def load_plain(file: Path, algorithm: type[BaseAlgorithm]) -> BaseAlgorithm:
         )
         own = vars(model)
         plain = {n: v for n, v in data.items() if n in own and not _is_pickled(v)}
+        plain |= _numbers({n: found for n, found in pickles.items() if n in own})
         unused = {name: value for name, value in UNUSED.items() if name in own}
         own.update({**plain, **parts, **unused, "n_envs": 1})
         own["policy_kwargs"] = _arguments(parts["policy_kwargs"])
@@ -125,6 +128,17 @@ def _part(
     except Exception as error:  # an object with wrong parts may raise anything
         why = f"its {name} is no plain data ({type(error).__name__}: {error})"
         raise (needs_trust(file, why, names) if names else _damaged(file, why)) from error
+
+
+def _numbers(pickles: Mapping[str, InertPickle]) -> dict[str, Any]:
+    """Those of the attributes that are numbers of numpy, such as an entropy."""
+    found = {}
+    for name, content in pickles.items():
+        with suppress(Exception):  # what is no data is not needed
+            value = rebuild(content.value)
+            if isinstance(value, (np.generic, int, float)):
+                found[name] = value
+    return found
 
 
 def _arguments(kwargs: dict[str, Any]) -> dict[str, Any]:
