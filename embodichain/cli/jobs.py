@@ -64,7 +64,14 @@ _SAY_AFTER = 1.0
 """Seconds after which a film says how long it takes."""
 FRESH: dict[str, Any] = {
     **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
-    **{"trust": False, "max_steps": None, "video": None, "total_timesteps": None, "algo": None, "dataset": None},
+    **{
+        "trust": False,
+        "max_steps": None,
+        "video": None,
+        "total_timesteps": None,
+        "algo": None,
+        "dataset": None,
+    },
     **{"output_dir": "outputs"},
 }
 """Root keys of a run's config that do not carry over to another run of it."""

@@ -15,6 +15,13 @@ from typing import Any
 __all__ = ["Inert", "InertPickle", "read_inert"]
 
 
+_DAMAGE = (
+    *(pickle.UnpicklingError, AttributeError, EOFError, ImportError, LookupError, MemoryError),
+    *(OverflowError, RecursionError, TypeError, ValueError),
+)
+"""What a malformed pickle raises."""
+
+
 class Inert:
     """An object that a pickle would make; its class, a subclass of this, is what makes it.
 
@@ -88,7 +95,7 @@ def read_inert(data: bytes) -> InertPickle:
     found = InertPickle()
     try:
         found.value = _Reader(data, found.names).load()
-    except Exception as error:  # a malformed pickle may raise anything
+    except _DAMAGE as error:
         found.damage = f"{type(error).__name__}: {error}"
     return found
 

@@ -55,7 +55,7 @@ _NUMPY_NAMES = (
 )
 
 
-class NotData(Exception):  # noqa: N818  (it is no fault: the object has to be made by its code)
+class NotData(Exception):
     """An object is not of the register.
 
     Attributes:
@@ -118,21 +118,30 @@ def rebuild(value: Any) -> Any:
 
     Raises:
         NotData: If an object is not of the register.
-        TypeError: If an object of the register has wrong parts; or ValueError, KeyError.
+        ValueError: If an object of the register has wrong parts.
     """
+    try:
+        return _rebuilt(value)
+    except NotData:
+        raise
+    except Exception as error:  # parts that do not fit may raise anything
+        raise ValueError(f"{type(error).__name__}: {error}") from error
+
+
+def _rebuilt(value: Any) -> Any:
     if isinstance(value, type) and issubclass(value, Inert):
         return _class(value.made_by)
     if isinstance(value, Inert):
         return _object(value)
     if isinstance(value, dict):
-        return {rebuild(k): rebuild(v) for k, v in value.items()}
+        return {_rebuilt(k): _rebuilt(v) for k, v in value.items()}
     if type(value) in (list, tuple, set, frozenset):
-        return type(value)(rebuild(part) for part in value)
+        return type(value)(_rebuilt(part) for part in value)
     return value
 
 
 def _class(name: str) -> Any:
-    found = {**known_classes(), **_scalar_types()}
+    found: dict[str, Any] = {**known_classes(), **_scalar_types()}
     if name not in found:
         raise NotData(name)
     return found[name]
@@ -172,7 +181,7 @@ def _makers() -> dict[str, Callable[[Inert], Any]]:
 def _maker_of_space(cls: Any) -> Callable[[Inert], Any]:
     def make(made: Inert) -> Any:
         state = {
-            key: None if key == "_np_random" else rebuild(part) for key, part in made.state.items()
+            key: None if key == "_np_random" else _rebuilt(part) for key, part in made.state.items()
         }
         space = cls.__new__(cls)
         space.__setstate__(state)
@@ -183,12 +192,12 @@ def _maker_of_space(cls: Any) -> Callable[[Inert], Any]:
 
 def _ordered(made: Inert) -> OrderedDict[Any, Any]:
     pairs: Iterable[Any] = made.arguments[0] if made.arguments else ()
-    return OrderedDict(rebuild([*map(tuple, pairs), *made.entries.items()]))
+    return OrderedDict(_rebuilt([*map(tuple, pairs), *made.entries.items()]))
 
 
 def _dtype(made: Inert) -> np.dtype[Any]:
     kind = str(made.arguments[0])
-    order = made.state[1] if made.state is not None else "="
+    order: Any = made.state[1] if made.state is not None else "="
     found = np.dtype(kind)
     if found.hasobject:
         raise NotData(f"an array of objects ({kind})")
@@ -197,17 +206,17 @@ def _dtype(made: Inert) -> np.dtype[Any]:
 
 def _from_buffer(made: Inert) -> np.ndarray[Any, Any]:
     data, dtype, shape, order = made.arguments
-    return np.frombuffer(data, rebuild(dtype)).reshape(shape, order=order).copy(order="K")
+    return np.frombuffer(data, _rebuilt(dtype)).reshape(shape, order=order).copy(order="K")
 
 
 def _array(made: Inert) -> np.ndarray[Any, Any]:
     if made.state is None or len(made.state) != _ARRAY_STATE:
         raise ValueError("a pickled array is damaged")
     _, shape, dtype, by_columns, data = made.state
-    order = "F" if by_columns else "C"
-    return np.frombuffer(data, rebuild(dtype)).reshape(shape, order=order).copy(order="K")
+    order: Any = "F" if by_columns else "C"
+    return np.frombuffer(data, _rebuilt(dtype)).reshape(shape, order=order).copy(order="K")
 
 
 def _scalar(made: Inert) -> Any:
     dtype, data = made.arguments
-    return np.frombuffer(data, rebuild(dtype))[0]
+    return np.frombuffer(data, _rebuilt(dtype))[0]

@@ -125,8 +125,8 @@ def _part(
     except NotData as error:
         names = list(dict.fromkeys([error.name, *names]))
         raise needs_trust(file, f"its {name} is made by {error.name}", names) from error
-    except Exception as error:  # an object with wrong parts may raise anything
-        why = f"its {name} is no plain data ({type(error).__name__}: {error})"
+    except ValueError as error:
+        why = f"its {name} is no plain data ({error})"
         raise (needs_trust(file, why, names) if names else _damaged(file, why)) from error
 
 
@@ -134,7 +134,7 @@ def _numbers(pickles: Mapping[str, InertPickle]) -> dict[str, Any]:
     """Those of the attributes that are numbers of numpy, such as an entropy."""
     found = {}
     for name, content in pickles.items():
-        with suppress(Exception):  # what is no data is not needed
+        with suppress(NotData, ValueError):  # then it is no number
             value = rebuild(content.value)
             if isinstance(value, (np.generic, int, float)):
                 found[name] = value

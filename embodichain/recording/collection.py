@@ -117,7 +117,7 @@ def _parsed(line: str, where: str) -> CollectedEpisode:
         if type(values[key]) not in types:
             raise ConfigError(f"{where}: {key} must not be {values[key]!r}")
     log = values["log"]
-    if not log or Path(log).name != log or "\\" in log or "\0" in log:
+    if log in ("", "..") or Path(log).name != log or "\\" in log or "\0" in log:
         raise OutsideError(f"{where}: log must be the name of a file beside it, not {log!r}")
     return CollectedEpisode(**values)
 

@@ -272,7 +272,9 @@ def test_a_name_does_not_lead_out_of_its_package(world, uri):
     for function in (get_data_path, resolve_package_uri):
         if uri.startswith("menagerie") and function is resolve_package_uri:
             continue
-        with pytest.raises(OutsideError, match=r"leads out of its folder|names no package") as raised:
+        with pytest.raises(
+            OutsideError, match=r"leads out of its folder|names no package"
+        ) as raised:
             function(uri.format(world=world), near=model)
         assert "secret" not in str(raised.value) or "secret" in uri
 

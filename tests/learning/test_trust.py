@@ -157,7 +157,10 @@ def test_the_model_is_that_of_stable_baselines_to_the_bit(tmp_path, algo, caplog
     arguments = {"policy": "MlpPolicy", **ALGORITHMS[algo]}
     model = cls(env=SB3VecEnv(CountingEnv([0, 3])), seed=1, device="cpu", **arguments)
     model.save(tmp_path / "mine.zip")
-    mine, its = load_model(tmp_path / "mine.zip").model, cls.load(tmp_path / "mine.zip", device="cpu")
+    mine, its = (
+        load_model(tmp_path / "mine.zip").model,
+        cls.load(tmp_path / "mine.zip", device="cpu"),
+    )
     assert mine.observation_space == its.observation_space
     assert mine.action_space == its.action_space
     weights, others = mine.policy.state_dict(), its.policy.state_dict()
@@ -185,7 +188,9 @@ def test_arrays_of_objects_are_not_read(path, where):
         where, lambda p: p.with_name("final.state.npz")
     )(path)
     np.savez(target, allow_pickle=True, **entries)
-    read = {"statistics": load_statistics, "tree": read_tree}.get(where, lambda p: load_policy(path))
+    read = {"statistics": load_statistics, "tree": read_tree}.get(
+        where, lambda p: load_policy(path)
+    )
     with pytest.raises(ConfigError, match="Object arrays cannot be loaded"):
         read(target)
     assert not was_run()
@@ -212,8 +217,6 @@ class WritesInABranch(torch.nn.Module):
             if x.sum() > -1.0:
                 x = x + _touched()
         return x
-
-
 
 
 def _touched() -> torch.Tensor:
@@ -266,7 +269,9 @@ def test_save_of_torchscript_needs_trust(tmp_path):
             return x
 
     module = torch.jit.script(Saves())
-    module.define("def forward2(self, x: Tensor) -> Tensor:\n  torch.save(x, 'PWNED')\n  return x\n")
+    module.define(
+        "def forward2(self, x: Tensor) -> Tensor:\n  torch.save(x, 'PWNED')\n  return x\n"
+    )
     module.save(str(tmp_path / "policy.pt"))
     with pytest.raises(NeedsTrust, match="aten::save"):
         load_exported(tmp_path / "policy.pt")
