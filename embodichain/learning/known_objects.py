@@ -38,6 +38,8 @@ _SPACES = (
 )
 _ARRAY_STATE = 5
 """Length of the state of a pickled array: version, shape, type, order, bytes."""
+_GENERATORS = ("_np_random", "np_random")
+"""Attributes of spaces that are not needed: of Gymnasium, and of the old Gym."""
 _NUMPY = ("numpy._core", "numpy.core")
 # Beginnings of names that checkpoints have for what is not needed to act: schedules, buffers,
 # noise, random generators. It is never read; other names are worth a word.
@@ -148,7 +150,7 @@ def _class(name: str) -> Any:
 
 
 @cache
-def _scalar_types() -> dict[str, type]:
+def _scalar_types() -> dict[str, Any]:
     """Types of numbers that a space may have instead of a dtype."""
     kinds = (np.bool_, np.float32, np.float64, np.int64, np.int32, np.uint8)
     return {f"numpy.{kind.__name__}": kind for kind in kinds} | {"numpy.bool_": np.bool_}
@@ -181,7 +183,7 @@ def _makers() -> dict[str, Callable[[Inert], Any]]:
 def _maker_of_space(cls: Any) -> Callable[[Inert], Any]:
     def make(made: Inert) -> Any:
         state = {
-            key: None if key == "_np_random" else _rebuilt(part) for key, part in made.state.items()
+            key: None if key in _GENERATORS else _rebuilt(part) for key, part in made.state.items()
         }
         space = cls.__new__(cls)
         space.__setstate__(state)
