@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-import yaml
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from embodichain.config.run_folder import CONFIG
 from embodichain.config.tensor_algorithms import TENSOR_ALGORITHMS
 from embodichain.learning.algorithms import algorithm_class
 from embodichain.learning.asymmetric import actor_space
 from embodichain.learning.checkpoint import find_checkpoint, read_digest, read_note
 from embodichain.learning.chunk_policy import ChunkPolicy
+from embodichain.learning.configured_model import load_configured, run_config
 from embodichain.learning.curriculum_stage import read_stage
 from embodichain.learning.exported import SUFFIXES, ExportedPolicy, load_exported
 from embodichain.learning.normalization import (
@@ -57,8 +56,9 @@ def load_policy(
     """Load a policy saved by `embodichain train` or `export`, or by Stable-Baselines3 itself.
 
     No code of the file is run: weights are read as weights, spaces and arguments as data, and
-    classes of networks are those of Stable-Baselines3 and of this package, by their names. A file
-    with other classes, or a TorchScript file that does more than compute, needs `trust`.
+    classes of networks are those of Stable-Baselines3 and of this package, by their names. Where
+    that cannot be, in the folder of a run and with `env`, spaces and arguments are those of the
+    run's config. Any other file, and TorchScript that does more than compute, needs `trust`.
 
     Args:
         path: A zip file, with ``NAME.normalize.npz`` beside it if observations were normalized; an
@@ -85,7 +85,7 @@ def load_policy(
     if file.suffix in SUFFIXES:
         policy = _only_means(file, deterministic, trust)
     else:
-        policy = load_checkpoint(file, deterministic=deterministic, trust=trust)
+        policy = load_checkpoint(file, env, deterministic=deterministic, trust=trust)
     policy.allow_changed = allow_changed
     policy.stage = read_stage(file)
     if policy.trained_in is None:
@@ -96,7 +96,7 @@ def load_policy(
 
 
 def load_checkpoint(
-    file: Path, *, deterministic: bool = True, trust: bool = False
+    file: Path, env: BaseEnv | None = None, *, deterministic: bool = True, trust: bool = False
 ) -> LearnedPolicy | ExportedPolicy:
     """Load a zip of any algorithm; arguments as of `load_policy`.
 
@@ -105,7 +105,7 @@ def load_checkpoint(
     """
     if read_note(file).get("algo") in TENSOR_ALGORITHMS:
         return _only_means(file, deterministic, trust)
-    return load_model(file, deterministic=deterministic, trust=trust)
+    return load_model(file, env, deterministic=deterministic, trust=trust)
 
 
 def _only_means(file: Path, deterministic: bool, trust: bool) -> ExportedPolicy:
@@ -115,7 +115,9 @@ def _only_means(file: Path, deterministic: bool, trust: bool) -> ExportedPolicy:
     return load_exported(file, trust=trust)
 
 
-def load_model(file: Path, *, deterministic: bool = True, trust: bool = False) -> LearnedPolicy:
+def load_model(
+    file: Path, env: BaseEnv | None = None, *, deterministic: bool = True, trust: bool = False
+) -> LearnedPolicy:
     """Load a zip of Stable-Baselines3 with its statistics; arguments as of `load_policy`.
 
     Raises:
@@ -124,15 +126,18 @@ def load_model(file: Path, *, deterministic: bool = True, trust: bool = False) -
     note = read_note(file)
     algorithm = algorithm_class(str(note.get("algo")))
     statistics = _statistics(file)
+    group = str(note.get("group", "policy"))
     # In a fork of the generators, whose state here does not change.
     with torch.random.fork_rng(devices=()):
         try:
             model = load_plain(file, algorithm)
         except NeedsTrust:
-            if not trust:
+            found = None
+            if env is not None:
+                found = load_configured(file, str(note.get("algo")), group, env)
+            if found is None and not trust:
                 raise
-            model = _load_trusted(file, algorithm)
-    group = str(note.get("group", "policy"))
+            model = found or _load_trusted(file, algorithm)
     return LearnedPolicy(model, group, str(file), deterministic, statistics, note)
 
 
@@ -292,19 +297,7 @@ def _shape(space: Any) -> Any:
 
 def _statistics(file: Path) -> NormalizeStatistics | None:
     """The statistics beside a checkpoint; required if its run normalized observations."""
-    path, config = statistics_path(file), _run_config(file)
+    path, config = statistics_path(file), run_config(file)
     algo = config.get("algo") if isinstance(config, dict) else None
     normalized = isinstance(algo, dict) and algo.get("normalize") in _OBS_NORMALIZED
     return load_statistics(path) if path.exists() or normalized else None
-
-
-def _run_config(file: Path) -> Any:
-    """The config of the run that a checkpoint belongs to; None if it cannot be read."""
-    try:
-        return yaml.safe_load(_config_path(file).read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError):
-        return None
-
-
-def _config_path(file: Path) -> Path:
-    return file.resolve().parent.parent / CONFIG

@@ -5,9 +5,11 @@ import os
 import shutil
 import stat
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -54,10 +56,6 @@ VERBS: dict[str, Callable[[Path, Path], list[str]]] = {
         *("render", "x.png", "task=reach", f"policy={run}", "task.max_episode_steps=6"),
         *("--step", "1"),
     ],
-    "bench": lambda run, log: [
-        *("bench", "task=reach", f"policy={run}", "--rounds", "1", "num_envs=1"),
-        "task.max_episode_steps=6",
-    ],
     "export": lambda run, log: [
         "export",
         "policy",
@@ -86,20 +84,55 @@ def test_a_planted_pickle_is_not_run(
     said = capsys.readouterr().err + caplog.text  # a process shows both
     assert not was_run()
     assert f"its action_noise would run {NAME}: it is not read" in said
-    Path("x.png").unlink(missing_ok=True)  # `render` replaces no picture
-    plant(file, ["policy_kwargs"])
-    config = yaml.safe_load((folder / "config.yaml").read_text())
-    (folder / "config.yaml").write_text(yaml.safe_dump({**config, "trust": True}))
-    assert main(words) == 2  # whoever wrote the folder does not say whom to trust
-    said = capsys.readouterr().err
-    assert f"its policy_kwargs is made by {NAME}. It would run {NAME}" in said
-    assert "trust=true (replay: --trust) runs it" in said
+    for case in ("weights alone", "refused"):
+        Path("x.png").unlink(missing_ok=True)  # `render` and `export` replace no file
+        Path("x.pt").unlink(missing_ok=True)
+        plant(file, [*UNNEEDED, "policy_class", "policy_kwargs", "observation_space"])
+        caplog.clear()
+        config = yaml.safe_load((folder / "config.yaml").read_text())
+        if case == "weights alone":  # as a training resumes
+            assert main(words) == 0, capsys.readouterr().err
+            said = capsys.readouterr().err + caplog.text
+            assert "weights alone were read; the rest is of its run's config.yaml" in said
+        else:
+            # Whoever wrote the folder does not say whom to trust.
+            changed = {**config, "trust": True, "algo": None}
+            (folder / "config.yaml").write_text(yaml.safe_dump(changed))
+            assert main(words) == 2
+            said = capsys.readouterr().err
+            assert f"its policy_class is made by {NAME}. It would run {NAME}" in said
+            assert "trust=true (replay: --trust) runs it" in said
+        assert not was_run()
+
+
+def test_the_model_of_the_config_is_that_of_the_file_to_the_bit(folder: Path) -> None:
+    import torch
+
+    from embodichain.config import make_env, resolve
+    from embodichain.learning.policy import load_model
+
+    file = folder / "checkpoints/final.zip"
+    with closing(make_env(resolve(["task=reach", "num_envs=2"]))) as env:
+        before = load_model(file, env).model
+        plant(file, ["policy_class", "policy_kwargs", "observation_space", "action_space"])
+        state = torch.get_rng_state()
+        after = load_model(file, env).model
+        assert torch.equal(state, torch.get_rng_state())
     assert not was_run()
+    assert before.observation_space == after.observation_space
+    assert before.action_space == after.action_space
+    weights = after.policy.state_dict()
+    assert all(torch.equal(w, weights[n]) for n, w in before.policy.state_dict().items())
+    obs = before.observation_space.sample()
+    actions = [model.predict(obs, deterministic=True)[0] for model in (before, after)]
+    np.testing.assert_array_equal(*actions)
 
 
 @pytest.mark.parametrize("verb", ["run", "eval", "export", "replay"])
 def test_it_is_run_where_it_is_trusted(verb: str, folder: Path, trained: Path) -> None:
     plant(folder / "checkpoints/final.zip", ["policy_kwargs"])
+    config = yaml.safe_load((folder / "config.yaml").read_text())
+    (folder / "config.yaml").write_text(yaml.safe_dump({**config, "algo": None}))
     words = VERBS[verb](folder, trained / "log/rollout.mcap")
     trust = "--trust" if verb == "replay" else "trust=true"
     assert main([*words, trust]) == 2  # the payload returns no arguments
