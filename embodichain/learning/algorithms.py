@@ -29,7 +29,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from embodichain.config.algorithms import ALGORITHMS, AlgoCfg
 from embodichain.learning.asymmetric import ASYMMETRIC
-from embodichain.learning.known_objects import EXTRACTORS
+from embodichain.learning.extractors import EXTRACTORS
 from embodichain.learning.normalization import number_keys
 from embodichain.learning.spaces import observation_columns, require_bounds
 from embodichain.learning.symmetry import Mirror, MirroredMeanStd, SymmetricActorCriticPolicy

@@ -22,16 +22,15 @@ from stable_baselines3.common.sb2_compat.rmsprop_tf_like import RMSpropTFLike
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from embodichain.config.algorithms import ALGORITHMS
+from embodichain.learning.algorithms import algorithm_class
 from embodichain.learning.asymmetric import ASYMMETRIC
-from embodichain.learning.extractors import SmallCnn
+from embodichain.learning.extractors import EXTRACTORS
 from embodichain.learning.inert_pickle import Inert
 from embodichain.learning.symmetry import SymmetricActorCriticPolicy
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["EXTRACTORS", "NotData", "is_usual", "known_classes", "rebuild"]
+__all__ = ["NotData", "is_usual", "known_classes", "rebuild"]
 
-EXTRACTORS: dict[str, type[BaseFeaturesExtractor]] = {"small_cnn": SmallCnn}
-"""Features extractors of this package, by the names that a config has for them."""
 _SPACES = (
     *(spaces.Box, spaces.Dict, spaces.Tuple),
     *(spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary),
@@ -103,8 +102,6 @@ def _subclasses(module: Any, base: type) -> Iterator[type]:
 
 def _policies() -> Iterator[type[BasePolicy]]:
     """The policies of every algorithm whose package is installed."""
-    from embodichain.learning.algorithms import algorithm_class
-
     for name in ALGORITHMS:
         try:
             yield from algorithm_class(name).policy_aliases.values()

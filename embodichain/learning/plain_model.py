@@ -15,7 +15,7 @@ import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -34,6 +34,13 @@ _NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space")
 _PICKLED = ":serialized:"
 """The key of a pickle in the JSON of Stable-Baselines3."""
 _log = logging.getLogger(__name__)
+
+
+class _Unbuilt(Protocol):
+    """A model of Stable-Baselines3 whose networks are not made yet."""
+
+    def _setup_model(self) -> None:
+        """Make its networks, from its spaces and arguments."""
 
 
 def load_plain(file: Path, algorithm: type[BaseAlgorithm]) -> BaseAlgorithm:
@@ -64,7 +71,8 @@ def load_plain(file: Path, algorithm: type[BaseAlgorithm]) -> BaseAlgorithm:
         unused = {name: value for name, value in UNUSED.items() if name in own}
         own.update({**plain, **parts, **unused, "n_envs": 1})
         own["policy_kwargs"] = _arguments(parts["policy_kwargs"])
-        model._setup_model()
+        unbuilt: _Unbuilt = model
+        unbuilt._setup_model()
     except Exception as error:  # parts that do not fit may raise anything
         raise _damaged(file, f"{type(error).__name__}: {error}") from error
     load_parameters(model, file, "policy")
