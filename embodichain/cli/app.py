@@ -91,7 +91,7 @@ Examples:
 {_EXIT_CODES}"""
 _ROOT_KEYS = (
     *EVERYDAY_KEYS,
-    *("algo", "video", "resume", "dataset", "scene_png", "allow_changed", "experiment"),
+    *("algo", "video", "resume", "dataset", "scene_png", "allow_changed", "trust", "experiment"),
 )
 """Keys that are flags of other tools."""
 _QUICK_START = ("run", "run-env", "train")

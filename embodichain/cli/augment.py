@@ -83,7 +83,7 @@ def _resolved(path: Path, lines: list[str]) -> Resolved:
     fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False, "resume": None}
     fresh |= {"num_envs": None, "episodes": None, "seed": None, "policy": None, "algo": None}
     fresh |= {"viewer": {"name": "none"}, "record": record, "output_dir": "outputs", "video": None}
-    fresh |= {"max_steps": None}
+    fresh |= {"max_steps": None, "trust": False}
     tree = with_changes({**tree, **fresh}, changes)
     found = resolve_tree(tree, f"{path}: config.yaml", "collect", task_name=task)
     policy = {"func": _POLICY, "params": {"demonstrations": str(path)}}

@@ -75,12 +75,13 @@ def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
     from embodichain.config.resolved import resolve_tree
     from embodichain.recording.collection import SUCCESSES, read_collection
 
-    changes = parsed_changes(overrides, MAY_CHANGE, "a resumed collection")
+    changes = parsed_changes(overrides, (*MAY_CHANGE, "trust"), "a resumed collection")
     name = str(changes.pop("resume"))
     newest = newest_run(changes.get("output_dir", "outputs"), SUCCESSES)
     folder = resumed_folder(name, newest, "collection")
     done = len(read_collection(folder))
     fresh = {"quiet": False, "json": False, "traceback": False, "resume": str(folder)}
+    fresh |= {"trust": False}  # whoever made the folder does not say whom to trust
     tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
     source = str(folder / CONFIG)
     found = resolve_tree(tree, source, "collect", task_name=task_of(folder), allow_import=True)

@@ -179,12 +179,12 @@ def _write_policy(target: Target, overrides: list[str], out: Path, form: Format)
     from embodichain.learning.policy import load_checkpoint
 
     fresh = {"viewer": {"name": "none"}, "algo": None, "num_envs": 1, "resume": None}
-    fresh |= {"allow_changed": False}
+    fresh |= {"allow_changed": False, "trust": False}
     resolved = target.resolve(overrides, fresh)
-    policy = load_checkpoint(Path(target.policy))
-    policy.allow_changed = resolved.root.allow_changed
     env = make_env(resolved)
     try:
+        policy = load_checkpoint(Path(target.policy), env, trust=resolved.root.trust)
+        policy.allow_changed = resolved.root.allow_changed
         worst = export_policy(policy, env, out, form, task=resolved.task_name)
     finally:
         env.close()

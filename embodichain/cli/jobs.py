@@ -64,7 +64,14 @@ _SAY_AFTER = 1.0
 """Seconds after which a film says how long it takes."""
 FRESH: dict[str, Any] = {
     **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
-    **{"max_steps": None, "video": None, "total_timesteps": None, "algo": None, "dataset": None},
+    **{
+        "trust": False,
+        "max_steps": None,
+        "video": None,
+        "total_timesteps": None,
+        "algo": None,
+        "dataset": None,
+    },
     **{"output_dir": "outputs"},
 }
 """Root keys of a run's config that do not carry over to another run of it."""
@@ -496,15 +503,16 @@ def policy_of(
         deterministic: Whether a trained policy returns its mean action.
 
     Raises:
-        ConfigError: There is no such policy, its parameters are wrong, or it was trained in
-            another task and ``allow_changed`` is not set.
+        ConfigError: There is no such policy, its parameters are wrong, it was trained in another
+            task and ``allow_changed`` is not set, or its file can only be read by running code of
+            it and ``trust`` is not set.
     """
 
     def load(path: Path) -> Policy:
         from embodichain.learning.policy import load_policy
 
-        changed = root.allow_changed
-        return load_policy(path, env, deterministic=deterministic, allow_changed=changed)
+        how = {"allow_changed": root.allow_changed, "trust": root.trust}
+        return load_policy(path, env, deterministic=deterministic, **how)
 
     chosen = policy or root.policy or "random"
     if not isinstance(chosen, str):

@@ -40,6 +40,7 @@ _ONLY_WITH = {
     "images": ("verify",),
     "speed": ("video", "view"),
     "allow_changed": ("policy",),
+    "trust": ("policy",),
     "camera": ("video",),
     "size": ("video",),
     "host": ("view",),
@@ -85,6 +86,12 @@ _ONLY_WITH = {
     is_flag=True,
     default=None,
     help="With --policy: allow one that was trained in another task.",
+)
+@click.option(
+    "--trust",
+    is_flag=True,
+    default=None,
+    help="With --policy: run code of its file, if it cannot be read without.",
 )
 @click.option(
     "--view",

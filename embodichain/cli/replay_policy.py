@@ -130,7 +130,7 @@ def _play(
         options: Those of the command line.
     """
     starts, rounding = recorded
-    allowed = resolved.changed(allow_changed=bool(options.allow_changed))
+    allowed = resolved.changed(allow_changed=bool(options.allow_changed), trust=bool(options.trust))
     policy = policy_of(allowed.root, env, policy_name)
     obs, _ = env.reset()
     state = env.sim.engine.state

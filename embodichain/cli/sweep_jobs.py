@@ -41,7 +41,10 @@ __all__ = [
 ]
 
 State = Literal["new", "finished", "resumable", "learned", "stopped"]
-_DIFFERS = ("quiet", "json", "traceback", "output_dir", "resume", "sim", "viewer", "wandb")
+_DIFFERS = (
+    *("quiet", "json", "traceback", "output_dir", "resume", "sim", "viewer", "wandb"),
+    "trust",
+)
 """Keys that may differ when a job is started again: they change no result."""
 _MOST_NAMED = 4
 _LOGS = ".logs"

@@ -187,7 +187,7 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
     folder = resumed_folder(name, newest_run(output_dir, "checkpoints/*.zip"), "training")
     checkpoint, state = find_resumable(folder)
     fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False}
-    fresh |= {"allow_changed": False, "resume": str(folder)}
+    fresh |= {"allow_changed": False, "trust": False, "resume": str(folder)}
     tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
     task = str(read_note(checkpoint).get("task", "task"))
     source = str(folder / CONFIG)

@@ -48,6 +48,7 @@ _UNREAD: Mapping[str, Mapping[str, str]] = {
     "train": {
         **(_COLLECT | _SCENE),
         "max_steps": "`train` does not read it: it ends after total_timesteps",
+        "trust": "`train` does not read it: what it reads runs no code",
         "episodes": "`train` does not read it: it ends after total_timesteps; the evaluation at its"
         " end has eval.episodes={value}",
         "policy": "`train` does not read it: it learns one, with algo=NAME; resume=RUN goes on with"

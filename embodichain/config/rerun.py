@@ -45,7 +45,8 @@ def resolve_again(
         ConfigError: The folder has no config, or overrides or the config are wrong.
     """
     source = folder / CONFIG
-    tree = {**read_config(source), **(values or {})}
+    # Whoever made the folder has written its config: it does not say whom to trust.
+    tree = {**read_config(source), "trust": False, **(values or {})}
     warp = (tree.get("sim") or {}).get("warp")
     if isinstance(warp, dict):  # the run's choice was for what that run needed
         tree["sim"] = {**tree["sim"], "warp": {**warp, "arrays": "auto"}}

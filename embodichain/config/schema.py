@@ -243,6 +243,8 @@ class RootCfg:
     policy: str | PolicyCfg | None = None
     allow_changed: bool = False
     """Whether a policy or a resumed training may be used in a task that changed since training."""
+    trust: bool = False
+    """Whether code of a policy's file is run where it cannot be read without."""
     dataset: str | Annotated[list[str], Field(min_length=1)] | None = None
     """Demonstrations for a training: a collection's folder or a log, or several."""
     resume: str | None = None

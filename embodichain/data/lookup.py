@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import posixpath
 import re
 import sys
 from collections.abc import Iterable, Iterator
@@ -20,7 +21,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from embodichain.utils.errors import DataNotFoundError
+from embodichain.utils.errors import DataNotFoundError, OutsideError
 from embodichain.utils.suggest import closest
 
 __all__ = [
@@ -67,6 +68,7 @@ def get_data_path(name: str | os.PathLike[str], near: str | os.PathLike[str] | N
     Raises:
         DataNotFoundError: If it is not found. The message lists the places searched, the closest
             names, and how to get it.
+        OutsideError: If a ``package://`` or ``menagerie:`` name leads out of its folder.
         ValueError: If `name` is empty.
     """
     text = os.fspath(name)
@@ -94,7 +96,9 @@ def resolve_package_uri(uri: str, near: str | os.PathLike[str] | None = None) ->
     Accepts ``package://NAME/rest``, ``file:///abs``, absolute paths, and paths relative to `near`.
     A package is searched among the folders above `near` and their siblings (for a model in
     ``NAME/urdf/``, its own ``NAME``), in the places, ROS and data packages, and as a Python
-    package. The first that contains the file is used.
+    package. The first that contains the file is used. The rest of the path stays in the package:
+    neither ``..`` nor a link in a package beside the model leads out of it, but for a link into the
+    source of the same package, as ``colcon build --symlink-install`` makes.
 
     Args:
         uri: The reference in the model.
@@ -102,6 +106,7 @@ def resolve_package_uri(uri: str, near: str | os.PathLike[str] | None = None) ->
 
     Raises:
         DataNotFoundError: If no place contains the file.
+        OutsideError: If the URI leads out of its package.
         ValueError: If `uri` is empty or has a scheme other than ``package`` or ``file``.
     """
     if not uri:
@@ -120,16 +125,47 @@ def resolve_package_uri(uri: str, near: str | os.PathLike[str] | None = None) ->
 
 def _in_package(uri: str, package: str, rest: str, folder: Path) -> str:
     """Return the file `rest` of a package, searched above `folder` first."""
-    tried = []
+    if package in (".", ".."):
+        raise OutsideError(f"{uri!r} names no package: {package!r} is a folder above or itself")
+    _check_inside(uri, rest)
+    beside = []
     for parent in (folder, *folder.parents):
         if parent.name == package:
-            tried.append(("package above the model file", parent / rest))
+            beside.append(("package above the model file", parent))
         elif (parent / package).is_dir():
-            tried.append(("package beside the model file", parent / package / rest))
+            beside.append(("package beside the model file", parent / package))
+    for _, root in beside:
+        if (root / rest).exists():
+            _check_link(uri, root / rest, root, package)
     parents = _package_parents()
+    tried = [(label, root / rest) for label, root in beside]
     tried += [(place.label, place.folder / package / rest) for place in parents]
     tried += [("Python package", found / rest) for found in _python_package(package)]
     return _first_existing(uri, tried)
+
+
+def _check_inside(name: str, rest: str) -> None:
+    """Refuse a path in a folder that leads out of the folder.
+
+    Args:
+        name: The whole name, for the message.
+        rest: The path.
+    """
+    plain = posixpath.normpath(rest.replace("\\", "/")) if rest else ""
+    if plain == ".." or plain.startswith(("../", "/")):
+        raise OutsideError(f"{name!r} leads out of its folder: no .. and no absolute path in it")
+
+
+def _check_link(uri: str, path: Path, root: Path, package: str) -> None:
+    """Refuse a file of a package that a link leads out of it, except to the package's source."""
+    found = path.resolve()
+    if found.is_relative_to(root.resolve()):
+        return
+    for parent in found.parents:
+        about = parent / "package.xml"
+        if about.is_file() and f"<name>{package}</name>" in about.read_text("utf-8", "replace"):
+            return
+    raise OutsideError(f"{uri!r} leads out of its folder {root}: a link in it leads to {found}")
 
 
 def _folder_of(near: str | os.PathLike[str]) -> Path:
@@ -313,9 +349,11 @@ def _find_model(text: str) -> Path:
     Raises:
         DataNotFoundError: If there is no such model or file, or NAME has several files and none is
             the main one; lists the choices.
+        OutsideError: If the file is not in the model's folder.
     """
     name, _, file = text.removeprefix(PREFIX).partition("/")
     models = _menagerie_models()
+    _check_inside(text, file)
     if name not in models:
         searched = [(label, str(folder)) for label, folder in _menagerie_places()]
         near = [PREFIX + match for match in closest(name, models)]

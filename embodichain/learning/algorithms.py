@@ -29,7 +29,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from embodichain.config.algorithms import ALGORITHMS, AlgoCfg
 from embodichain.learning.asymmetric import ASYMMETRIC
-from embodichain.learning.extractors import SmallCnn
+from embodichain.learning.extractors import EXTRACTORS
 from embodichain.learning.normalization import number_keys
 from embodichain.learning.spaces import observation_columns, require_bounds
 from embodichain.learning.symmetry import Mirror, MirroredMeanStd, SymmetricActorCriticPolicy
@@ -49,7 +49,7 @@ _NAMED: dict[str, dict[str, Any]] = {
         "silu": torch.nn.SiLU,
         "tanh": torch.nn.Tanh,
     },
-    "features_extractor_class": {"small_cnn": SmallCnn},
+    "features_extractor_class": EXTRACTORS,
     "optimizer_class": {
         "adam": torch.optim.Adam,
         "adamw": torch.optim.AdamW,

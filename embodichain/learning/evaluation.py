@@ -82,6 +82,7 @@ def evaluate(
     *,
     seed: int = 0,
     deterministic: bool = True,
+    trust: bool = False,
     watch: Callable[[EpisodeStatistics], bool | None] | None = None,
 ) -> Evaluation:
     """Run a policy for exactly `episodes` episodes.
@@ -97,6 +98,7 @@ def evaluate(
         episodes: Number of episodes, over all environments.
         seed: Seed of the environments (plus `EVAL_SEED_OFFSET`) and of drawn actions.
         deterministic: For files: the mean action; False draws from the policy's distribution.
+        trust: For files: whether to run code of one that cannot be read without, see `load_policy`.
         watch: Called after every control step; returns True to stop.
 
     Returns:
@@ -112,7 +114,7 @@ def evaluate(
     if not 0 <= seed <= LARGEST_TRAINING_SEED:
         raise ValueError(f"seed must be from 0 to {LARGEST_TRAINING_SEED}, got {seed}")
     require_torch_batch(env, "evaluate")
-    acting = _resolve(env, policy, deterministic)
+    acting = _resolve(env, policy, deterministic, trust)
     counted = EpisodeStatistics(env.num_envs, quotas(episodes, env.num_envs))
     # Forked, so that the caller's random numbers do not change.
     forked = torch.random.fork_rng(devices=())
@@ -132,11 +134,11 @@ def quotas(episodes: int, num_envs: int) -> NDArray[np.int64]:
     return np.int64(episodes // num_envs) + rest.astype(np.int64)
 
 
-def _resolve(env: BaseEnv, policy: Any, deterministic: bool) -> Policy:
+def _resolve(env: BaseEnv, policy: Any, deterministic: bool, trust: bool) -> Policy:
     def load(path: Path) -> Policy:
         from embodichain.learning.policy import load_policy
 
-        return load_policy(path, env, deterministic=deterministic)
+        return load_policy(path, env, deterministic=deterministic, trust=trust)
 
     return load(policy) if isinstance(policy, Path) else resolve_policy(policy, load_file=load)
 

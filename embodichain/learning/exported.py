@@ -1,4 +1,4 @@
-"""Policies in ONNX and TorchScript files, which contain no Python code."""
+"""Policies in ONNX and TorchScript files, which contain no Python code and only compute."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 
 from embodichain.learning.checkpoint import DIGEST, SCRIPT, read_digest
 from embodichain.learning.chunks import ChunkMemory, blend
+from embodichain.learning.script_check import code_at_loading, operations_beyond
 from embodichain.learning.spaces import observation_box
 from embodichain.learning.trained_policy import TrainedPolicy, check_columns
+from embodichain.learning.trust import NeedsTrust, needs_trust, say_trusted
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -159,21 +161,32 @@ class ExportedPolicy(TrainedPolicy):
             raise ConfigError([Problem("policy", message)])
 
 
-def load_exported(path: Path) -> ExportedPolicy:
+def load_exported(path: Path, *, trust: bool = False) -> ExportedPolicy:
     """Read a policy from a file with a suffix in `SUFFIXES`, or a checkpoint of rsl_rl or skrl.
 
-    It runs no Python code of the file.
+    It runs no Python code of the file. TorchScript can do more than compute: such a file is refused
+    unless it is trusted.
+
+    Args:
+        path: The file.
+        trust: Whether a TorchScript file may do more than compute, such as write files.
 
     Raises:
-        ConfigError: If the file cannot be read, has another format, or onnxruntime is missing.
+        ConfigError: If the file cannot be read, has another format, needs `trust` (`NeedsTrust`),
+            or onnxruntime is missing.
     """
     if path.suffix in ONNX:
         return _load_onnx(path)
-    if zipfile.is_zipfile(path):  # TorchScript files are, too
-        with zipfile.ZipFile(path) as archive:
-            if SCRIPT in archive.namelist():
-                return _load_torchscript(io.BytesIO(archive.read(SCRIPT)), path)
-    return _load_torchscript(str(path), path)
+    try:
+        if zipfile.is_zipfile(path):  # TorchScript files are, too
+            with zipfile.ZipFile(path) as archive:
+                if SCRIPT in archive.namelist():
+                    return _load_torchscript(archive.read(SCRIPT), path, trust)
+        return _load_torchscript(path.read_bytes(), path, trust)
+    except OSError as error:
+        raise ConfigError([Problem("policy", f"cannot read {path}: {error}")]) from error
+    except zipfile.BadZipFile as error:
+        raise _wrong(path, f"it is damaged: {error}") from error
 
 
 def script_bytes(network: torch.nn.Module, example: torch.Tensor, about: PolicyMetadata) -> bytes:
@@ -232,14 +245,25 @@ def _load_onnx(path: Path) -> ExportedPolicy:
     return ExportedPolicy(act, PolicyMetadata.from_json(text, path), str(path))
 
 
-def _load_torchscript(source: str | BinaryIO, path: Path) -> ExportedPolicy:
+def _load_torchscript(data: bytes, path: Path, trust: bool) -> ExportedPolicy:
     extra: dict[str, Any] = {METADATA: ""}
+    source = io.BytesIO(data)
     try:
+        beyond = code_at_loading(source)
+        if beyond and not trust:
+            raise needs_trust(path, "TorchScript of it runs while it is loaded", beyond)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # the format stays supported
             module = torch.jit.load(source, map_location="cpu", _extra_files=extra)  # type: ignore[no-untyped-call]
+        beyond += operations_beyond(module)
+    except NeedsTrust:  # which is a ValueError, too
+        raise
     except (RuntimeError, ValueError, OSError) as error:
         raise _wrong(path, f"it is no TorchScript file: {_first_line(error)}") from error
+    if beyond and not trust:
+        raise needs_trust(path, "TorchScript of it does more than compute", beyond)
+    if beyond:
+        say_trusted(path, beyond)
 
     def act(obs: F32) -> F32:
         with torch.no_grad():

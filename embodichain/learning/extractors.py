@@ -10,7 +10,7 @@ from stable_baselines3.common.preprocessing import get_flattened_obs_dim, is_ima
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
-__all__ = ["SmallCnn"]
+__all__ = ["EXTRACTORS", "SmallCnn"]
 
 _LAYERS = ((16, 5, 4), (32, 3, 2), (32, 3, 2))
 """Channels, kernel size and stride of each convolution."""
@@ -62,3 +62,7 @@ def _network(space: Any, features: int) -> nn.Module:
     with torch.no_grad():
         count = nn.Sequential(*layers)(torch.zeros(1, *space.shape)).shape[1]
     return nn.Sequential(*layers, nn.Linear(count, features), nn.ReLU())
+
+
+EXTRACTORS: dict[str, type[BaseFeaturesExtractor]] = {"small_cnn": SmallCnn}
+"""Features extractors of this package, by the names that a config has for them."""

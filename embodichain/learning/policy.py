@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-import yaml
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from embodichain.config.run_folder import CONFIG
 from embodichain.config.tensor_algorithms import TENSOR_ALGORITHMS
 from embodichain.learning.algorithms import algorithm_class
 from embodichain.learning.asymmetric import actor_space
 from embodichain.learning.checkpoint import find_checkpoint, read_digest, read_note
 from embodichain.learning.chunk_policy import ChunkPolicy
+from embodichain.learning.configured_model import load_configured, run_config
 from embodichain.learning.curriculum_stage import read_stage
 from embodichain.learning.exported import SUFFIXES, ExportedPolicy, load_exported
 from embodichain.learning.normalization import (
@@ -28,8 +27,10 @@ from embodichain.learning.normalization import (
     number_keys,
     statistics_path,
 )
+from embodichain.learning.plain_model import UNUSED, load_plain, pickled_names
 from embodichain.learning.spaces import UNBOUNDED, ActionScale, LearnerView
 from embodichain.learning.trained_policy import TrainedPolicy
+from embodichain.learning.trust import NeedsTrust, say_trusted
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LearnedPolicy", "load_checkpoint", "load_model", "load_policy"]
 
-# Not needed for acting; above all a replay buffer for a million steps.
-_UNUSED = {"seed": None, "buffer_size": 1, "learning_starts": 0, "tensorboard_log": None}
 _OBS_NORMALIZED = ("obs", "both", True)
 F32 = NDArray[np.float32]
 _log = logging.getLogger(__name__)
@@ -52,13 +51,14 @@ def load_policy(
     *,
     deterministic: bool = True,
     allow_changed: bool = False,
+    trust: bool = False,
 ) -> LearnedPolicy | ExportedPolicy:
     """Load a policy saved by `embodichain train` or `export`, or by Stable-Baselines3 itself.
 
-    Loading a zip runs code from the file: Stable-Baselines3 stores Python objects in it with
-    cloudpickle. **Load only zips that you trust**, as you would run only programs that you trust; a
-    zip outside a run folder causes a warning. ONNX and TorchScript files, and zips of rsl_rl and
-    skrl, contain no Python.
+    No code of the file is run: weights are read as weights, spaces and arguments as data, and
+    classes of networks are those of Stable-Baselines3 and of this package, by their names. Where
+    that cannot be, in the folder of a run and with `env`, spaces and arguments are those of the
+    run's config. Any other file, and TorchScript that does more than compute, needs `trust`.
 
     Args:
         path: A zip file, with ``NAME.normalize.npz`` beside it if observations were normalized; an
@@ -69,20 +69,23 @@ def load_policy(
         allow_changed: Whether to accept, with a warning, a task that differs from that of training
             by the file's `TaskDigest`. A file without a digest (of Stable-Baselines3 itself or
             another program) is not compared, with a warning.
+        trust: Whether to run code of the file where it cannot be read without: only for a file
+            whose maker you trust as that of a program.
 
     Returns:
         The policy: ``policy(obs, env) -> (N, A)``.
 
     Raises:
         ConfigError: If the file does not exist or is not a policy, if its statistics are missing,
-            if it does not fit, or if it was trained in another task; names the differences.
+            if it does not fit, if it was trained in another task (names the differences), or if it
+            can only be read by running code of it (`NeedsTrust`: names what that would run).
     """
     file = find_checkpoint(path)
     policy: LearnedPolicy | ExportedPolicy
     if file.suffix in SUFFIXES:
-        policy = _only_means(file, deterministic)
+        policy = _only_means(file, deterministic, trust)
     else:
-        policy = load_checkpoint(file, deterministic=deterministic)
+        policy = load_checkpoint(file, env, deterministic=deterministic, trust=trust)
     policy.allow_changed = allow_changed
     policy.stage = read_stage(file)
     if policy.trained_in is None:
@@ -92,48 +95,60 @@ def load_policy(
     return policy
 
 
-def load_checkpoint(file: Path, *, deterministic: bool = True) -> LearnedPolicy | ExportedPolicy:
-    """Load a zip of any algorithm, see `load_model`; one of rsl_rl or skrl runs no code of it.
+def load_checkpoint(
+    file: Path, env: BaseEnv | None = None, *, deterministic: bool = True, trust: bool = False
+) -> LearnedPolicy | ExportedPolicy:
+    """Load a zip of any algorithm; arguments as of `load_policy`.
 
     Raises:
-        ConfigError: If the file is not a policy, or its statistics are missing.
+        ConfigError: If the file is not a policy, needs `trust`, or its statistics are missing.
     """
     if read_note(file).get("algo") in TENSOR_ALGORITHMS:
-        return _only_means(file, deterministic)
-    return load_model(file, deterministic=deterministic)
+        return _only_means(file, deterministic, trust)
+    return load_model(file, env, deterministic=deterministic, trust=trust)
 
 
-def _only_means(file: Path, deterministic: bool) -> ExportedPolicy:
+def _only_means(file: Path, deterministic: bool, trust: bool) -> ExportedPolicy:
     if not deterministic:
         message = f"{file} gives mean actions only: leave deterministic=false out"
         raise ConfigError([Problem("policy", message)])
-    return load_exported(file)
+    return load_exported(file, trust=trust)
 
 
-def load_model(file: Path, *, deterministic: bool = True) -> LearnedPolicy:
-    """Load a zip of Stable-Baselines3 with its statistics; only one that you trust (`load_policy`).
+def load_model(
+    file: Path, env: BaseEnv | None = None, *, deterministic: bool = True, trust: bool = False
+) -> LearnedPolicy:
+    """Load a zip of Stable-Baselines3 with its statistics; arguments as of `load_policy`.
 
     Raises:
-        ConfigError: If the file is not a policy, or its statistics are missing.
+        ConfigError: If the file is not a policy, needs `trust`, or its statistics are missing.
     """
     note = read_note(file)
     algorithm = algorithm_class(str(note.get("algo")))
     statistics = _statistics(file)
-    if not _config_path(file).is_file():
-        _log.warning(
-            "loading %s runs code from it: trust it as you would a program "
-            "(embodichain export policy writes files that run none)",
-            file,
-        )
+    group = str(note.get("group", "policy"))
+    # In a fork of the generators, whose state here does not change.
+    with torch.random.fork_rng(devices=()):
+        try:
+            model = load_plain(file, algorithm)
+        except NeedsTrust:
+            found = None
+            if env is not None:
+                found = load_configured(file, str(note.get("algo")), group, env)
+            if found is None and not trust:
+                raise
+            model = found or _load_trusted(file, algorithm)
+    return LearnedPolicy(model, group, str(file), deterministic, statistics, note)
+
+
+def _load_trusted(file: Path, algorithm: type[BaseAlgorithm]) -> BaseAlgorithm:
+    """Load a model as Stable-Baselines3 does, which runs code of the file."""
+    say_trusted(file, pickled_names(file))
     try:
-        # Without its seed and in a fork of the generators, whose state here does not change.
-        with torch.random.fork_rng(devices=()):
-            model = algorithm.load(file, device="cpu", custom_objects=dict(_UNUSED))
+        return algorithm.load(file, device="cpu", custom_objects=dict(UNUSED))
     except Exception as error:  # a damaged pickle may raise anything
         message = f"{file} cannot be loaded: {type(error).__name__}: {error}"
         raise ConfigError([Problem("policy", message)]) from error
-    group = str(note.get("group", "policy"))
-    return LearnedPolicy(model, group, str(file), deterministic, statistics, note)
 
 
 class LearnedPolicy(TrainedPolicy):
@@ -282,19 +297,7 @@ def _shape(space: Any) -> Any:
 
 def _statistics(file: Path) -> NormalizeStatistics | None:
     """The statistics beside a checkpoint; required if its run normalized observations."""
-    path, config = statistics_path(file), _run_config(file)
+    path, config = statistics_path(file), run_config(file)
     algo = config.get("algo") if isinstance(config, dict) else None
     normalized = isinstance(algo, dict) and algo.get("normalize") in _OBS_NORMALIZED
     return load_statistics(path) if path.exists() or normalized else None
-
-
-def _run_config(file: Path) -> Any:
-    """The config of the run that a checkpoint belongs to; None if it cannot be read."""
-    try:
-        return yaml.safe_load(_config_path(file).read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError):
-        return None
-
-
-def _config_path(file: Path) -> Path:
-    return file.resolve().parent.parent / CONFIG

@@ -6,8 +6,11 @@ buffer of off-policy algorithms, in a separate file.
 
 from __future__ import annotations
 
+import io
 import random
+import zipfile
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +46,7 @@ _LAST = ("_last_obs", "_last_episode_starts", "_last_original_obs")
 _MEMORY = "_last_lstm_states"
 _BUFFERS = ("ep_info_buffer", "ep_success_buffer")
 _REPLAY = ".replay.npz"
+_WEIGHTS = ".pth"
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _EXPLORATION = ("exploration_mat", "exploration_matrices")
 
@@ -116,30 +120,50 @@ def restore_exploration(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
         setattr(distribution, name, value)
 
 
-def load_parameters(model: BaseAlgorithm, path: Path) -> None:
+def load_parameters(model: BaseAlgorithm, path: Path, key: str = "resume") -> None:
     """Load networks and optimizers from a checkpoint, without running code of the file.
 
+    Args:
+        model: The model, with networks of the same shapes.
+        path: The checkpoint.
+        key: Config key to name in errors.
+
     Raises:
-        ConfigError: The checkpoint is damaged, or has another network.
+        ConfigError: The checkpoint is damaged, has more than weights, or has another network.
     """
     try:
         _, params, variables = load_from_zip_file(path, device="cpu", load_data=False)
     except Exception as error:  # torch's readers may raise any exception
-        raise _wrong(f"{path} cannot be loaded", error) from error
+        code = _code_in_weights(path)
+        if code:
+            message = f"{path} cannot be loaded: its weights would run {', '.join(code)}"
+            raise ConfigError([Problem(key, message)]) from error
+        raise _wrong(f"{path} cannot be loaded", error, key) from error
     try:
         model.set_parameters(params, exact_match=True, device="cpu")
-    except (ValueError, KeyError, RuntimeError) as error:
+        for name, value in (variables or {}).items():
+            if value is not None:
+                recursive_setattr(model, f"{name}.data", value.data)
+    except (ValueError, KeyError, RuntimeError, AttributeError) as error:
         what = f"{path} does not fit the network of the run's config"
-        raise _wrong(what, error) from error
-    for name, value in (variables or {}).items():
-        if value is not None:
-            recursive_setattr(model, f"{name}.data", value.data)
+        raise _wrong(what, error, key) from error
 
 
-def _wrong(what: str, error: Exception) -> ConfigError:
+def _code_in_weights(path: Path) -> list[str]:
+    """Functions and classes that files of weights name, and that torch does not allow in them."""
+    found: list[str] = []
+    with suppress(Exception), zipfile.ZipFile(path) as archive:  # it may be damaged in any way
+        for name in archive.namelist():
+            if name.endswith(_WEIGHTS):
+                stream = io.BytesIO(archive.read(name))
+                found += torch.serialization.get_unsafe_globals_in_checkpoint(stream)
+    return list(dict.fromkeys(found))
+
+
+def _wrong(what: str, error: Exception, key: str = "resume") -> ConfigError:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     why = " ".join(lines[:2]) or type(error).__name__
-    return ConfigError([Problem("resume", f"{what}: {why}")])
+    return ConfigError([Problem(key, f"{what}: {why}")])
 
 
 def _exploration(model: BaseAlgorithm) -> dict[str, torch.Tensor]:

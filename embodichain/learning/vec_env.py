@@ -96,7 +96,7 @@ class SB3VecEnv(VecEnv):
         flatten: bool = True,
         critic_groups: Sequence[str] = (),
     ) -> None:
-        require_torch_batch(env, "SB3VecEnv")
+        self._require(env)
         self.env = env
         self.base = cast("BaseEnv", env.unwrapped)
         self.group = group
@@ -114,6 +114,10 @@ class SB3VecEnv(VecEnv):
         self._packs = self.base.device.type != "cpu"
         self.step_seconds = 0.0
         """Wall time spent in `step` so far."""
+
+    def _require(self, env: gym.Env[Any, Any]) -> None:
+        """Refuse an environment that cannot be stepped as one of Stable-Baselines3."""
+        require_torch_batch(env, "SB3VecEnv")
 
     # -- stepping ------------------------------------------------------------------------------
 

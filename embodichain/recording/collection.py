@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from embodichain.utils import platforms
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, OutsideError
 
 __all__ = [
     "FAILURES",
@@ -116,6 +116,9 @@ def _parsed(line: str, where: str) -> CollectedEpisode:
     for key, types in _TYPES.items():
         if type(values[key]) not in types:
             raise ConfigError(f"{where}: {key} must not be {values[key]!r}")
+    log = values["log"]
+    if log in ("", "..") or Path(log).name != log or "\\" in log or "\0" in log:
+        raise OutsideError(f"{where}: log must be the name of a file beside it, not {log!r}")
     return CollectedEpisode(**values)
 
 

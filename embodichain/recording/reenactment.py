@@ -55,6 +55,7 @@ def config_of(log: RecordedLog) -> Resolved:
         raise ConfigError(f"{log.path} contains no config: it was not recorded by `run`")
     own = {"seed": log.seed, "num_envs": log.num_envs, "policy": None}
     here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
+    here |= {"trust": False}  # whoever made the log does not say whom to trust
     changed = {**tree, **own, **{name: value for name, value in here.items() if name in tree}}
     found = resolve_tree(changed, f"{log.path}: config.yaml", "run", task_name=log.task)
     return with_arrays(found, "host")

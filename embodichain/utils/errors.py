@@ -13,6 +13,7 @@ __all__ = [
     "DataNotFoundError",
     "DeviceError",
     "EmbodichainError",
+    "OutsideError",
     "Problem",
     "RenderError",
 ]
@@ -110,6 +111,10 @@ class DataNotFoundError(EmbodichainError, FileNotFoundError):
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle with all four arguments, not only the message as by default."""
         return type(self), (self.name, self.searched, self.closest, self.command)
+
+
+class OutsideError(ConfigError):
+    """A file names another one outside of the folder that its files are in."""
 
 
 class DeviceError(ConfigError):

@@ -74,21 +74,22 @@ def test_an_algorithm_is_checked_and_shown(capsys: pytest.CaptureFixture[str]) -
 
 READ = {
     "run": "task sim record viewer num_envs seed device episodes max_steps policy allow_changed"
-    " video scene_png gym_config output_dir quiet json traceback",
-    "eval": "task sim record viewer num_envs seed device episodes allow_changed video output_dir"
-    " gym_config deterministic quiet",
-    "play": "task sim record viewer num_envs seed device episodes max_steps allow_changed video"
-    " scene_png gym_config output_dir quiet",
+    " trust video scene_png gym_config output_dir quiet json traceback",
+    "eval": "task sim record viewer num_envs seed device episodes allow_changed trust video"
+    " output_dir gym_config deterministic quiet",
+    "play": "task sim record viewer num_envs seed device episodes max_steps allow_changed trust"
+    " video scene_png gym_config output_dir quiet",
     "train": "task sim record viewer algo num_envs seed device total_timesteps allow_changed"
     " dataset resume checkpoint eval wandb video gym_config output_dir quiet",
     "collect": "task sim record viewer num_envs seed device episodes max_steps policy resume"
-    " allow_changed collect video gym_config output_dir quiet",
+    " allow_changed trust collect video gym_config output_dir quiet",
     "demo": "task sim record viewer num_envs seed device episodes max_steps policy allow_changed"
-    " video scene_png gym_config output_dir quiet",
-    "demo --web": "task sim viewer num_envs seed device episodes policy allow_changed output_dir",
-    "bench": "task sim num_envs seed device policy allow_changed output_dir gym_config",
-    "render": "task sim seed device policy allow_changed output_dir gym_config",
-    "export policy": "task sim allow_changed output_dir gym_config",
+    " trust video scene_png gym_config output_dir quiet",
+    "demo --web": "task sim viewer num_envs seed device episodes policy allow_changed trust"
+    " output_dir",
+    "bench": "task sim num_envs seed device policy allow_changed trust output_dir gym_config",
+    "render": "task sim seed device policy allow_changed trust output_dir gym_config",
+    "export policy": "task sim allow_changed trust output_dir gym_config",
 }
 """Verb -> root keys that have an effect on it."""
 

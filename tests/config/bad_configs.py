@@ -73,7 +73,8 @@ BAD = {
     "unknown key at the root": bad(
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, dataset, resume, collect, checkpoint, eval, wandb, video, scene_png, "
+        "allow_changed, trust, dataset, resume, collect, checkpoint, eval, wandb, video, "
+        "scene_png, "
         "gym_config, output_dir, quiet, json, traceback. Did "
         "you mean 'num_envs'?",
         overrides=("num_env=4",),
@@ -81,7 +82,8 @@ BAD = {
     "a task's key at the root": bad(
         "command line: rewards: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, dataset, resume, collect, checkpoint, eval, wandb, video, scene_png, "
+        "allow_changed, trust, dataset, resume, collect, checkpoint, eval, wandb, video, "
+        "scene_png, "
         "gym_config, output_dir, quiet, json, traceback. Did "
         "you mean 'task.rewards'?",
         overrides=("rewards.near.weight=2",),
@@ -402,7 +404,8 @@ BAD = {
         "command line: episodes: must be at least 1, got 0",
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, "
-        "allow_changed, dataset, resume, collect, checkpoint, eval, wandb, video, scene_png, "
+        "allow_changed, trust, dataset, resume, collect, checkpoint, eval, wandb, video, "
+        "scene_png, "
         "gym_config, output_dir, quiet, json, traceback. Did "
         "you mean 'num_envs'?",
         task="mein",

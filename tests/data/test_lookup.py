@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from embodichain.data import DataNotFoundError, data_root, get_data_path, resolve_package_uri
+from embodichain.utils.errors import OutsideError
 
 UR10 = "UniversalRobots/UR10/UR10.urdf"
 
@@ -243,3 +244,66 @@ def test_a_missing_package_names_the_closest_one():
 def test_unknown_scheme_is_refused():
     with pytest.raises(ValueError, match=r"scheme 'model' is not known; use package:// or file://"):
         resolve_package_uri("model://arm/a.stl")
+
+
+# ------------------------------------------------------------------------------ out of a folder
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "package://../../../etc/passwd",
+        "package://../secret.stl",
+        "package://arm/../secret.stl",
+        "package://arm/meshes/../../secret.stl",
+        "package://arm/..",
+        "package://arm//{world}/secret.stl",
+        "package:///../secret.stl",
+        "package:/arm/../secret.stl",
+        "package://./../secret.stl",
+        "package://arm/..\\secret.stl",
+        "menagerie:arm/../../secret.stl",
+    ],
+)
+def test_a_name_does_not_lead_out_of_its_package(world, uri):
+    model = put(world / "mine/arm/urdf/arm.urdf")
+    put(world / "mine/secret.stl")
+    put(world / "secret.stl")
+    for function in (get_data_path, resolve_package_uri):
+        if uri.startswith("menagerie") and function is resolve_package_uri:
+            continue
+        with pytest.raises(
+            OutsideError, match=r"leads out of its folder|names no package"
+        ) as raised:
+            function(uri.format(world=world), near=model)
+        assert "secret" not in str(raised.value) or "secret" in uri
+
+
+def test_dots_that_stay_in_the_package_are_taken(world):
+    model = put(world / "arm/urdf/arm.urdf")
+    mesh = put(world / "arm/meshes/a.stl")
+    assert resolve_package_uri("package://arm/urdf/../meshes/a.stl", near=model) == mesh
+
+
+def test_a_link_in_a_package_beside_the_model_does_not_lead_out_of_it(world):
+    model = put(world / "arm/urdf/arm.urdf")
+    secret = Path(put(world / "secret.stl"))
+    (world / "arm/meshes").mkdir()
+    (world / "arm/meshes/a.stl").symlink_to(secret)
+    (world / "arm/all").symlink_to(world)
+    for name in ("meshes/a.stl", "all/secret.stl"):
+        with pytest.raises(OutsideError, match="a link in it leads to"):
+            resolve_package_uri(f"package://arm/{name}", near=model)
+
+
+def test_links_into_the_source_of_the_same_package_are_taken(world):
+    source = Path(put(world / "src/arms/meshes/a.stl"))
+    put(world / "src/arms/package.xml", "<package><name>arm</name></package>")
+    model = put(world / "install/share/arm/urdf/arm.urdf")
+    link = world / "install/share/arm/meshes/a.stl"
+    link.parent.mkdir()
+    link.symlink_to(source)  # as `colcon build --symlink-install` does
+    assert resolve_package_uri("package://arm/meshes/a.stl", near=model) == str(link)
+    put(world / "src/arms/package.xml", "<package><name>other</name></package>")
+    with pytest.raises(OutsideError):
+        resolve_package_uri("package://arm/meshes/a.stl", near=model)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from embodichain.compat.terms._targets import asset_of, stored
-from embodichain.lab.gym.envs.cfg import SceneEntityCfg
+from embodichain.lab.gym.envs.cfg import EnvCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.managers.aliases import alias, register_aliases
 from embodichain.lab.gym.envs.managers.param_types import Body, Whole
 from embodichain.lab.gym.envs.managers.registry import import_object, register_term
@@ -38,6 +38,7 @@ __all__ = ["PrepareExtraAttr", "RegisterInfoToEnv"]
 EXTRA_ATTRS = "extra_attrs"
 """Attribute of the environment: uid -> name -> value."""
 Relative = bool | str | list[str]
+_NOT_IMPORTED = "would be imported, which is not done for this config"
 _UPDATE_STEPS = 100
 """Physics steps of `sim_update`, as in EmbodiChain."""
 
@@ -132,6 +133,16 @@ class PrepareExtraAttr(Term):
         ]
         stored(env, EXTRA_ATTRS, dict, "attrs")
 
+    @classmethod
+    def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
+        """Return a mistake for each function that would be imported, where that is not allowed."""
+        names = [(number, attr.func_name or "") for number, attr in enumerate(params["attrs"])]
+        return [
+            Problem(f"attrs.{number}.func_name", f"{name!r} {_NOT_IMPORTED}")
+            for number, name in names
+            if ":" in name and not allow_import
+        ]
+
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Set the attributes."""
         table: dict[str, dict[str, Any]] = getattr(env, EXTRA_ATTRS)
@@ -162,7 +173,7 @@ def _value_of(
     if ":" in name:
         function = import_object(name)
         return lambda env_ids: function(env, env_ids, handle, **attr.func_kwargs)
-    if not callable(getattr(handle, name, None)):
+    if name.startswith("_") or not callable(getattr(handle, name, None)):
         methods = [n for n in dir(handle) if not n.startswith("_")]
         message = f"{type(handle).__name__} {uid!r} has no method {name!r}"
         raise ConfigError(

@@ -206,11 +206,19 @@ def _bound(func: Callable[..., Any], params: dict[str, Any]) -> Policy:
         spec = describe_term("policy", func)
     except ValueError as error:
         raise ConfigError([Problem("policy", str(error))]) from error
+    if spec.is_class and not _is_called(func):
+        # Before it is made: to make an object of any class may do anything, as `subprocess.Popen`.
+        raise ConfigError([Problem("policy", f"class {spec.name!r} must define __call__")])
     values, problems = check_params(spec, params, "policy.params")
     if problems:
         raise ConfigError(problems)
     made = func(**values) if spec.is_class else partial(func, **values) if values else func
     return cast(Policy, made) if hasattr(made, "reset") else _Plain(made)
+
+
+def _is_called(cls: Any) -> bool:
+    """Whether objects of a class can be called."""
+    return any("__call__" in vars(base) for base in cls.__mro__)
 
 
 class _Plain:

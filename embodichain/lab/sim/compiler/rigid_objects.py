@@ -38,7 +38,7 @@ from embodichain.lab.sim.shapes import (
     VisualMaterialCfg,
 )
 from embodichain.utils.defaults import is_given
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, OutsideError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, matrix_to_quat, normalize_quat
 
 __all__ = [
@@ -275,7 +275,7 @@ def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> li
                 decompose(path, max_parts)
             if shape.visual_material is None:
                 _look(path)
-        except (DataNotFoundError, MeshError, OSError) as error:
+        except (DataNotFoundError, OutsideError, MeshError, OSError) as error:
             problems.append(Problem("shape.fpath", str(error)))
     return problems
 

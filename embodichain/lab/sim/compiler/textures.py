@@ -9,7 +9,8 @@ from pathlib import Path
 import mujoco
 
 from embodichain.data import DataNotFoundError, get_data_path
-from embodichain.utils.errors import Problem
+from embodichain.utils.errors import OutsideError, Problem
+from embodichain.utils.pictures import no_programs
 
 __all__ = ["add_textures", "check_textures", "declared_textures"]
 
@@ -33,7 +34,7 @@ def check_textures(names: Sequence[str], path: str) -> list[Problem]:
         key = f"{path}.{number}"
         try:
             files = _files(name)
-        except DataNotFoundError as error:
+        except (DataNotFoundError, OutsideError) as error:
             problems.append(Problem(key, str(error)))
             continue
         if not files:
@@ -41,7 +42,7 @@ def check_textures(names: Sequence[str], path: str) -> list[Problem]:
             problems.append(Problem(key, message))
         for file in files:
             try:
-                with Image.open(file) as image:
+                with no_programs(), Image.open(file) as image:
                     if max(image.size) > _LARGEST:
                         raise ValueError(f"at most {_LARGEST} pixels a side, it has {image.size}")
                     image.load()
@@ -63,7 +64,7 @@ def add_textures(spec: mujoco.MjSpec, uid: str, names: Sequence[str]) -> list[st
     pictures: dict[str, bytes] = {}
     for number, file in enumerate(files):
         buffer = io.BytesIO()
-        with Image.open(file) as image:  # MuJoCo reads PNG only
+        with no_programs(), Image.open(file) as image:  # MuJoCo reads PNG only
             image.convert("RGB").save(buffer, format="PNG")
         inside = f"{uid}_texture_{number}.png"
         pictures[inside] = buffer.getvalue()

@@ -16,6 +16,8 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.utils.pictures import no_programs
+
 if TYPE_CHECKING:
     from PIL.Image import Image
 
@@ -119,7 +121,8 @@ def read_mesh(path: Path) -> MeshData:
         message = f"{path}: format {path.suffix or 'none'} is none of {', '.join(_SUFFIXES)}"
         raise MeshError(message)
     try:
-        data = _read_collada(path) if path.suffix.lower() == ".dae" else _read_other(path)
+        with no_programs():
+            data = _read_collada(path) if path.suffix.lower() == ".dae" else _read_other(path)
     except ImportError as error:
         message = f"{path}: needs {error.name}: pip install trimesh pycollada"
         raise MeshError(message) from error
