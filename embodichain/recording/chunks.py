@@ -179,6 +179,8 @@ class LogReader:
             self._note_all(part)
         except DamageError as error:
             self._damaged(part, str(error))
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}") from error
         except UNREADABLE as error:
             self._damaged(part, f"a record is damaged ({reason_of(error)})")
         return self.complete
