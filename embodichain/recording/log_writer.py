@@ -20,8 +20,8 @@ from embodichain.recording.header import METADATA, METADATA_END, Header
 from embodichain.recording.log_file import LogFile
 from embodichain.recording.parts import LogPlace, Manifest, part_name
 from embodichain.recording.schema import START_TOPIC, STEPS_TOPIC
-from embodichain.recording.seals import digest_of, sealed
-from embodichain.recording.unpacking import unpacked_size
+from embodichain.recording.seals import sealed
+from embodichain.recording.unpacking import listed
 
 __all__ = ["LAYOUT_FILE", "LogWriter", "Queue"]
 
@@ -86,8 +86,7 @@ class LogWriter:
         self.views = Queue()
         if place is not None:
             header = replace(header, log_id=place.log_id)
-        listed = {n: (unpacked_size(n, data), digest_of(data)) for n, _, data in attachments}
-        header = replace(header, attachments=listed)
+        header = replace(header, attachments=listed(attachments))
         self._header, self._attachments = header, attachments
         self._sums = EpisodeSums(header.num_envs)
         self._ends: dict[int, Ends] = {}

@@ -8,20 +8,23 @@ of earlier versions state nothing; theirs is that bound alone.
 from __future__ import annotations
 
 import io
+import logging
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import zstandard
 
 from embodichain.recording.log_error import DamageError
+from embodichain.recording.seals import digest_of
 
-__all__ = ["most_unpacked", "unpack_zip", "unpack_zstd", "unpacked_size"]
+__all__ = ["listed", "most_unpacked", "unpack_zip", "unpack_zstd", "unpacked_size"]
 
-_ALWAYS = 2**26
+_log = logging.getLogger(__name__)
+_ALWAYS = 2**28
 """Bytes to which data of any size may unpack."""
 _RATIO = 1000
-"""Times its own size to which larger data may unpack; models and meshes reach about 100."""
+"""Times its own size to which larger data may unpack; models of shipped tasks reach 23."""
 _LARGEST = 2**31
 """Bytes to which nothing may unpack, however large it is."""
 _LARGEST_ZIP = 2**29
@@ -65,6 +68,23 @@ def unpacked_size(name: str, data: bytes) -> int:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return sum(info.file_size for info in archive.infolist())
     return len(data)
+
+
+def listed(attachments: Iterable[tuple[str, str, bytes]]) -> dict[str, tuple[int, str]]:
+    """Name to unpacked size and digest of the attachments of a new log, for its metadata.
+
+    Args:
+        attachments: Name, media type and content of each.
+    """
+    found = {}
+    for name, _, data in attachments:
+        size = unpacked_size(name, data)
+        try:
+            most_unpacked(len(data), size)
+        except DamageError as error:
+            _log.warning("the log cannot be verified: its attachment %s: %s", name, error)
+        found[name] = size, digest_of(data)
+    return found
 
 
 def unpack_zstd(data: bytes, stated: int | None) -> bytes:

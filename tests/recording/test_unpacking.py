@@ -10,8 +10,14 @@ import zstandard
 
 from embodichain.recording import inspect, verify
 from embodichain.recording.log_error import DamageError
-from embodichain.recording.seals import sealed
-from embodichain.recording.unpacking import most_unpacked, unpack_zip, unpack_zstd, unpacked_size
+from embodichain.recording.seals import digest_of, sealed
+from embodichain.recording.unpacking import (
+    listed,
+    most_unpacked,
+    unpack_zip,
+    unpack_zstd,
+    unpacked_size,
+)
 from tests.recording.rewrite import as_before, rewrite
 
 MB = 2**20
@@ -36,11 +42,11 @@ def peak_of(function):
 
 
 def test_limits_worked_by_hand():
-    assert most_unpacked(10, None) == 64 * MB
+    assert most_unpacked(10, None) == 256 * MB
     assert most_unpacked(453_000, None) == 453_000_000
     assert most_unpacked(100 * MB, None) == 2**31
     assert most_unpacked(10, 5) == 5
-    for stated in (64 * MB + 1, 2**31, -1):
+    for stated in (256 * MB + 1, 2**31, -1):
         with pytest.raises(DamageError, match="it is to unpack"):
             most_unpacked(10, stated)
 
@@ -122,13 +128,23 @@ def test_an_archive_that_announces_less_than_it_has():
     with pytest.raises(DamageError, match="announces"):
         unpack_zip(good, 39 * MB)
     with pytest.raises(DamageError, match="announces"):
-        unpack_zip(archive(bytes(100 * MB)), None)
+        unpack_zip(archive(bytes(300 * MB)), None)
 
 
 @pytest.mark.parametrize("kind", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_archives_are_packed_as_recorders_do(kind):
     with pytest.raises(DamageError, match="model.xml is packed in a way that no log has"):
         unpack_zip(archive(b"<mujoco/>", kind), None)
+
+
+def test_the_recorder_says_what_could_not_be_read_again(caplog):
+    packed = zstandard.compress(bytes(300 * MB))
+    assert listed([("model.mjb.zst", "", packed), ("config.yaml", "", b"seed: 1\n")]) == {
+        "model.mjb.zst": (300 * MB, digest_of(packed)),
+        "config.yaml": (8, digest_of(b"seed: 1\n")),
+    }
+    (said,) = caplog.messages
+    assert said.startswith("the log cannot be verified: its attachment model.mjb.zst: it is to ")
 
 
 def test_what_is_no_archive():
