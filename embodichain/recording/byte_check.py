@@ -211,12 +211,13 @@ class _File:
                     self._add("record", "", at, len(head), "a footer should be here")
                 return
             opcode, length = _HEAD.unpack(head)
+            longest = _LONGEST.get(opcode, _LONGEST_OTHER)
             if not opcode or length > size - at - _HEAD.size:
-                if closed:  # else it is where the file was cut
+                if closed or length > longest:  # else it is where the file was cut
                     why = f"it says that its kind is {opcode} and that it has {length} bytes"
                     self._add("head of a record", "", at, _HEAD.size, why)
                 return
-            if length > _LONGEST.get(opcode, _LONGEST_OTHER):
+            if length > longest:
                 self._add("record", "", at, length, f"{length} bytes are more than a log has")
                 return
             if first and opcode != Opcode.HEADER:

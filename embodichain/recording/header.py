@@ -44,7 +44,7 @@ METADATA_RECOVERED = "embodichain.recovered"
 """Record of a file that was recovered from a broken one: the source, and why the log ends."""
 MUJOCO = "mujoco"
 """The engine that simulates logs again, to the bit where it recorded them."""
-_ENGINES = re.compile(r"mujoco|mujoco_warp \d+(\.\w+)*")
+_ENGINES = re.compile(r"mujoco|mujoco_warp \d[\w.+-]*")
 """Engines that record logs, with their versions."""
 FORMAT_VERSION = 4
 """Logs of other versions are refused."""

@@ -243,7 +243,7 @@ def verify_shards(
             chosen = [(mine, entries[log.shards.index(mine)], number)]
     for shard, entry, only in chosen:
         how = only, episode, num_threads, progress, images
-        found = simulate(shard.path, checked[shard.path], *how)
+        found = simulate(shard.path, checked[path.with_name(entry.log)], *how)
         if found.difference is not None:
             at = found.difference.env + entry.first_env
             found = replace(found, difference=replace(found.difference, env=at))
