@@ -57,6 +57,8 @@ _INDEX_HEAD = struct.Struct("<HI")  # channel, bytes of the entries
 _INDEX_ENTRY = struct.Struct("<QQ")  # log time, offset in the chunk
 _LONGEST = {Opcode.CHUNK: LONGEST_CHUNK}
 _LONGEST_OTHER = 2**31
+_BEGIN = 256
+"""Bytes in which the header is, with the name of the recorder."""
 _NAMED = 5
 """Damaged records that are named; of more only the number is."""
 _OURS = (METADATA_END, METADATA_RECOVERED)
@@ -142,12 +144,16 @@ def check_bytes(path: str | Path) -> ByteReport:
     first = first_file(path)
     report = ByteReport()
     if first.is_file():
-        _File(first, report).check()
+        file = _File(first, report)
+        file.check()
+        if report.damage and not file.looks_like_a_log:
+            with LogReader(first) as reader:
+                reader.require_header()  # another program's file is not a damaged log
     if report.damage:
         return report
     with LogReader(path) as reader:  # the first file's metadata are as they were written
-        for file in reader.files[1:]:
-            _File(file, report).check()
+        for later in reader.files[1:]:
+            _File(later, report).check()
     return report
 
 
@@ -167,6 +173,8 @@ class _File:
         self._index: _Index | None = {}  # of the last chunk, less what was there; None: damaged
         self._chunk_at = 0
         self._header_is_ours = False
+        self.looks_like_a_log = False
+        """Whether a metadata record, or the recorder's name at the beginning, was found."""
         self._header_bytes = self._unsealed_bytes = 0
         self._sealed: bool | None = None  # whether the log's metadata have a digest
         self._listed: dict[str, tuple[int, str]] = {}
@@ -179,6 +187,8 @@ class _File:
         with self._path.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
             closed = self._ends_with_magic(stream, size)
+            stream.seek(0)
+            self.looks_like_a_log = LIBRARIES[0].encode() in stream.read(_BEGIN)
             stream.seek(0)
             magic = stream.read(len(MAGIC))
             if magic == MAGIC or closed:
@@ -280,6 +290,7 @@ class _File:
 
     def _metadata(self, at: int, data: bytes) -> None:
         nbytes, name = _HEAD.size + len(data), _name_in(data, 0)
+        self.looks_like_a_log = True
         try:
             found: Metadata = parse(Opcode.METADATA, data)
             if _encoded(found) != data:
