@@ -16,7 +16,9 @@ import zstandard
 from mcap.opcode import Opcode
 
 from embodichain.recording.chunks import MAGIC
-from embodichain.recording.mcap_records import chunk_content
+from embodichain.recording.log_error import DamageError
+from embodichain.recording.mcap_records import chunk_content, parse
+from embodichain.recording.seals import SEAL, sealed
 
 __all__ = ["KINDS", "mutate"]
 
@@ -33,7 +35,33 @@ Mutation = Callable[[bytes, Random], bytes]
 def mutate(data: bytes, seed: int) -> tuple[str, bytes]:
     """Damage a log; returns the kind of damage and the new file."""
     kind = list(KINDS)[seed % len(KINDS)]
-    return kind, KINDS[kind](data, Random(seed))
+    mutated = KINDS[kind](data, Random(seed))
+    return kind, _sealed(mutated) if kind in _LYING else mutated
+
+
+def _sealed(data: bytes) -> bytes:
+    """The file with the right digests of its metadata, and the right checksum in DATA_END."""
+    out = bytearray(MAGIC)
+    for at, opcode, length in _records(data):
+        body = data[at + _HEAD.size : at + _HEAD.size + length]
+        if opcode == Opcode.METADATA:
+            body = _resealed(body)
+        elif opcode == Opcode.DATA_END:
+            body = struct.pack("<I", zlib.crc32(out))
+        out += _HEAD.pack(opcode, len(body)) + body
+    return bytes(out + MAGIC)
+
+
+def _resealed(body: bytes) -> bytes:
+    """A metadata record with its digest made anew; as it is where it can no longer be read."""
+    try:
+        found = parse(Opcode.METADATA, body)
+    except DamageError:
+        return body
+    if SEAL not in found.metadata:
+        return body
+    seal = sealed(found.name, found.metadata)[SEAL]
+    return body.replace(found.metadata[SEAL].encode(), seal.encode())
 
 
 def _records(data: bytes) -> list[tuple[int, int, int]]:
@@ -205,3 +233,5 @@ KINDS: dict[str, Mutation] = {
     "forged metadata": _forge_metadata,
     "forged sizes": _grow_number,
 }
+_LYING = ("compression bomb", "forged messages", "forged metadata", "forged sizes")
+"""Mutations after which all checksums but the index's are right, so that readers go on."""

@@ -205,8 +205,8 @@ def _verifiable(header: Header) -> str:
 
     from embodichain.recording.header import MUJOCO
 
-    if header.unverifiable:
-        return f"no: {header.unverifiable}"
+    if header.unverifiable or header.unknown_engine:
+        return f"no: {header.unverifiable or header.unknown_engine}"
     if header.mujoco_version != mujoco.__version__:
         return f"not to the bit: this is MuJoCo {mujoco.__version__}; states can be played"
     if header.engine != MUJOCO:

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import io
 import zipfile
-import zlib
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
 import mujoco
 
+from embodichain.recording.log_error import DamageError
+from embodichain.recording.unpacking import unpack_zip
+
 __all__ = ["load_mjz", "scene_archive"]
 
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
 _ROOT = "model.xml"
-_MOST_BYTES = 2**29
-"""Limit of the unpacked size; larger archives are refused."""
 
 
 def scene_archive(spec: mujoco.MjSpec) -> bytes:
@@ -68,18 +68,19 @@ def _content(spec: mujoco.MjSpec, tag: str, name: str, folders: dict[str, str]) 
     return path.read_bytes()
 
 
-def load_mjz(data: bytes) -> mujoco.MjModel:
+def load_mjz(data: bytes, stated: int | None = None) -> mujoco.MjModel:
     """Compile an archive from `scene_archive`.
 
+    Args:
+        data: The archive.
+        stated: The size to which it unpacks; None if it is not known.
+
     Raises:
-        ValueError: If it is not such an archive, or does not compile.
+        ValueError: If it is not such an archive, is larger, or does not compile.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if sum(info.file_size for info in archive.infolist()) > _MOST_BYTES:
-                raise ValueError(f"more than {_MOST_BYTES} bytes when unpacked")
-            files = {name: archive.read(name) for name in archive.namelist()}
+        files = unpack_zip(data, stated)
         root = files.pop(_ROOT)
-    except (zipfile.BadZipFile, KeyError, zlib.error, NotImplementedError) as error:
-        raise ValueError(f"not an MJZ archive with a {_ROOT}: {error!r}") from error
+    except (DamageError, KeyError) as error:
+        raise ValueError(f"not an MJZ archive with a {_ROOT}: {error}") from error
     return mujoco.MjModel.from_xml_string(root.decode(), files)

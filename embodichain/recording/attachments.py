@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
-from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +20,13 @@ from embodichain.config.run_folder import versions
 from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.archive import load_mjz, scene_archive
 from embodichain.recording.header import Header
-from embodichain.recording.log_error import LogError
+from embodichain.recording.log_error import DamageError, LogError
+from embodichain.recording.seals import digest_of
+from embodichain.recording.unpacking import unpack_zip, unpack_zstd
 
 __all__ = [
     "MODEL",
+    "SCENE",
     "Attachment",
     "approximate_model",
     "attachments_of",
@@ -35,6 +37,7 @@ __all__ = [
     "model_bytes",
     "model_digest",
     "model_to_simulate",
+    "scene_files",
     "unpack_model",
     "what_differs",
 ]
@@ -44,8 +47,8 @@ Attachment = tuple[str, str, bytes]
 
 MODEL = "model.mjb.zst"
 """Name of the attachment with the compiled model, compressed by zstd."""
-_LARGEST_MODEL = 2**31
-"""Bytes; larger models are not unpacked."""
+SCENE = "scene.mjz"
+"""Name of the attachment with the scene's XML and its files, an archive."""
 
 _DRAWN = {"qpos", "qvel", "mocap_pos", "mocap_quat", "ctrl"}
 """Components that are drawn or exported, or have column names from the model."""
@@ -62,22 +65,29 @@ def model_bytes(model: mujoco.MjModel) -> bytes:
 
 def model_digest(mjb: bytes) -> str:
     """Digest that identifies a model in the log's metadata."""
-    return blake2b(mjb, digest_size=16).hexdigest()
+    return digest_of(mjb)
 
 
-def unpack_model(data: bytes) -> bytes:
+def unpack_model(data: bytes, header: Header | None = None) -> bytes:
     """Decompress the attachment `MODEL` to the bytes of `model_bytes`.
 
+    Args:
+        data: The attachment.
+        header: The log's metadata, which states the size; None if it is not known.
+
     Raises:
-        LogError: If it is damaged, or too large.
+        LogError: If it is damaged, or larger than stated, or than it may be.
     """
     try:
-        size = zstandard.frame_content_size(data)
-        if not 0 <= size <= _LARGEST_MODEL:
-            raise LogError(f"the attachment {MODEL} says it has {size} bytes")
-        return zstandard.ZstdDecompressor().decompress(data)
-    except zstandard.ZstdError as error:
+        return unpack_zstd(data, _stated(header, MODEL))
+    except DamageError as error:
         raise LogError(f"the attachment {MODEL} is damaged: {error}") from error
+
+
+def _stated(header: Header | None, name: str) -> int | None:
+    """The size to which an attachment unpacks, as the metadata state it; None if they do not."""
+    listed = {} if header is None else header.attachments
+    return listed[name][0] if name in listed else None
 
 
 def load_mjb(data: bytes) -> mujoco.MjModel:
@@ -131,7 +141,7 @@ def attachments_of(
         ),
     ]
     if spec is not None:
-        attachments.insert(1, ("scene.mjz", "application/zip", scene_archive(spec)))
+        attachments.insert(1, (SCENE, "application/zip", scene_archive(spec)))
     return attachments
 
 
@@ -145,7 +155,7 @@ def exact_model(header: Header, packed: bytes) -> mujoco.MjModel:
     Raises:
         LogError: If its digest is wrong, or this version of MuJoCo cannot read it.
     """
-    mjb = unpack_model(packed)
+    mjb = unpack_model(packed, header)
     if model_digest(mjb) != header.model:
         raise LogError(f"the attachment {MODEL} is not the model that was recorded")
     try:
@@ -180,7 +190,7 @@ def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
             them.
     """
     try:
-        model = load_mjz(mjz)
+        model = load_mjz(mjz, _stated(header, SCENE))
     except ValueError as error:
         raise LogError(f"the attachment scene.mjz cannot be loaded: {error}") from error
     here, there = row_layout(model), header.slices()
@@ -189,6 +199,18 @@ def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
         if mine != recorded:
             raise LogError(f"rows have {recorded} numbers of {name!r}, the model has {mine}")
     return model
+
+
+def scene_files(header: Header, mjz: bytes) -> dict[str, bytes]:
+    """The files of the attachment `SCENE` by name: the XML, meshes and textures.
+
+    Raises:
+        LogError: If it is damaged, or larger than the metadata state.
+    """
+    try:
+        return unpack_zip(mjz, _stated(header, SCENE))
+    except DamageError as error:
+        raise LogError(f"the attachment {SCENE} is damaged: {error}") from error
 
 
 def check_rows(header: Header, model: mujoco.MjModel) -> None:

@@ -25,9 +25,10 @@ from embodichain.recording.header import (
     Header,
     check_part,
 )
-from embodichain.recording.log_error import DamageError, LogError
+from embodichain.recording.log_error import LONGEST_CHUNK, DamageError, LogError
 from embodichain.recording.mcap_records import UNREADABLE, chunk_content, parse, reason_of
 from embodichain.recording.parts import first_file, missing_part, part_name
+from embodichain.recording.seals import SEAL, check_seal, digest_of
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["MAGIC", "ChunkPlace", "Found", "LogReader"]
@@ -35,6 +36,7 @@ __all__ = ["MAGIC", "ChunkPlace", "Found", "LogReader"]
 MAGIC = b"\x89MCAP0\r\n"
 CUT = "the file ends early: it was not closed, or cut"
 _KEPT = (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
+_OURS = (METADATA_END, METADATA_RECOVERED)
 _KEPT_LIMIT = 2**29
 """Bytes of the largest attachment or metadata record that is accepted."""
 
@@ -177,6 +179,8 @@ class LogReader:
             self._note_all(part)
         except DamageError as error:
             self._damaged(part, str(error))
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}") from error
         except UNREADABLE as error:
             self._damaged(part, f"a record is damaged ({reason_of(error)})")
         return self.complete
@@ -211,6 +215,8 @@ class LogReader:
         """Index the record at `at`; `first` is True before the first chunk of its file."""
         stream = self._streams[part]
         if opcode == Opcode.CHUNK:
+            if length > LONGEST_CHUNK:
+                raise DamageError(f"a chunk has {length} bytes, at most {LONGEST_CHUNK} are read")
             if first and part and self._introduced < part:
                 raise DamageError("it does not say which log it is a part of")
             (start_ns,) = struct.unpack("<Q", stream.read(8))
@@ -235,6 +241,8 @@ class LogReader:
             self._take_metadata(record, part)
 
     def _take_metadata(self, record: Metadata, part: int) -> None:
+        if record.name != METADATA:
+            self._check_seal(record)
         if record.name != METADATA or not part:
             self.metadata[record.name] = record.metadata
         if record.name == METADATA:
@@ -248,6 +256,16 @@ class LogReader:
             self._next = record.metadata.get("next", "")
         elif record.name == METADATA_RECOVERED:
             self.recovered = record.metadata.get("why", "") or "no reason is given"
+
+    def _check_seal(self, record: Metadata) -> None:
+        """Raise `DamageError` if the digest of a metadata record is wrong, or was lost."""
+        try:
+            has_seal = check_seal(record.name, record.metadata)
+        except DamageError as error:
+            raise DamageError(f"the metadata record {record.name!r}: {error}") from error
+        expected = record.name in _OURS and SEAL in self.metadata.get(METADATA, {})
+        if expected and not has_seal:
+            raise DamageError(f"the metadata record {record.name!r} has no {SEAL!r}")
 
     def _damaged(self, part: int, why: str) -> None:
         """Note that reading ends here, and why."""
@@ -296,9 +314,12 @@ class LogReader:
         data = self._streams[0].read(length)
         try:
             (crc,) = struct.unpack("<I", data[-4:])
-            if crc and zlib.crc32(memoryview(data)[:-4]) != crc:
+            if zlib.crc32(memoryview(data)[:-4]) != crc:
                 raise DamageError("an attachment is damaged: its checksum is wrong")
             found: Attachment = parse(Opcode.ATTACHMENT, data)
+            listed = self.require_header().attachments
+            if name in listed and listed[name][1] != digest_of(found.data):
+                raise DamageError("an attachment is damaged: its digest is wrong")
         except (DamageError, struct.error) as error:
             raise LogError(f"{self.path}: {name}: {error}") from error
         return found

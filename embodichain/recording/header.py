@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import uuid
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.columns import moved_ranges
 from embodichain.recording.log_error import LARGEST_CHUNK, DamageError, LogError
 from embodichain.recording.options import RecordOptions
+from embodichain.recording.seals import SEAL, check_seal, sealed
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ __all__ = [
     "METADATA_RECOVERED",
     "MUJOCO",
     "Header",
+    "check_header",
     "check_keyframes",
     "check_part",
     "header_of",
@@ -41,6 +44,8 @@ METADATA_RECOVERED = "embodichain.recovered"
 """Record of a file that was recovered from a broken one: the source, and why the log ends."""
 MUJOCO = "mujoco"
 """The engine that simulates logs again, to the bit where it recorded them."""
+_ENGINES = re.compile(r"mujoco|mujoco_warp \d[\w.+-]*")
+"""Engines that record logs, with their versions."""
 FORMAT_VERSION = 4
 """Logs of other versions are refused."""
 _LONGEST_STEP = 1e5
@@ -84,6 +89,8 @@ class Header:
         quota: How many episodes of each environment count, its first ones; empty if the log does
             not say.
         lists_counted: Whether the channel `/counted` lists the episodes that count.
+        attachments: Name of each attachment to the bytes to which it unpacks, and its digest
+            (`seals.digest_of`); empty in logs of versions up to 0.1.
     """
 
     task: str
@@ -113,22 +120,27 @@ class Header:
     action: tuple[dict[str, Any], ...] = ()
     quota: tuple[int, ...] = ()
     lists_counted: bool = False
+    attachments: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def to_metadata(self) -> dict[str, str]:
-        """Return the fields as strings: text as it is, everything else as JSON."""
+        """Return the fields as strings, text as it is and everything else as JSON; sealed."""
         out = {"format_version": str(FORMAT_VERSION)}
         for name in self.__slots__:
             value = getattr(self, name)
             out[name] = value if isinstance(value, str) else json.dumps(value)
-        return out
+        return sealed(METADATA, out)
 
     @classmethod
     def from_metadata(cls, values: Mapping[str, str]) -> Header:
         """Read the record.
 
         Raises:
-            LogError: If it was written by another version, or is incomplete.
+            LogError: If it was written by another version, is incomplete, or its digest is wrong.
         """
+        try:
+            check_header(values)
+        except DamageError as error:
+            raise LogError(f"the metadata record {METADATA!r} is damaged: {error}") from error
         version = values.get("format_version", "")
         if version != str(FORMAT_VERSION):
             raise LogError(
@@ -137,7 +149,7 @@ class Header:
         text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id"}
         text |= {"policy", "engine", "writes"}
         # Fields with a default were added later and may be missing in older logs.
-        names = [f.name for f in fields(cls) if f.default is MISSING or f.name in values]
+        names = [f.name for f in fields(cls) if f.name in values or _is_required(f)]
         try:
             found: dict[str, Any] = {
                 k: values[k] if k in text else json.loads(values[k]) for k in names
@@ -146,6 +158,8 @@ class Header:
             found["layout"] = {k: (int(a), int(b)) for k, (a, b) in found["layout"].items()}
             found["action"] = tuple(found.get("action", ()))
             found["quota"] = tuple(found.get("quota", ()))
+            listed = found.get("attachments", {})
+            found["attachments"] = {name: (int(n), str(d)) for name, (n, d) in listed.items()}
             header = cls(**found)
             header._check()
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
@@ -221,6 +235,14 @@ class Header:
         return mujoco if self.engine == MUJOCO else f"{self.engine}, {mujoco}"
 
     @property
+    def unknown_engine(self) -> str:
+        """Why physics of the log's engine cannot be compared; empty if it can."""
+        if _ENGINES.fullmatch(self.engine):
+            return ""
+        known = "mujoco, mujoco_warp VERSION"
+        return f"it was recorded with {self.engine!r}, an engine that is not known: {known}"
+
+    @property
     def has_writes(self) -> bool:
         """Whether resets and events can be carried out again."""
         return self.writes == "all"
@@ -252,6 +274,28 @@ class Header:
     def slices(self) -> dict[str, slice]:
         """The layout as slices."""
         return {name: slice(a, b) for name, (a, b) in self.layout.items()}
+
+
+def _is_required(entry: Field[Any]) -> bool:
+    return entry.default is MISSING and entry.default_factory is MISSING
+
+
+def check_header(values: Mapping[str, str]) -> bool:
+    """Check the digest of the record `METADATA`; return whether it has one.
+
+    Versions up to 0.1 wrote none. A record without one has only entries that they wrote, else its
+    digest was lost.
+
+    Raises:
+        DamageError: If the digest is wrong or lost.
+    """
+    if check_seal(METADATA, values):
+        return True
+    known = {entry.name for entry in fields(Header)} - {"attachments"} | {"format_version"}
+    others = [key for key in values if key not in known]
+    if others:
+        raise DamageError(f"it has no {SEAL!r} and an entry {others[0][:40]!r}")
+    return False
 
 
 def _is_column(column: Any) -> bool:

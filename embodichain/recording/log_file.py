@@ -17,12 +17,12 @@ from mcap.records import Message
 from mcap.writer import CompressionType, Writer
 
 from embodichain.recording.log_error import LARGEST_CHUNK
+from embodichain.recording.mcap_records import LIBRARIES
 from embodichain.recording.parts import part_name
 from embodichain.recording.schema import descriptor_set
 
 __all__ = ["LogFile"]
 
-_LIBRARY = "embodichain"
 _CHUNK_BYTES = 2**20
 _LARGEST_MESSAGE = LARGEST_CHUNK - 2 * _CHUNK_BYTES
 _COMPRESSIONS = {
@@ -159,8 +159,10 @@ class LogFile:
         descriptor = os.open(name, flags, 0o666, dir_fd=self.folder)
         self._stream = _Appended(descriptor, self._on_chunk)
         stream: Any = self._stream
-        self._writer: Any = Writer(stream, _CHUNK_BYTES, self._compression)
-        self._writer.start(library=_LIBRARY)
+        self._writer: Any = Writer(
+            stream, _CHUNK_BYTES, self._compression, enable_crcs=True, enable_data_crcs=True
+        )
+        self._writer.start(library=LIBRARIES[0])
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         for topic, (schema, data) in self._declared.items():

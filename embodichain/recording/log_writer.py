@@ -20,6 +20,8 @@ from embodichain.recording.header import METADATA, METADATA_END, Header
 from embodichain.recording.log_file import LogFile
 from embodichain.recording.parts import LogPlace, Manifest, part_name
 from embodichain.recording.schema import START_TOPIC, STEPS_TOPIC
+from embodichain.recording.seals import sealed
+from embodichain.recording.unpacking import listed
 
 __all__ = ["LAYOUT_FILE", "LogWriter", "Queue"]
 
@@ -84,6 +86,7 @@ class LogWriter:
         self.views = Queue()
         if place is not None:
             header = replace(header, log_id=place.log_id)
+        header = replace(header, attachments=listed(attachments))
         self._header, self._attachments = header, attachments
         self._sums = EpisodeSums(header.num_envs)
         self._ends: dict[int, Ends] = {}
@@ -192,7 +195,7 @@ class LogWriter:
         part = self.file.part + 1
         name = part_name(self.file.name, part)
         self.views.write(self.file)
-        end = {"steps": str(step), "next": name}
+        end = sealed(METADATA_END, {"steps": str(step), "next": name})
         self._manifest.closed(
             step, self.file.roll(name, lambda: self.file.metadata(METADATA_END, end))
         )
@@ -219,7 +222,7 @@ class LogWriter:
             OSError: If it could not be written.
         """
         self.views.write(self.file)
-        self.file.metadata(METADATA_END, {"steps": str(steps)})
+        self.file.metadata(METADATA_END, sealed(METADATA_END, {"steps": str(steps)}))
         size = self.file.finish()
         if self.file.part:
             self._manifest.closed(steps, size)

@@ -16,7 +16,10 @@ from mcap.records import Attachment, Channel, Chunk, Metadata, Schema, Statistic
 
 from embodichain.recording.log_error import LARGEST_CHUNK, DamageError
 
-__all__ = ["UNREADABLE", "chunk_content", "parse", "reason_of"]
+__all__ = ["LIBRARIES", "UNREADABLE", "chunk_content", "parse", "reason_of"]
+
+LIBRARIES = ("embodichain", "embodichain recover")
+"""What wrote a log, as its file's header has it: the recorder, and `recover`."""
 
 UNREADABLE = (
     *(McapError, struct.error, zlib.error, zstandard.ZstdError, UnicodeDecodeError),
@@ -50,7 +53,7 @@ def chunk_content(data: bytes) -> tuple[str, bytes]:
         raise DamageError(f"a chunk is damaged ({reason_of(error)})") from error
     if len(content) != size:
         raise DamageError("a chunk is damaged: its length is wrong")
-    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
+    if zlib.crc32(content) != chunk.uncompressed_crc:  # zero, for none, is not a recorder's
         raise DamageError("a chunk is damaged: its checksum is wrong")
     return name or "none", content
 

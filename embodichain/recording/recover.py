@@ -5,6 +5,7 @@ The broken file is not changed, and no existing file is overwritten.
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +17,10 @@ from embodichain.recording.block import unpack_steps
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.header import METADATA, METADATA_END, METADATA_RECOVERED
 from embodichain.recording.log_error import DamageError, LogError
+from embodichain.recording.mcap_records import LIBRARIES
 from embodichain.recording.parts import first_file
 from embodichain.recording.schema import STEPS_TOPIC
+from embodichain.recording.seals import SEAL, sealed
 from embodichain.recording.trajectory import outcomes
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError
@@ -73,7 +76,9 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             raise ConfigError(f"the folder {target.parent} does not exist")
         try:
             with atomic_file(target, new=True) as temporary, temporary.open("xb") as stream:
-                copy = _Copy(reader, Writer(stream, compression=CompressionType.LZ4))
+                how = CompressionType.LZ4
+                writer = Writer(stream, compression=how, enable_crcs=True, enable_data_crcs=True)
+                copy = _Copy(reader, writer)
                 copy.all_records()
         except FileExistsError:
             raise ConfigError(taken) from None
@@ -103,9 +108,9 @@ class _Copy:
         reader, writer = self._reader, self._writer
         header = reader.require_header()
         sizes = header.num_envs, header.moved_width, header.nstate
-        writer.start(library="embodichain recover")
+        writer.start(library=LIBRARIES[1])
         damaged = [name for name in reader.attachments if not self._attach(name)]
-        writer.add_metadata(METADATA, reader.metadata[METADATA])
+        writer.add_metadata(METADATA, self._metadata())
         try:
             for topic, time_ns, data in reader.messages():
                 if topic == STEPS_TOPIC:
@@ -124,8 +129,17 @@ class _Copy:
             writer.add_metadata(METADATA_END, reader.metadata[METADATA_END])
         if self.why:
             values = {"why": self.why, "steps": str(self.steps), "source": reader.path.name}
-            writer.add_metadata(METADATA_RECOVERED, values)
+            writer.add_metadata(METADATA_RECOVERED, sealed(METADATA_RECOVERED, values))
         writer.finish()
+
+    def _metadata(self) -> dict[str, str]:
+        """The log's metadata, which list only the attachments that are in the new file."""
+        values = self._reader.metadata[METADATA]
+        if SEAL not in values:
+            return values  # of an earlier version, which listed none
+        listed = self._reader.require_header().attachments
+        kept = {name: listed[name] for name in listed if name in self.attachments}
+        return sealed(METADATA, {**values, "attachments": json.dumps(kept)})
 
     def _attach(self, name: str) -> bool:
         """Copy an attachment; return whether it is undamaged."""

@@ -17,13 +17,14 @@ from embodichain.lab.gym.envs.snapshot import Snapshot
 from embodichain.lab.sim.engine.api import EnvIndex
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
+from embodichain.recording.byte_check import check_bytes
 from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.events import LogEvent, LogWrite
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import LogError
 from embodichain.recording.shard_logs import ShardEntry, read_shards
 from embodichain.recording.summary import ChannelInfo, LogSummary, inspect
-from embodichain.recording.verification import VerifyReport, verify
+from embodichain.recording.verification import VerifyReport, damaged, simulate
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["ShardedLog", "inspect_shards", "verify_shards"]
@@ -225,6 +226,13 @@ def verify_shards(
 ) -> VerifyReport:
     """Verify the logs of a batch in shards, one after another; see `verify`."""
     entries = read_shards(path)
+    logs = [path.with_name(entry.log) for entry in entries]
+    checked = {log: check_bytes(log) for log in logs}
+    broken = [damaged(log, found) for log, found in checked.items() if found.damage]
+    if broken:
+        problems = [f"{r.path.name}: {line}" for r in broken for line in r.problems]
+        damage = [damage for report in broken for damage in report.damage]
+        return VerifyReport(path, False, 0, 0, problems=problems, damage=damage)
     reports = []
     with ShardedLog(path) as log:
         if env is None:
@@ -234,7 +242,8 @@ def verify_shards(
             mine, number = log.part_of(env)
             chosen = [(mine, entries[log.shards.index(mine)], number)]
     for shard, entry, only in chosen:
-        found = verify(shard.path, only, episode, num_threads, progress, images)
+        how = only, episode, num_threads, progress, images
+        found = simulate(shard.path, checked[path.with_name(entry.log)], *how)
         if found.difference is not None:
             at = found.difference.env + entry.first_env
             found = replace(found, difference=replace(found.difference, env=at))

@@ -149,7 +149,8 @@ def _attachments(reader: LogReader) -> tuple[dict[str, int], list[str]]:
         sizes[name] = len(data)
         model = data if name == MODEL else model
     try:
-        same = model_digest(unpack_model(model)) == reader.require_header().model
+        header = reader.require_header()
+        same = model_digest(unpack_model(model, header)) == header.model
     except LogError:
         same = False
     if not same:

@@ -1,5 +1,7 @@
 """`verify` simulates a log again from the file alone, and compares the states bit for bit.
 
+Before that it checks every byte of the file (`byte_check`); of a damaged one nothing is simulated.
+
 Physics of another engine than MuJoCo's own is compared within `TOLERANCE`.
 
 It runs no terms, tasks or user code: the file contains the model and everything that was written
@@ -23,9 +25,11 @@ from embodichain.recording.attachments import (
     model_to_simulate,
     what_differs,
 )
+from embodichain.recording.byte_check import ByteReport, Damage, check_bytes
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.header import MUJOCO, Header
 from embodichain.recording.log_error import LogError
+from embodichain.recording.parts import first_file
 from embodichain.recording.simulation import (
     TOLERANCE,
     Active,
@@ -37,7 +41,7 @@ from embodichain.recording.simulation import (
 from embodichain.recording.trajectory import changes, outcomes, runs
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["MOST_OUTSIDE", "Difference", "VerifyReport", "verify"]
+__all__ = ["MOST_OUTSIDE", "Difference", "VerifyReport", "damaged", "simulate", "verify"]
 
 Progress = Callable[[int], None]
 MOST_OUTSIDE = 0.05
@@ -51,8 +55,9 @@ class VerifyReport:
 
     Attributes:
         path: The file.
-        ok: Whether the log is complete and every state is identical bit for bit; in a log of
-            another engine, whether writes and resets are, and physics is close (`MOST_OUTSIDE`).
+        ok: Whether no byte of the log is damaged, the log is complete and has steps, and every
+            state is identical bit for bit; in a log of another engine, whether writes and resets
+            are, and physics is close (`MOST_OUTSIDE`).
         steps: Number of control steps simulated and compared.
         envs: Number of environments simulated.
         difference: The first difference, or None.
@@ -63,7 +68,8 @@ class VerifyReport:
         engine: What computed the recorded physics.
         has_writes: Whether the log has writes and resets; else only the states that they left.
         notes: Remarks that are not errors: where a recovered log ends, how this machine differs
-            from the one that recorded the log.
+            from the one that recorded the log, what of a log nothing covers.
+        damage: Damaged parts of the files; then nothing was simulated.
     """
 
     path: Path
@@ -78,6 +84,7 @@ class VerifyReport:
     outside: int = 0
     engine: str = MUJOCO
     has_writes: bool = True
+    damage: list[Damage] = field(default_factory=list)
 
     def __str__(self) -> str:
         """Return the result, and every reason on its own line."""
@@ -87,6 +94,8 @@ class VerifyReport:
         if self.ok:
             first = f"verified: {count}, recorded with {self.engine}"
             return "\n".join([first, *self._closeness(), *self.notes])
+        if self.damage:
+            return "\n".join(f"NOT verified: {problem}" for problem in self.problems)
         lines = [f"NOT verified ({count} compared)"]
         if self.difference is not None:
             lines.append(f"first difference: {self.difference}")
@@ -120,7 +129,7 @@ def verify(
     progress: Progress | None = None,
     images: bool = False,
 ) -> VerifyReport:
-    """Simulate a log again and compare every row, bit for bit.
+    """Check every byte of a log, simulate it again, and compare every row bit for bit.
 
     Args:
         path: The log: a file, the manifest of several files, or a run's folder.
@@ -137,6 +146,27 @@ def verify(
         LogError: If it is not an embodichain log.
         RenderError: If `images` cannot be drawn here.
     """
+    checked = check_bytes(path)
+    if checked.damage:
+        return damaged(first_file(path), checked)
+    return simulate(path, checked, env, episode, num_threads, progress, images)
+
+
+def damaged(path: Path, checked: ByteReport) -> VerifyReport:
+    """The report of a log with damaged bytes; nothing of what they say is in it."""
+    return VerifyReport(path, False, 0, 0, problems=[checked.problem], damage=checked.damage)
+
+
+def simulate(
+    path: str | Path,
+    checked: ByteReport,
+    env: int | None = None,
+    episode: int | None = None,
+    num_threads: int = 0,
+    progress: Progress | None = None,
+    images: bool = False,
+) -> VerifyReport:
+    """What `verify` does once the bytes were `checked`."""
     if images and episode is not None:
         raise ConfigError("pictures are compared in all episodes: leave the episode out")
     with LogReader(path) as reader:
@@ -151,8 +181,9 @@ def verify(
             engine=header.engine,
             has_writes=header.has_writes,
         )
-        if header.unverifiable:
-            return replace(report, problems=[header.unverifiable])
+        cannot = header.unverifiable or header.unknown_engine
+        if cannot:
+            return replace(report, problems=[cannot])
         model, exact, problems = _model(reader)
         if model is not None:
             active = always(len(selected))
@@ -164,7 +195,8 @@ def verify(
                 report = _compare_pictures(report, reader, model, env)
         else:
             report = replace(report, problems=problems)
-        return _with_notes(report, reader)
+        report = _with_notes(report, reader)
+        return replace(report, notes=[*report.notes, *([checked.note] if checked.note else [])])
 
 
 def _compare_pictures(
@@ -297,6 +329,8 @@ def _at_the_end(reader: LogReader, report: VerifyReport, last_step: int) -> Veri
     if last_step < 0:
         ends = "the log ends before its first step was complete"
     problems = [*report.problems, *([f"{ends}: {reader.cut}"] if reader.cut else [])]
+    if not report.steps and not reader.cut:
+        problems.append("the log has no control step: there is nothing to compare")
     if report.engine != MUJOCO and report.outside > MOST_OUTSIDE * report.measured:
         share = f"{report.outside / report.measured:.1%}"
         message = f"{share} of the results of physics are not MuJoCo's"

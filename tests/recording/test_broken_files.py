@@ -89,11 +89,12 @@ def test_files_that_are_no_logs(tmp_path, function):
         function(path)
 
 
+@pytest.mark.parametrize("chunks", [True, False])
 @pytest.mark.parametrize("function", [inspect, verify])
-def test_somebody_elses_mcap(tmp_path, function):
+def test_somebody_elses_mcap(tmp_path, function, chunks):
     path = tmp_path / "other.mcap"
     with path.open("wb") as stream:
-        writer = Writer(stream)
+        writer = Writer(stream, use_chunking=chunks)
         writer.start()
         channel = writer.register_channel("/sim/state", "json", 0)
         writer.add_message(channel, 1, b"{}", 1)

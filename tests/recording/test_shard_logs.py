@@ -156,7 +156,7 @@ def test_lost_shards_leave_no_gap(tmp_path: Path, whole: Path) -> None:
     ]
 
 
-def test_a_difference_is_named_by_its_place_in_the_batch(tmp_path: Path) -> None:
+def test_damage_is_named_with_the_file_of_its_shard(tmp_path: Path) -> None:
     manifest, _ = record(tmp_path / "run", 2, compression="none")
     path = manifest.with_name("rollout.shard1_0002.mcap")
     with recording.open(manifest) as log:
@@ -167,7 +167,17 @@ def test_a_difference_is_named_by_its_place_in_the_batch(tmp_path: Path) -> None
     path.write_bytes(data[:where] + bytes([data[where] ^ 1]) + data[where + 1 :])
     report = recording.verify(manifest)
     assert not report.ok
-    assert "rollout.shard1.mcap" in str(report) or "environment 4" in str(report)
+    (damage,) = report.damage
+    assert (damage.file, damage.kind) == ("rollout.shard1_0002.mcap", "chunk")
+    assert "rollout.shard1.mcap: " in str(report)
+    # metadata of another shard, in its first file: nothing is read of either
+    first = manifest.with_name("rollout.shard0.mcap")
+    data = first.read_bytes()
+    where = data.index(b"log_id") + 20
+    first.write_bytes(data[:where] + bytes([data[where] ^ 1]) + data[where + 1 :])
+    both = recording.verify(manifest)
+    assert [d.file for d in both.damage] == ["rollout.shard0.mcap", "rollout.shard1_0002.mcap"]
+    assert both.steps == both.envs == 0
 
 
 def test_a_shorter_log_shortens_the_whole(tmp_path: Path) -> None:

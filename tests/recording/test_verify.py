@@ -39,7 +39,6 @@ from tests.recording.scene import MODEL
         {"push": True},  # rows become whole in the middle
         {"before": 4},  # starts with randomized masses
         {"before": 5, "push": True},  # starts with an applied force
-        {"steps": 0},
     ],
     ids=str,
 )

@@ -324,7 +324,7 @@ def test_ctrl_c_between_two_statements_loses_no_step_and_repeats_none(tmp_path):
         made = env.count
         log.close()
         report = verify(tmp_path / f"{line}.mcap")
-        assert report.difference is None and not report.problems, (line, str(report))
+        assert report.difference is None and report.ok == (report.steps > 0), (line, str(report))
         assert report.steps in (made - 1, made)
         line += 31
 

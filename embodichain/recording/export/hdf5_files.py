@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from embodichain.config.robomimic_env import ENV_NAME
+from embodichain.recording.attachments import SCENE, scene_files
 from embodichain.recording.export.formats import required
 from embodichain.recording.export.meaning import action_names, describe_action, instruction_of
 from embodichain.recording.log_error import LogError
@@ -104,12 +103,11 @@ class ModelFiles:
         demo.attrs["model_assets"] = paths if paths else np.zeros(0, "S1")
 
     def _store(self, log: RecordedLog) -> tuple[str, list[str]]:
+        files = scene_files(log.header, log.attachment(SCENE))
         try:
-            with zipfile.ZipFile(io.BytesIO(log.attachment("scene.mjz"))) as archive:
-                files = {name: archive.read(name) for name in archive.namelist()}
             xml = files.pop(_MODEL).decode()
-        except (zipfile.BadZipFile, KeyError, UnicodeDecodeError) as error:
-            raise LogError(f"{log.path}: the attachment scene.mjz is damaged: {error!r}") from error
+        except (KeyError, UnicodeDecodeError) as error:
+            raise LogError(f"{log.path}: the attachment {SCENE} is damaged: {error!r}") from error
         used = []
         for name, data in files.items():
             kept = self._kept.get(data)
