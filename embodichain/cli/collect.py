@@ -112,11 +112,11 @@ def collect_job(job: Job) -> float | None:
             summary = about | _collect(job, writer)
         except Exception as error:
             try:
-                _write_summary(job.folder, {**about, "status": "failed", "error": repr(error)})
+                _write_summary(job, {**about, "status": "failed", "error": repr(error)})
             except OSError as second:  # a full disk fails here too; the first error is reported
                 _log.error("%s could not be written: %s", SUMMARY, second)
             raise
-        _write_summary(job.folder, summary)
+        _write_summary(job, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
     summary |= job.film(summary["log"])
     if root.json:
@@ -237,8 +237,9 @@ def _facts(collected: Collected, wanted: int, rate: float) -> dict[str, str]:
     return facts
 
 
-def _write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    write_text(folder / SUMMARY, to_json(summary, indent=2) + "\n")
+def _write_summary(job: Job, summary: Mapping[str, Any]) -> None:
+    text = to_json(job.resolved.record(summary), indent=2)
+    write_text(job.folder / SUMMARY, text + "\n")
 
 
 def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:

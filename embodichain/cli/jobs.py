@@ -124,7 +124,11 @@ class Job:
             return None
         from embodichain.config.resolved import dump_yaml
         from embodichain.recording import McapRecorder, RecordOptions
+        from embodichain.recording.kept import kept_in_model
 
+        one: BaseEnv = getattr(env, "template", env)  # of a batch in shards
+        for sentence in kept_in_model(self.resolved.tree, one.sim.engine.model):
+            _log.warning("%s", sentence)
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         options["images"] = self.images
@@ -132,7 +136,7 @@ class Job:
             "overrides": dump_yaml(list(self.resolved.overrides)),
             "options": RecordOptions(**options),
             "task": self.resolved.task_name,
-            "policy": policy_name(self.root),
+            "policy": self.resolved.record({"policy": policy_name(self.root)})["policy"],
             "quota": quota,
         }
         if self.root.sim.backend == "ray":

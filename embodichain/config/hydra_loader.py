@@ -32,6 +32,7 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import OmegaConf
 
 from embodichain.config.defaults_lists import explain_defaults
+from embodichain.config.environment import register_env_resolvers
 from embodichain.config.gymnasium_ids import CONFIG_MODULE, ENTRY_POINTS, LOCAL
 from embodichain.config.locate import COMMAND_LINE, ConfigFile, display_path
 from embodichain.utils.errors import ConfigError, Problem
@@ -159,9 +160,10 @@ def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader
 
 
 def register_resolvers() -> None:
-    """Register Hydra's resolvers (``${now:%Y-%m-%d}``) with OmegaConf, unless that was done."""
+    """Register Hydra's resolvers (``${now:%Y-%m-%d}``) and ours with OmegaConf."""
     if not OmegaConf.has_resolver("now"):
         setup_globals()
+    register_env_resolvers()
 
 
 class _Loader(ConfigLoaderImpl):

@@ -16,7 +16,6 @@ from stable_baselines3.common.logger import KVWriter
 
 from embodichain.config import Resolved, make_batch
 from embodichain.config.algorithms import DEFAULT_ALGORITHM, LEARN_FROM_DATA, AlgoCfg
-from embodichain.config.resolved import thaw
 from embodichain.config.run_folder import SUMMARY
 from embodichain.config.schema import RootCfg
 from embodichain.config.tensor_algorithms import TensorAlgoCfg
@@ -39,6 +38,7 @@ from embodichain.learning.train_logs import check_wandb, wandb_writers
 from embodichain.learning.training_state import buffer_of
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.atomic import write_text
+from embodichain.utils.env_text import as_written, env_texts
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -130,6 +130,10 @@ def train(
         WriteError: The folder cannot be written; complete checkpoints remain.
     """
     algorithm = _checked_algorithm(resolved)
+    if resolved.root.wandb.mode != "disabled":
+        for path, text in env_texts(resolved.tree["wandb"], "wandb"):
+            names = " and ".join(text.names)
+            _log.warning("%s holds the value of %s: Weights & Biases keeps it", path, names)
     env = make_batch(resolved)
     try:
         env.run_dir = run_dir
@@ -143,7 +147,7 @@ def train(
             found = Demonstrations.of(episodes(env), _sb3(vec_env))
         with (
             _torch_threads(TORCH_THREADS),
-            wandb_writers(resolved.root.wandb, run_dir, thaw(resolved.tree)) as writers,
+            wandb_writers(resolved.root.wandb, run_dir, as_written(resolved.tree)) as writers,
             telling_where(run_dir),
         ):
             return _learn(resolved, algorithm, vec_env, run_dir, progress, writers, found)
@@ -355,7 +359,7 @@ def _learn(
             statistics.mean_return if statistics.success_rate is None else statistics.success_rate
         ),
     )
-    _write(run_dir, dataclasses.asdict(summary))
+    _write(run_dir, resolved.record(dataclasses.asdict(summary)))
     draw_curves(run_dir)
     if interrupt is not None:
         raise interrupt
