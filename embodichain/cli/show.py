@@ -14,7 +14,7 @@ import click
 from embodichain.cli.app import overrides, split_overrides, verb
 from embodichain.cli.output import print_facts, print_json, print_table, wrapped
 from embodichain.cli.unread_keys import verb_of_keys
-from embodichain.utils.env_text import shown
+from embodichain.utils.env_text import hidden_in, shown
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]
@@ -48,7 +48,7 @@ def command(words: tuple[str, ...], config: bool, json: bool) -> None:
 
     lines = split_overrides(words)
     resolved = pinned(resolve(lines, verb_of_keys(lines)))
-    tables = {} if config else task_tables(resolved)
+    tables = {} if config else hidden_in(task_tables(resolved))
     if json:
         about = {"config": shown(resolved.tree)}
         if not config:

@@ -30,7 +30,14 @@ from embodichain.utils.env_text import (
 )
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["for_omegaconf", "not_taken", "notes_of_today", "register_env_resolvers", "taken_today", "value_of"]
+__all__ = [
+    "for_omegaconf",
+    "not_taken",
+    "notes_of_today",
+    "register_env_resolvers",
+    "taken_today",
+    "value_of",
+]
 
 _PART = "embodichain.part"
 """Resolver of one value in a list or a map: ``${embodichain.part:${oc.decode:...},0,name}``."""

@@ -28,6 +28,7 @@ from embodichain.learning.cloning import BehaviorCloning
 from embodichain.learning.demonstrations import Demonstration, Demonstrations, fill, learn_scales
 from embodichain.learning.episodes import EPISODE_WINDOW, TrainStatistics
 from embodichain.learning.evaluation import Evaluation
+from embodichain.learning.finite import NotFiniteError
 from embodichain.learning.keeper import CheckpointKeeper, find_resumable, telling_where
 from embodichain.learning.plots import draw_curves
 from embodichain.learning.session import Progress, Session
@@ -128,6 +129,8 @@ def train(
         ConfigError: If the task cannot be learned or an argument is wrong; nothing was written.
         KeyboardInterrupt: Raised by `progress` or Ctrl-C; the model is saved first.
         WriteError: The folder cannot be written; complete checkpoints remain.
+        NotFiniteError: The networks or the losses of an update are not finite; checkpoints of
+            before remain.
     """
     algorithm = _checked_algorithm(resolved)
     if resolved.root.wandb.mode != "disabled":
@@ -336,8 +339,14 @@ def _learn(
     if found is not None:
         session.resume(*found)
         keeper.resume(found[0])
-    interrupt, resumable = session.learn(keeper.boundary, progress)
-    checkpoint = keeper.final(finished=interrupt is None, resumable=resumable)
+    try:
+        interrupt, resumable = session.learn(keeper.boundary, progress)
+        checkpoint = keeper.final(finished=interrupt is None, resumable=resumable)
+    except NotFiniteError as error:
+        rate = (resolved.tree["algo"] or {}).get("learning_rate")
+        given = "" if rate is None else f", {rate},"
+        message = f"{error}; the learning rate{given} may be too large (algo.learning_rate)"
+        raise NotFiniteError(message) from error
     summary = TrainSummary(
         task=task,
         algo=algorithm.name,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 __all__ = [
@@ -17,10 +17,12 @@ __all__ = [
     "env_texts",
     "escaped",
     "hidden",
+    "hidden_in",
     "is_escaped",
     "is_from_env",
     "known_values",
     "names_in",
+    "recorded_texts",
     "remember",
     "shown",
 ]
@@ -130,6 +132,11 @@ def as_written(value: Any) -> Any:
     return _mapped(value, lambda text: text.written if isinstance(text, EnvText) else text)
 
 
+def hidden_in(value: Any) -> Any:
+    """Return a list or a map with `hidden` texts."""
+    return _mapped(value, hidden)
+
+
 def shown(value: Any) -> Any:
     """Return a value of a record, a list or a map with ``<env NAME>`` for each interpolation."""
     return _mapped(value, _shown)
@@ -175,17 +182,31 @@ def _end(text: str, begin: int) -> int:
     return len(text)
 
 
-def env_texts(value: Any, path: str = "") -> Iterator[tuple[str, EnvText]]:
+def env_texts(tree: Any, path: str = "") -> Iterator[tuple[str, EnvText]]:
     """Yield key path and text of each value that comes from the environment.
 
     Args:
-        value: A config's tree.
+        tree: A resolved config's tree.
         path: Its key path.
     """
-    if isinstance(value, EnvText):
+    return ((where, text) for where, text in _texts(tree, path) if isinstance(text, EnvText))
+
+
+def recorded_texts(tree: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield key path and text of each interpolation in a record.
+
+    Args:
+        tree: The YAML of a record.
+        path: Its key path.
+    """
+    return ((where, text) for where, text in _texts(tree, path) if is_from_env(text))
+
+
+def _texts(value: Any, path: str) -> Iterator[tuple[str, str]]:
+    if isinstance(value, str):
         yield path, value
-    items = value.items() if isinstance(value, Mapping) else ()
+    items: Iterable[tuple[Any, Any]] = value.items() if isinstance(value, Mapping) else ()
     if isinstance(value, (list, tuple)):
         items = enumerate(value)
     for key, item in items:
-        yield from env_texts(item, f"{path}.{key}" if path else str(key))
+        yield from _texts(item, f"{path}.{key}" if path else str(key))
