@@ -27,10 +27,12 @@ from embodichain.utils.env_text import (
     is_from_env,
     names_in,
     remember,
+    shown,
 )
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = [
+    "as_reader",
     "for_omegaconf",
     "not_taken",
     "notes_of_today",
@@ -44,6 +46,8 @@ _PART = "embodichain.part"
 _ALLOWED = re.compile(rf"\$\{{(oc\.env|oc\.decode|{re.escape(_PART)}):")
 _PLAIN_NAME = re.compile(r"[A-Za-z_]\w*")
 _TOKEN = re.compile("\ue000(\\d+)\ue001")
+_NOT_READ = ("output_dir", "dataset", "wandb")
+"""Keys of a config that do not change its environment."""
 _UNSET: Any = object()
 
 
@@ -176,17 +180,16 @@ def value_of(node: DictConfig | ListConfig, key: Any) -> Any:
     reading = _Reading()
     with _noting(reading):
         value = node[key]
-        nested = isinstance(value, (DictConfig, ListConfig))
-        if nested and reading.touched:
+        if reading.touched and isinstance(value, (DictConfig, ListConfig)):
             value = OmegaConf.to_container(value, resolve=True)
     if isinstance(value, str) and not reading.touched and is_from_env(value):
         return EnvText(value, escaped(value))  # text that a record must not resolve
-    if not reading.touched or not (nested or isinstance(value, str)):
+    if not reading.touched or not isinstance(value, (str, list, dict)):
         return value
     for name, text in reading.names.items():
         remember(name, text)
-    name = next(iter(reading.names), None)
-    if not nested:
+    name: str | None = next(iter(reading.names), None)
+    if isinstance(value, str):
         if name is not None and value not in reading.names.values():
             _remember_decoded(name, value, reading)
         return EnvText(value, _written(node, key, value))
@@ -320,6 +323,21 @@ def for_omegaconf(tree: Mapping[str, Any], source: str = "") -> dict[str, Any]:
         return value
 
     found: dict[str, Any] = safe(tree, "")
+    return found
+
+
+def as_reader(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a record's tree in which what no environment reads shows ``<env NAME>``.
+
+    Its variables need not be set for those who only read the record.
+
+    Args:
+        tree: The YAML of a run's `config.yaml`.
+    """
+    found = {**tree, **{name: shown(tree[name]) for name in _NOT_READ if name in tree}}
+    task = found.get("task")
+    if isinstance(task, Mapping) and "description" in task:
+        found["task"] = {**task, "description": shown(task["description"])}
     return found
 
 

@@ -17,7 +17,7 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 
 from embodichain.config.composed import ParsedOverrides, apply_values, parse, plain_values
-from embodichain.config.environment import for_omegaconf, not_taken
+from embodichain.config.environment import as_reader, for_omegaconf, not_taken
 from embodichain.config.given_last import keep_last_given
 from embodichain.config.hydra_loader import config_loader
 from embodichain.config.locate import COMMAND_LINE, Locator
@@ -33,7 +33,11 @@ _GROUPS = ("record", "viewer", "sim")
 
 
 def resolve_again(
-    folder: Path, overrides: Sequence[str] = (), values: Mapping[str, Any] | None = None
+    folder: Path,
+    overrides: Sequence[str] = (),
+    values: Mapping[str, Any] | None = None,
+    *,
+    only_reads: bool = False,
 ) -> Resolved:
     """Return a run's config as a config of the verb `run`.
 
@@ -41,12 +45,15 @@ def resolve_again(
         folder: The run's folder.
         overrides: ``key=value``, and options of the groups record, viewer and sim.
         values: Keys of the root to set before the overrides.
+        only_reads: Whether variables of the environment are not needed where no environment reads
+            them; see `as_reader`.
 
     Raises:
         ConfigError: The folder has no config, or overrides or the config are wrong.
     """
     source = folder / CONFIG
     tree = {**read_config(source), **(values or {})}
+    tree = as_reader(tree) if only_reads else tree
     warp = (tree.get("sim") or {}).get("warp")
     if isinstance(warp, dict):  # the run's choice was for what that run needed
         tree["sim"] = {**tree["sim"], "warp": {**warp, "arrays": "auto"}}

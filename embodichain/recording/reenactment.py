@@ -18,6 +18,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from embodichain.config.environment import as_reader, notes_of_today
 from embodichain.config.host_arrays import with_arrays
 from embodichain.config.resolved import Resolved, resolve_tree
 from embodichain.lab.gym.envs.observation import Observation
@@ -29,7 +30,6 @@ from embodichain.recording.log_error import LogError
 from embodichain.recording.recorded_log import RecordedLog
 from embodichain.recording.simulation import Simulation
 from embodichain.recording.trajectory import Rows, Span, changes, follow, outcomes
-from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -40,8 +40,6 @@ __all__ = ["Reenactment", "Step", "config_of"]
 _SAME_TASK = 1e-4
 """Positions (m or rad) that differ by more at an episode's start are those of another task; smaller
 differences are of another processor."""
-_NOT_READ = ("output_dir", "dataset", "wandb")
-"""Keys of a config that do not change its environment."""
 _log = logging.getLogger(__name__)
 
 
@@ -59,11 +57,10 @@ def config_of(log: RecordedLog) -> Resolved:
     own = {"seed": log.seed, "num_envs": log.num_envs, "policy": None}
     here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
     changed = {**tree, **own, **{name: value for name, value in here.items() if name in tree}}
-    # Nothing reads these here: their variables need not be set.
-    changed |= {name: shown(changed[name]) for name in _NOT_READ if name in changed}
-    if "description" in (changed["task"] or {}):
-        changed["task"] = {**changed["task"], "description": shown(tree["task"]["description"])}
-    found = resolve_tree(changed, f"{log.path}: config.yaml", "run", task_name=log.task)
+    source = f"{log.path}: config.yaml"
+    found = resolve_tree(as_reader(changed), source, "run", task_name=log.task)
+    for note in notes_of_today(found.tree):
+        _log.warning("%s", note)
     return with_arrays(found, "host")
 
 

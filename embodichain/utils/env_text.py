@@ -7,6 +7,7 @@ people publish and a variable may be a secret. Messages show ``<env NAME>``.
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
@@ -80,7 +81,7 @@ def _again(value: str, written: str, known: Mapping[str, str]) -> EnvText:
 
 def remember(name: str, value: str) -> None:
     """Note a value that this process took from a variable, so that messages hide it."""
-    if len(value) >= _SHORTEST:
+    if len(value) >= _SHORTEST and value not in os.environ:  # names of variables are no secrets
         _values[value] = name
 
 
@@ -94,15 +95,16 @@ def hidden(text: str) -> str:
 
     Values of up to three characters are not hidden, those of up to seven only as whole words.
     """
-    for value in sorted(_values, key=len, reverse=True):
-        for form in {value, repr(value)[1:-1], json.dumps(value)[1:-1]}:
-            if form in text:
-                instead = f"<env {_values[value]}>"
-                if len(value) >= _LONG:
-                    text = text.replace(form, instead)
-                else:
-                    text = re.sub(rf"(?<!\w){re.escape(form)}(?!\w)", lambda _, i=instead: i, text)
-    return text
+    if not _values:
+        return text
+    forms: dict[str, str] = {}
+    for value, name in _values.items():
+        forms |= dict.fromkeys((value, repr(value)[1:-1], json.dumps(value)[1:-1]), name)
+    patterns = (
+        re.escape(form) if len(form) >= _LONG else rf"(?<!\w){re.escape(form)}(?!\w)"
+        for form in sorted(forms, key=len, reverse=True)
+    )
+    return re.sub("|".join(patterns), lambda found: f"<env {forms[found[0]]}>", text)
 
 
 def is_from_env(text: object) -> bool:

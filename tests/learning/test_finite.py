@@ -17,7 +17,10 @@ REACH = ("task=reach", "num_envs=4", "seed=1", "task.max_episode_steps=7", "eval
 ALGORITHMS = {
     "ppo": (("algo.n_steps=8", "algo.batch_size=16"), "update 1, after 32"),
     "a2c": (("algo=a2c", "algo.n_steps=8"), "update 1, after 32"),
-    "sac": (("algo=sac", "algo.learning_starts=8", "algo.batch_size=8"), "after 12 environment steps"),
+    "sac": (
+        ("algo=sac", "algo.learning_starts=8", "algo.batch_size=8"),
+        "after 12 environment steps",
+    ),
     "rsl_rl_ppo": (("algo=rsl_rl_ppo", "algo.num_steps_per_env=8"), "update 1, after 32"),
     "skrl_ppo": (("algo=skrl_ppo", "algo.rollouts=8"), "update 1, after 32"),
 }
