@@ -371,7 +371,11 @@ def execute(
             resolved = with_warp_values(resolved, verb)
     root = resolved.root.output_dir
     if folder is None:
-        before, made = latest_of(root), missing_folders(root)
+        try:
+            before, made = latest_of(root), missing_folders(root)
+        except OSError as error:  # a name that is too long
+            message = f"output_dir: cannot make a run folder in {root}: {error}"
+            raise ConfigError(message) from error
         folder = claim(root, resolved.task_name)
         take_back = partial(abandon, folder, root, before, made)
     began = threading.Event()

@@ -38,7 +38,7 @@ from embodichain.config.hydra_loader import (
     search_path_of,
     searched,
 )
-from embodichain.config.locate import COMMAND_LINE, ConfigFile, Locator
+from embodichain.config.locate import COMMAND_LINE, ConfigFile, Locator, display_path
 from embodichain.config.override_text import malformed, readable
 from embodichain.config.removed_entries import remove_null_entries
 from embodichain.utils.errors import ConfigError, Problem
@@ -153,6 +153,11 @@ def compose(
     problems = (*parsed.problems, *apply_values(config, parsed.values))
     locator = Locator(files, parsed.values)
     problems += tuple(p for file in (*files, *of_hydra) for p in file.problems())
+    problems += tuple(
+        Problem("task", "the file is empty: a task has at least a key", source=display_path(f.path))
+        for f in files
+        if f.package == "task" and not f.keys
+    )
     tree, unresolved = plain_values(config, locator)
     tree, kept = remove_null_entries(tree, locator.gives)
     kept += keep_last_given(tree, locator.rank)
