@@ -186,9 +186,9 @@ def value_of(node: DictConfig | ListConfig, key: Any) -> Any:
         return EnvText(value, escaped(value))  # text that a record must not resolve
     if not reading.touched or not isinstance(value, (str, list, dict)):
         return value
-    for name, text in reading.names.items():
-        remember(name, text)
-    name: str | None = next(iter(reading.names), None)
+    for variable, text in reading.names.items():
+        remember(variable, text)
+    name = next(iter(reading.names), None)
     if isinstance(value, str):
         if name is not None and value not in reading.names.values():
             _remember_decoded(name, value, reading)

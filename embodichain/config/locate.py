@@ -174,7 +174,7 @@ class TooDeepError(yaml.MarkedYAMLError):
     """A file nests too deeply, or contains itself by an alias."""
 
     def __init__(self, path: Path) -> None:
-        mark = yaml.Mark(str(path), 0, 0, 0, None, None)
+        mark = yaml.Mark(str(path), 0, 0, 0, None, 0)
         super().__init__(problem="nested too deeply, or an alias is in itself", problem_mark=mark)
 
 
