@@ -507,8 +507,23 @@ def log_of(name: str) -> Path:
     if not log.exists() and (path / SHARDS).exists():
         return path.resolve() / SHARDS
     if not log.exists():
-        raise ConfigError(f"{path.resolve()} has no {LOG}: it was run with record=none")
+        raise ConfigError(f"{path.resolve()} has no {LOG}: {_why_no_log(path)}")
     return log
+
+
+def _why_no_log(folder: Path) -> str:
+    """Why a run's folder has no log, as its config says."""
+    from embodichain.config.rerun import read_config
+    from embodichain.config.run_folder import CONFIG, SUMMARY
+
+    if not (folder / CONFIG).is_file():
+        return f"it is no run's folder, which has a {CONFIG}"
+    record = read_config(folder / CONFIG).get("record")
+    if isinstance(record, dict) and record.get("format") == "none":
+        return "it was run with record=none"
+    if (folder / SUMMARY).is_file():
+        return "the run failed before its log began, or the log was moved"
+    return "the run ended, or was killed, before its log began"
 
 
 def command_line() -> list[str]:

@@ -76,7 +76,7 @@ def _resolved(path: Path, lines: list[str]) -> Resolved:
     if "resume" in changes:
         raise ConfigError("to continue an augmented collection: embodichain collect resume=FOLDER")
     with RecordedLog(path) as log:
-        tree, task = dict(log.config), log.task
+        tree, task = dict(log.written_config), log.task
     if "task" not in tree:
         raise ConfigError(f"{path} contains no config: it was not recorded by `run` or `collect`")
     record = {**tree.get("record", {}), "format": "mcap", "state": "all", "every": 1}

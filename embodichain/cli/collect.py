@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ from embodichain.cli.jobs import Job, execute, policy_name, policy_of, start
 from embodichain.cli.output import print_facts, print_json, to_json
 from embodichain.cli.reporting import ProgressDisplay, episodes_of
 from embodichain.cli.resuming import parsed_changes, resumed_folder, resumption, with_changes
+from embodichain.cli.sweep_jobs import read_summary
 from embodichain.config.run_folder import CONFIG, LOG, SUMMARY, newest_run
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
@@ -61,15 +63,21 @@ def command(**kwargs: Any) -> None:
     if lines is None:
         start("collect", collect_job, options)
     else:
-        resolved, folder = _resumed(lines)
+        resolved, folder, done = _resumed(lines)
+        if done >= (resolved.root.episodes or 0):  # a loop that starts it again ends well
+            what = f"{folder} has {done} successful episodes: episodes=N collects more"
+            sys.stderr.write(f"finished already: {what}\n")
+            if resolved.root.json:
+                print_json(read_summary(folder))
+            return
         execute(resolved, collect_job, command_line(), folder, verb="collect", goes_on=True)
 
 
-def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
-    """The config of a collection that is resumed, and its folder.
+def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path, int]:
+    """The config of a collection that is resumed, its folder, and how many successes it has.
 
     Raises:
-        ConfigError: There is no such collection, it is complete, or a key may not change.
+        ConfigError: There is no such collection, or a key may not change.
     """
     from embodichain.config.rerun import read_config, task_of
     from embodichain.config.resolved import resolve_tree
@@ -85,10 +93,8 @@ def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
     tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
     source = str(folder / CONFIG)
     found = resolve_tree(tree, source, "collect", task_name=task_of(folder), allow_import=True)
-    if done >= (found.root.episodes or 0):
-        message = f"{folder} has {done} successful episodes already: give more, episodes=N"
-        raise ConfigError([Problem("episodes", message)])
-    return dataclasses.replace(found, overrides=tuple(overrides)), folder
+    found = dataclasses.replace(found, overrides=tuple(overrides))
+    return found, folder, done
 
 
 def collect_job(job: Job) -> float | None:
@@ -113,11 +119,11 @@ def collect_job(job: Job) -> float | None:
             summary = about | _collect(job, writer)
         except Exception as error:
             try:
-                _write_summary(job.folder, {**about, "status": "failed", "error": repr(error)})
+                _write_summary(job, {**about, "status": "failed", "error": repr(error)})
             except OSError as second:  # a full disk fails here too; the first error is reported
                 _log.error("%s could not be written: %s", SUMMARY, second)
             raise
-        _write_summary(job.folder, summary)
+        _write_summary(job, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
     summary |= job.film(summary["log"])
     if root.json:
@@ -238,8 +244,9 @@ def _facts(collected: Collected, wanted: int, rate: float) -> dict[str, str]:
     return facts
 
 
-def _write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    write_text(folder / SUMMARY, to_json(summary, indent=2) + "\n")
+def _write_summary(job: Job, summary: Mapping[str, Any]) -> None:
+    text = to_json(job.resolved.record(summary), indent=2)
+    write_text(job.folder / SUMMARY, text + "\n")
 
 
 def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:

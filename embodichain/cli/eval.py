@@ -214,7 +214,8 @@ def evaluate_job(job: Job, asked: Asked) -> dict[str, Any]:
         "changed": [str(change) for change in getattr(policy, "changed", ())],
         **found.as_dict(),
     }
-    write_text(job.folder / EVAL_FILE, to_json(result, indent=2) + "\n")
+    text = to_json(job.resolved.record(result), indent=2)
+    write_text(job.folder / EVAL_FILE, text + "\n")
     return result
 
 

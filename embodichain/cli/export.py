@@ -174,13 +174,16 @@ def _export_policy(options: SimpleNamespace) -> None:
 
 
 def _write_policy(target: Target, overrides: list[str], out: Path, form: Format) -> dict[str, Any]:
+    from embodichain.config.environment import notes_of_today
     from embodichain.config.factory import make_env
     from embodichain.learning.exporting import export_policy
     from embodichain.learning.policy import load_checkpoint
 
     fresh = {"viewer": {"name": "none"}, "algo": None, "num_envs": 1, "resume": None}
     fresh |= {"allow_changed": False, "trust": False}
-    resolved = target.resolve(overrides, fresh)
+    resolved = target.resolve(overrides, fresh, only_reads=True)
+    for note in notes_of_today(resolved.tree):
+        sys.stderr.write(f"warning: {note}\n")
     env = make_env(resolved)
     try:
         policy = load_checkpoint(Path(target.policy), env, trust=resolved.root.trust)

@@ -131,7 +131,11 @@ class Job:
             return None
         from embodichain.config.resolved import dump_yaml
         from embodichain.recording import McapRecorder, RecordOptions
+        from embodichain.recording.kept import kept_in_model
 
+        one: BaseEnv = getattr(env, "template", env)  # of a batch in shards
+        for sentence in kept_in_model(self.resolved.tree, one.sim.engine.model):
+            _log.warning("%s", sentence)
         record = self.root.record
         options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         options["images"] = self.images
@@ -139,7 +143,7 @@ class Job:
             "overrides": dump_yaml(list(self.resolved.overrides)),
             "options": RecordOptions(**options),
             "task": self.resolved.task_name,
-            "policy": policy_name(self.root),
+            "policy": self.resolved.record({"policy": policy_name(self.root)})["policy"],
             "quota": quota,
         }
         if self.root.sim.backend == "ray":
@@ -381,7 +385,11 @@ def execute(
             resolved = with_warp_values(resolved, verb)
     root = resolved.root.output_dir
     if folder is None:
-        before, made = latest_of(root), missing_folders(root)
+        try:
+            before, made = latest_of(root), missing_folders(root)
+        except OSError as error:  # a name that is too long
+            message = f"output_dir: cannot make a run folder in {root}: {error}"
+            raise ConfigError(message) from error
         folder = claim(root, resolved.task_name)
         take_back = partial(abandon, folder, root, before, made)
     began = threading.Event()

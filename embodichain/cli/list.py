@@ -73,13 +73,19 @@ def _tasks() -> Rows:
 
 def _description(source: ConfigSource, path: str) -> str:
     import yaml
-    from omegaconf import DictConfig
+    from omegaconf import DictConfig, OmegaConf
+
+    from embodichain.utils.env_text import is_from_env, shown
 
     try:
         config = source.load_config(path).config
     except yaml.YAMLError:
         return f"(malformed YAML: embodichain validate task={path.removeprefix('task/')})"
-    return str(config.get("description", "")) if isinstance(config, DictConfig) else ""
+    if not isinstance(config, DictConfig):
+        return ""
+    raw: Any = OmegaConf.to_container(config, resolve=False)
+    written = raw.get("description", "")
+    return str(shown(written) if is_from_env(written) else config.get("description", ""))
 
 
 def _robots() -> Rows:

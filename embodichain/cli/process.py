@@ -23,6 +23,7 @@ from functools import cache
 from types import FrameType
 from typing import Any
 
+from embodichain.utils.env_text import hidden
 from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 __all__ = [
@@ -247,7 +248,7 @@ def report(error: BaseException, *, full: bool = False) -> int:
         signal ended the run; else 1.
     """
     if full and not isinstance(error, Interrupted):
-        traceback.print_exception(error, file=sys.stderr)
+        sys.stderr.write(hidden("".join(traceback.format_exception(error))))
     if isinstance(error, KeyboardInterrupt):
         code, text = INTERRUPTED, str(error) or "interrupted"
     elif not isinstance(error, ConfigError):
@@ -260,7 +261,7 @@ def report(error: BaseException, *, full: bool = False) -> int:
         mistakes = (str(problem).replace("\n", "\n    ") for problem in error.problems)
         lines = [f"{len(error.problems)} mistakes:", *(f"  {text}" for text in mistakes)]
         code, text = WRONG_INPUT, "\n".join(lines)
-    sys.stderr.write(f"{text}\n")
+    sys.stderr.write(f"{hidden(text)}\n")
     sys.stderr.flush()
     return code
 

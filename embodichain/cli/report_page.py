@@ -23,6 +23,7 @@ import yaml
 from embodichain.cli.output import number
 from embodichain.config.locate import display_path
 from embodichain.config.run_folder import CONFIG, LOG, SUMMARY
+from embodichain.utils.env_text import recorded_texts, shown
 from embodichain.utils.errors import ConfigError, EmbodichainError
 
 if TYPE_CHECKING:
@@ -58,13 +59,14 @@ def page_of(folder: Path) -> str:
     if not (folder / CONFIG).is_file():
         raise ConfigError(f"{folder} is no run's folder: it has no {CONFIG}")
     config = _yaml(folder / CONFIG)
-    summary, evaluated = _json(folder / SUMMARY), _json(folder / "eval.json")
+    summary, evaluated = shown(_json(folder / SUMMARY)), shown(_json(folder / "eval.json"))
     kind = "training" if "algo" in summary or (folder / "progress.csv").exists() else "run"
     kind = "evaluation" if evaluated and kind != "training" else kind
     kind = "collection" if is_collection(folder) else kind
     outcome = summary or evaluated
     notes = [] if outcome else [f"no {SUMMARY}: the run did not end, or was killed"]
     notes += [f"failed: {outcome['error']}"] if "error" in outcome else []
+    notes += [f"of the environment: {path}: {shown(text)}" for path, text in recorded_texts(config)]
     log, found = _log(folder / LOG)
     films, left_out = _films(folder)
     curves = _curves(folder, log)
@@ -79,7 +81,7 @@ def page_of(folder: Path) -> str:
         "bad": status in ("failed", "unfinished"),
         "folder": display_path(folder),
         "begun": f"{datetime.fromtimestamp((folder / CONFIG).stat().st_mtime):%Y-%m-%d %H:%M:%S}",
-        "description": config.get("task", {}).get("description", ""),
+        "description": shown(config.get("task", {}).get("description", "")),
         "notes": [*notes, *found, *left_out, *curves[1]],
         "results": [(name, number(value)) for name, value in _results(summary, evaluated)],
         "films": films,

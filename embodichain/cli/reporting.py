@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Self
 from urllib.parse import urlsplit
 
 from embodichain.cli.output import console
+from embodichain.utils.env_text import hidden
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -140,7 +141,7 @@ def log_to(path: Path) -> Iterator[logging.Logger]:
     root = logging.getLogger()
     level = root.level
     file = _File(path, encoding="utf-8")
-    file.setFormatter(logging.Formatter(_FORMAT))
+    file.setFormatter(_WithoutEnv(_FORMAT))
     show = warnings.showwarning
     logging.captureWarnings(True)
     root.addHandler(file)
@@ -218,6 +219,14 @@ def _is_ours(record: logging.LogRecord) -> bool:
     return record.name.startswith("embodichain")
 
 
+class _WithoutEnv(logging.Formatter):
+    """Hides values of variables of the environment."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the lines of a record."""
+        return hidden(super().format(record))
+
+
 class _OneLine(logging.Formatter):
     """``warning: MESSAGE``, without the source line that Python adds to its warnings."""
 
@@ -226,4 +235,4 @@ class _OneLine(logging.Formatter):
         text = record.getMessage()
         if record.name == "py.warnings":  # FILE:LINE: CATEGORY: MESSAGE, then the source line
             text = text.split("Warning: ", 1)[-1].splitlines()[0]
-        return f"{record.levelname.lower()}: {text}"
+        return hidden(f"{record.levelname.lower()}: {text}")

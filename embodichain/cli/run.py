@@ -63,14 +63,14 @@ def run_job(job: Job) -> float | None:
         counted, log = _simulate(job)
     except Exception as error:
         try:
-            _write_summary(job.folder, {**facts, "status": "failed", "error": repr(error)})
+            _write_summary(job, {**facts, "status": "failed", "error": repr(error)})
         except OSError as second:  # a full disk fails here too; the first error is reported
             _log.error("%s could not be written: %s", SUMMARY, second)
         raise
     if log is not None:
         facts |= {"log": str(log.path), "log_bytes": log.nbytes}
     summary = {**facts, **counted}
-    _write_summary(job.folder, summary)
+    _write_summary(job, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
     summary |= job.film(None if log is None else log.path)
     if root.json:
@@ -207,8 +207,9 @@ def _failures(counted: EpisodeStatistics) -> dict[str, Any]:
     return {"failed_in": listed, "failed_for": {step: first[step] for step in listed}}
 
 
-def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    write_text(folder / SUMMARY, to_json(summary, indent=2) + "\n")
+def _write_summary(job: Job, summary: dict[str, Any]) -> None:
+    text = to_json(job.resolved.record(summary), indent=2)
+    write_text(job.folder / SUMMARY, text + "\n")
 
 
 def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:

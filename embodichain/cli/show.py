@@ -14,6 +14,7 @@ import click
 from embodichain.cli.app import overrides, split_overrides, verb
 from embodichain.cli.output import print_facts, print_json, print_table, wrapped
 from embodichain.cli.unread_keys import verb_of_keys
+from embodichain.utils.env_text import hidden_in, shown
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]
@@ -43,13 +44,13 @@ def command(words: tuple[str, ...], config: bool, json: bool) -> None:
         return
     from embodichain.cli.jobs import pinned
     from embodichain.cli.show_task import task_tables, without_defaults
-    from embodichain.config.resolved import dump_yaml, resolve, thaw
+    from embodichain.config.resolved import dump_yaml, resolve
 
     lines = split_overrides(words)
     resolved = pinned(resolve(lines, verb_of_keys(lines)))
-    tables = {} if config else task_tables(resolved)
+    tables = {} if config else hidden_in(task_tables(resolved))
     if json:
-        about = {"config": thaw(resolved.tree)}
+        about = {"config": shown(resolved.tree)}
         if not config:
             notes = [asdict(note) for note in resolved.notes]
             about = {"task": resolved.task_name, **about, **({"notes": notes} if notes else {})}

@@ -19,6 +19,7 @@ import yaml
 
 from embodichain.cli.sweep_jobs import read_summary
 from embodichain.config.run_folder import CONFIG, SUMMARY
+from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["JobRow", "job_label", "job_rows", "shown_progress", "table_of"]
@@ -60,7 +61,7 @@ def job_label(number: str, overrides: Sequence[str], keys: Sequence[str]) -> str
         overrides: Of the job.
         keys: Keys with several values in the sweep.
     """
-    lines = [str(line).lstrip("+") for line in overrides]
+    lines = [shown(str(line)).lstrip("+") for line in overrides]
     return " ".join([number, *(line for line in lines if line.partition("=")[0] in keys)])
 
 

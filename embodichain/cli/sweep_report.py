@@ -18,6 +18,7 @@ from embodichain.cli.output import number, print_table
 from embodichain.cli.sweep_jobs import is_finished
 from embodichain.config.locate import display_path
 from embodichain.utils.atomic import write_text
+from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -117,7 +118,8 @@ def _best(folder: Path, groups: Sequence[Group]) -> list[str]:
     result = _result(folder)
     value = result.get("best_value")
     if value is not None:
-        point = " ".join(f"{k.lstrip('+')}={v}" for k, v in result.get("best_params", {}).items())
+        params = shown(result.get("best_params", {}))
+        point = " ".join(f"{key.lstrip('+')}={value}" for key, value in params.items())
         return [f"best objective {value:.4g}: {point}", str(folder / _RESULTS)]
     best = best_group(groups)
     if best is None or len(groups) < 2:

@@ -165,8 +165,8 @@ def _check_run_folder(verb: Verb, overrides: Sequence[str]) -> list[Path]:
     folder = folder_named(config, _RUN_FOLDER)
     if not typed and folder == ".":
         return []  # the run claims one
-    made = missing_folders(folder)
     try:
+        made = missing_folders(folder)
         check_unused(folder)
         Path(folder).mkdir(parents=True, exist_ok=True)
         for new in made:  # Hydra makes it again, by another name if the name has the time

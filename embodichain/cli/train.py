@@ -132,7 +132,8 @@ def _said_if_failed(job: Job, algo: str) -> Iterator[None]:
         about = {"task": job.resolved.task_name, "algo": algo, "seed": job.root.seed}
         failed = {**about, "folder": str(job.folder), "status": "failed", "error": repr(error)}
         try:
-            write_text(job.folder / SUMMARY, to_json(failed, indent=2) + "\n")
+            text = to_json(job.resolved.record(failed), indent=2)
+            write_text(job.folder / SUMMARY, text + "\n")
         except OSError as second:  # a full disk fails here too; the first error is reported
             _log.error("%s could not be written: %s", SUMMARY, second)
         raise

@@ -32,12 +32,15 @@ class Target:
     file: Path | None
     run: Path | None
 
-    def resolve(self, overrides: Sequence[str], values: Mapping[str, Any]) -> Resolved:
+    def resolve(
+        self, overrides: Sequence[str], values: Mapping[str, Any], *, only_reads: bool = False
+    ) -> Resolved:
         """Return the config for the policy: from ``task=`` in the overrides, else from its run.
 
         Args:
             overrides: As typed.
             values: Keys of the root to set if the run's config is used.
+            only_reads: As in `resolve_again`.
 
         Raises:
             ConfigError: There is neither, or the config has mistakes.
@@ -50,7 +53,8 @@ class Target:
         elif self.run is not None:
             from embodichain.config.rerun import resolve_again
 
-            resolved = resolve_again(self.run, overrides, {**values, "policy": None})
+            fresh = {**values, "policy": None}
+            resolved = resolve_again(self.run, overrides, fresh, only_reads=only_reads)
         else:
             from embodichain.lab.gym.policies import PRETRAINED, resolve_policy
 

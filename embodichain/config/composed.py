@@ -24,6 +24,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from embodichain.config.algorithms import DEFAULT_ALGORITHM
+from embodichain.config.environment import register_env_resolvers, value_of
 from embodichain.config.given_last import keep_last_given
 from embodichain.config.hydra_loader import (
     COMPOSING,
@@ -37,7 +38,7 @@ from embodichain.config.hydra_loader import (
     search_path_of,
     searched,
 )
-from embodichain.config.locate import COMMAND_LINE, ConfigFile, Locator
+from embodichain.config.locate import COMMAND_LINE, ConfigFile, Locator, display_path
 from embodichain.config.override_text import malformed, readable
 from embodichain.config.removed_entries import remove_null_entries
 from embodichain.utils.errors import ConfigError, Problem
@@ -56,6 +57,7 @@ __all__ = [
     "from_hydra",
     "list_options",
     "parse",
+    "plain_values",
     "relax",
     "search_path",
 ]
@@ -72,8 +74,8 @@ class Composed:
     Attributes:
         config_name: The root config, ``run`` or ``train``.
         overrides: As typed.
-        tree: Plain dicts and lists, interpolations resolved, without Hydra's own node. Partial if
-            there are problems.
+        tree: Plain dicts and lists, interpolations resolved, without Hydra's own node; text of the
+            environment is an `EnvText`. Partial if there are problems.
         choices: Group -> the chosen option.
         locator: Finds where each key was set.
         problems: The mistakes found so far.
@@ -151,7 +153,12 @@ def compose(
     problems = (*parsed.problems, *apply_values(config, parsed.values))
     locator = Locator(files, parsed.values)
     problems += tuple(p for file in (*files, *of_hydra) for p in file.problems())
-    tree, unresolved = _resolved(config, locator)
+    problems += tuple(
+        Problem("task", "the file is empty: a task has at least a key", source=display_path(f.path))
+        for f in files
+        if f.package == "task" and not f.keys
+    )
+    tree, unresolved = plain_values(config, locator)
     tree, kept = remove_null_entries(tree, locator.gives)
     kept += keep_last_given(tree, locator.rank)
     problems = (*problems, *unresolved, *(p.at(locator.source(p.path)) for p in kept))
@@ -256,7 +263,7 @@ def _without_task(
         OmegaConf.set_struct(config, False)
         del config["hydra"]
         apply_values(config, values)
-        tree = _resolved(config, locator)[0]
+        tree = plain_values(config, locator)[0]
     problems = (*parsed.problems, *found)
     return Composed(config_name, lines, tree, {}, locator, problems, usable=False)
 
@@ -279,8 +286,14 @@ def _algorithm(
 _INSTANTIATE = ("_target_", "_recursive_", "_convert_", "_partial_", "_args_")
 
 
-def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, list[Problem]]:
-    """A config as plain values without unresolvable keys, and a problem for each such key."""
+def plain_values(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, list[Problem]]:
+    """Return a config as plain values without unresolvable keys, and a problem for each such key.
+
+    Args:
+        node: The config; `EnvText` stands for text of the environment.
+        locator: Finds where each key was set.
+    """
+    register_env_resolvers()
     problems: list[Problem] = []
     names = locator.names()
 
@@ -300,7 +313,7 @@ def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, lis
                 report(where, "missing value (???): it must be set")
                 continue
             try:
-                value = node[key]
+                value = value_of(node, key)
             except OmegaConfBaseException as error:
                 written: Any = OmegaConf.to_container(node, resolve=False)
                 reason = str(error).splitlines()[0]

@@ -8,6 +8,7 @@ in the process are not affected.
 
 from __future__ import annotations
 
+import errno
 import importlib.metadata
 import re
 from collections.abc import Iterator, Sequence
@@ -32,8 +33,9 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import OmegaConf
 
 from embodichain.config.defaults_lists import chosen_twice, explain_defaults
+from embodichain.config.environment import register_env_resolvers
 from embodichain.config.gymnasium_ids import CONFIG_MODULE, ENTRY_POINTS, LOCAL
-from embodichain.config.locate import COMMAND_LINE, ConfigFile, display_path
+from embodichain.config.locate import COMMAND_LINE, ConfigFile, TooDeepError, depth_of, display_path
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -60,6 +62,8 @@ COMPOSING = (HydraException, yaml.YAMLError, OSError, ValueError, RecursionError
 """Exceptions that composing may raise because of the user's files."""
 SEARCH_PATH = "hydra.searchpath"
 """Hydra's key for places to search."""
+_DEEPEST = 200
+"""Maps and lists in one another that Python's recursion takes, with Hydra's and OmegaConf's."""
 _SHOWN_BY = {"task": "embodichain list tasks"}
 # Options that the packages of the extra `sweep` provide.
 _PLUGINS = {("hydra/launcher", "joblib"), ("hydra/sweeper", "optuna")}
@@ -159,9 +163,10 @@ def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader
 
 
 def register_resolvers() -> None:
-    """Register Hydra's resolvers (``${now:%Y-%m-%d}``) with OmegaConf, unless that was done."""
+    """Register Hydra's resolvers (``${now:%Y-%m-%d}``) and ours with OmegaConf."""
     if not OmegaConf.has_resolver("now"):
         setup_globals()
+    register_env_resolvers()
 
 
 class _Loader(ConfigLoaderImpl):
@@ -174,7 +179,12 @@ class _Loader(ConfigLoaderImpl):
         config_name: str | None = None,
         overrides: list[str] | None = None,
     ) -> list[str]:
-        return self.repository.get_group_options(group_name, results_filter)
+        try:
+            return self.repository.get_group_options(group_name, results_filter)
+        except OSError as error:
+            if error.errno == errno.ENAMETOOLONG:  # no folder has that name
+                return []
+            raise
 
 
 class EmbodichainSearchPath(SearchPathPlugin):
@@ -235,6 +245,8 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
         folders = _folders(loader)
         circles = isinstance(error, RecursionError)
         if found := explain_defaults(folders, circles=circles):
+            return found
+        if circles and (found := _too_deep(folders)):
             return found
     unchosen = re.search(r"You must specify '([^']+)'", str(error))
     if unchosen:
@@ -311,6 +323,21 @@ def _null_keys(loader: ConfigLoader) -> list[Problem]:
                 file = ConfigFile.read(path, package)
                 null = {m.path for m in file.misread if m.read.rpartition(".")[2] == "None"}
                 found += [problem for problem in file.problems() if problem.path in null]
+    return found
+
+
+def _too_deep(folders: Sequence[Path]) -> list[Problem]:
+    """A problem for each file that nests too deeply: the error does not name the file."""
+    found = []
+    for path in (path for folder in folders for path in sorted(folder.rglob("*.yaml"))):
+        try:
+            if depth_of(path) > _DEEPEST:
+                raise TooDeepError(path)
+            ConfigFile.read(path, "")
+        except yaml.YAMLError as error:
+            found.append(explain_yaml(error, path))
+        except (OSError, UnicodeDecodeError):
+            continue  # another mistake, of a file that may not be asked for
     return found
 
 

@@ -17,7 +17,15 @@ from hydra.core.override_parser.types import Override
 from embodichain.config.yaml_words import Misread, compose_nodes, misread, node_kind, scalar_text
 from embodichain.utils.errors import Problem
 
-__all__ = ["COMMAND_LINE", "ConfigFile", "KeyPlace", "Locator", "display_path"]
+__all__ = [
+    "COMMAND_LINE",
+    "ConfigFile",
+    "KeyPlace",
+    "Locator",
+    "TooDeepError",
+    "depth_of",
+    "display_path",
+]
 
 COMMAND_LINE = "command line"
 """The source of a key that no file sets."""
@@ -60,7 +68,15 @@ class ConfigFile:
 
         Raises:
             yaml.YAMLError: The file is malformed, or has a tag (``!!python/...``, ``!!set``).
+            TooDeepError: It nests too deeply, or contains itself by an alias.
         """
+        try:
+            return cls._read(path, package)
+        except RecursionError as error:
+            raise TooDeepError(path) from error
+
+    @classmethod
+    def _read(cls, path: Path, package: str) -> ConfigFile:
         with path.open(encoding="utf-8") as stream:  # error marks have a stream's name
             if "!" in stream.read():
                 stream.seek(0)
@@ -130,11 +146,36 @@ def _refuse_tags(stream: TextIO) -> None:
             )
 
 
+def depth_of(path: Path) -> int:
+    """Return how many maps and lists of a file are in one another, at most.
+
+    Raises:
+        yaml.YAMLError: It is malformed.
+    """
+    depth = deepest = 0
+    with path.open(encoding="utf-8") as stream:
+        for event in yaml.parse(stream, Loader=yaml.CSafeLoader):
+            if isinstance(event, yaml.CollectionStartEvent):
+                depth += 1
+                deepest = max(deepest, depth)
+            elif isinstance(event, yaml.CollectionEndEvent):
+                depth -= 1
+    return deepest
+
+
 def display_path(path: Path) -> str:
     """Return a path for messages: relative if it is below the working directory."""
     resolved = path.resolve()
     here = Path.cwd().resolve()
     return str(resolved.relative_to(here)) if resolved.is_relative_to(here) else str(resolved)
+
+
+class TooDeepError(yaml.MarkedYAMLError):
+    """A file nests too deeply, or contains itself by an alias."""
+
+    def __init__(self, path: Path) -> None:
+        mark = yaml.Mark(str(path), 0, 0, 0, None, 0)
+        super().__init__(problem="nested too deeply, or an alias is in itself", problem_mark=mark)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ import yaml
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from embodichain.config.composed import ParsedOverrides, apply_values, parse
+from embodichain.config.composed import ParsedOverrides, apply_values, parse, plain_values
+from embodichain.config.environment import as_reader, for_omegaconf, not_taken
 from embodichain.config.given_last import keep_last_given
 from embodichain.config.hydra_loader import config_loader
 from embodichain.config.locate import COMMAND_LINE, Locator
@@ -32,7 +33,11 @@ _GROUPS = ("record", "viewer", "sim")
 
 
 def resolve_again(
-    folder: Path, overrides: Sequence[str] = (), values: Mapping[str, Any] | None = None
+    folder: Path,
+    overrides: Sequence[str] = (),
+    values: Mapping[str, Any] | None = None,
+    *,
+    only_reads: bool = False,
 ) -> Resolved:
     """Return a run's config as a config of the verb `run`.
 
@@ -40,6 +45,8 @@ def resolve_again(
         folder: The run's folder.
         overrides: ``key=value``, and options of the groups record, viewer and sim.
         values: Keys of the root to set before the overrides.
+        only_reads: Whether variables of the environment are not needed where no environment reads
+            them; see `as_reader`.
 
     Raises:
         ConfigError: The folder has no config, or overrides or the config are wrong.
@@ -47,6 +54,7 @@ def resolve_again(
     source = folder / CONFIG
     # Whoever made the folder has written its config: it does not say whom to trust.
     tree = {**read_config(source), "trust": False, **(values or {})}
+    tree = as_reader(tree) if only_reads else tree
     warp = (tree.get("sim") or {}).get("warp")
     if isinstance(warp, dict):  # the run's choice was for what that run needed
         tree["sim"] = {**tree["sim"], "warp": {**warp, "arrays": "auto"}}
@@ -60,13 +68,22 @@ def resolve_again(
         for line in options:
             group = line.partition("=")[0]
             tree[group] = OmegaConf.to_container(chosen[group], resolve=True)
-    config = OmegaConf.create(tree)
+    config = OmegaConf.create(for_omegaconf(tree, str(source)))
     problems = apply_values(config, parsed.values)
     if problems:
         raise ConfigError(problems)
-    changed: Any = OmegaConf.to_container(config, resolve=True)
+    locator = Locator((), parsed.values)
+    changed, problems = plain_values(config, locator)
+    if problems:
+        typed = [override.key_or_group for override in parsed.values]
+        raise ConfigError(
+            p
+            if any(p.path == key or p.path.startswith(f"{key}.") for key in typed)
+            else not_taken(p.path, _value(tree, p.path), p.message, str(source))
+            for p in problems
+        )
     changed, problems = remove_null_entries(changed, lambda path: _gives(tree, path))
-    problems += keep_last_given(changed, Locator((), parsed.values).rank)
+    problems += keep_last_given(changed, locator.rank)
     if problems:
         raise ConfigError(problem.at(COMMAND_LINE) for problem in problems)
     try:
@@ -86,9 +103,17 @@ def resolve_again(
 
 def _gives(tree: Any, path: str) -> bool:
     """Whether a config sets a key path to something but null."""
+    return _value(tree, path) is not None
+
+
+def _value(tree: Any, path: str) -> Any:
+    """The value of a config at a key path; None if there is none."""
     for part in path.split("."):
-        tree = tree.get(part) if isinstance(tree, dict) else None
-    return tree is not None
+        if isinstance(tree, list) and part.isdecimal() and int(part) < len(tree):
+            tree = tree[int(part)]
+        else:
+            tree = tree.get(part) if isinstance(tree, dict) else None
+    return tree
 
 
 def task_of(folder: Path) -> str:

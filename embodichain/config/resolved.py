@@ -9,7 +9,7 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -19,6 +19,7 @@ import yaml
 
 from embodichain.config.check_types import check_types
 from embodichain.config.composed import Composed, compose
+from embodichain.config.environment import notes_of_today, taken_today
 from embodichain.config.learning_scale import doubtful_scale, scale_learning
 from embodichain.config.run_folder import (
     CHECKPOINT,
@@ -38,6 +39,7 @@ from embodichain.lab.sim.compiler.names import exact_pattern
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.access import AUTO, Access
 from embodichain.utils.atomic import write_text
+from embodichain.utils.env_text import EnvText, env_texts, hidden
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -65,6 +67,8 @@ _DEFAULTS: dict[Verb, dict[str, Any]] = {
 _SEED_BITS = 31
 _KWARGS = ("autoreset_mode", "render_mode", "run_dir")
 """Arguments of `BaseEnv` besides its config; it passes others on to methods of subclasses."""
+_PATHS = ("output_dir", "policy", "dataset", "resume")
+"""Keys of the root whose texts are paths, which a summary names."""
 _OF_ROOT = ("num_envs",)
 """Keys of the root that the simulation names, and nothing else has."""
 _OF_MAKE = ("task", "num_envs", "overrides", "seed", "config_dir")
@@ -139,7 +143,7 @@ class Resolved:
     def pinned(self) -> Resolved:
         """Return a copy in which `last` and links are the folders that they refer to now.
 
-        Later runs change them.
+        Later runs change them. A path that the environment gives stays as it is.
 
         Raises:
             ConfigError: There is no such training any more.
@@ -147,16 +151,39 @@ class Resolved:
         changed, data = self, self.tree.get("dataset")  # a run of an earlier version has none
         if data is not None:
             paths = [data] if isinstance(data, str) else data
-            changed = changed.changed(dataset=[str(Path(path).resolve()) for path in paths])
+            changed = changed.changed(dataset=[_whole_path(path) for path in paths])
         policy = self.tree["policy"]
         last = policy == "last"
-        if not isinstance(policy, str) or not (last or named_checkpoint(policy).exists()):
+        if (
+            not isinstance(policy, str)
+            or isinstance(policy, EnvText)
+            or not (last or named_checkpoint(policy).exists())
+        ):
             return changed
         newest = newest_run(self.tree["output_dir"], CHECKPOINT) if last else None
         path = newest if last else named_checkpoint(policy)
         if path is None:
             raise ConfigError("policy: there is no training for 'last' any more")
         return changed.changed(policy=str(path.resolve()))
+
+    def record(self, facts: Mapping[str, Any]) -> dict[str, Any]:
+        """Return facts about the run for a file: paths from the environment are interpolations.
+
+        Args:
+            facts: Name -> value; a text may be a value of the root, or a path below it.
+        """
+        given = list(env_texts({key: self.tree.get(key) for key in _PATHS}))
+
+        def recorded(value: Any) -> Any:
+            for _, text in given if isinstance(value, str) else ():
+                if value == text or value.startswith(f"{text}/"):
+                    return f"{text.written}{value[len(text) :]}"
+            return hidden(repr(value)) if is_dataclass(value) else value
+
+        found = {name: recorded(value) for name, value in facts.items()}
+        if isinstance(found.get("error"), str):
+            found["error"] = hidden(found["error"])
+        return found
 
     def locating(self, section: str = "") -> AbstractContextManager[None]:
         """Add file and line to the mistakes of a `ConfigError` raised inside the context.
@@ -165,6 +192,10 @@ class Resolved:
             section: The key that their key paths are relative to; empty is the root.
         """
         return _locating(self.source, section)
+
+
+def _whole_path(path: str) -> str:
+    return path if isinstance(path, EnvText) else str(Path(path).resolve())
 
 
 @contextmanager
@@ -273,7 +304,8 @@ def resolve_tree(
     """Check a dumped config: a run folder's `config.yaml` or a log's attachment.
 
     Args:
-        tree: The loaded YAML.
+        tree: The loaded YAML. Today's values of variables of the environment are taken for its
+            interpolations, and a note says so.
         source: Its name in messages, or a function from a key path to where the key was set.
         verb: The verb for which the task's suggestions are used, for null keys.
         task_name: The task's name, which the tree does not contain.
@@ -283,8 +315,10 @@ def resolve_tree(
         ConfigError: Lists every mistake with its place.
     """
     located = source if callable(source) else lambda path: source
+    tree = taken_today(tree, source if isinstance(source, str) else "")
+    notes = notes_of_today(tree)
     found = check_tree(tree, located, verb, allow_import=allow_import)
-    return Checked(found, verb, task_name, located).resolved()
+    return Checked(found, verb, task_name, located, notes=notes).resolved()
 
 
 def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], str]) -> Resolved:
@@ -432,7 +466,10 @@ def thaw(value: Any) -> Any:
 
 
 def dump_yaml(value: Any) -> str:
-    """Return a tree as YAML, with keys in order, no aliases, and lists of scalars on one line."""
+    """Return a tree as YAML, with keys in order, no aliases, and lists of scalars on one line.
+
+    `EnvText` is written as its interpolation.
+    """
     text: str = yaml.dump(
         thaw(value),
         Dumper=_Dumper,
@@ -445,11 +482,21 @@ def dump_yaml(value: Any) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes shared parts in full: anchors would depend on how the tree was built."""
+    """Writes shared parts in full: anchors would depend on how the tree was built.
+
+    Text of the environment is written as its interpolation.
+    """
 
     def ignore_aliases(self, data: Any) -> bool:
         """Never write an alias."""
         return True
+
+    def env_text(self, text: EnvText) -> yaml.ScalarNode:
+        """Represent text of the environment."""
+        return self.represent_str(text.written)
+
+
+_Dumper.add_representer(EnvText, _Dumper.env_text)
 
 
 def build_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:

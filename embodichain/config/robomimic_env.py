@@ -10,12 +10,14 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import logging
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.config.environment import as_reader, notes_of_today
 from embodichain.config.factory import make_env
 from embodichain.config.host_arrays import with_arrays
 from embodichain.config.resolved import resolve_tree
@@ -24,6 +26,7 @@ from embodichain.utils.errors import ConfigError
 
 __all__ = ["ENV_NAME", "RobomimicEnv", "make_robomimic_env"]
 
+_log = logging.getLogger(__name__)
 _ID = "embodichain-v0"
 ENV_NAME = f"{__name__}:{_ID}"
 """``env_name`` of data sets."""
@@ -48,7 +51,10 @@ class RobomimicEnv:
         own = {"num_envs": 1, "policy": None}
         here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
         tree = {**config, **own, **{k: v for k, v in here.items() if k in config}}
-        resolved = resolve_tree(tree, "env_args of the data set", "run", task_name=name)
+        source = "env_args of the data set"
+        resolved = resolve_tree(as_reader(tree), source, "run", task_name=name)
+        for note in notes_of_today(resolved.tree):
+            _log.warning("%s", note)
         self._env = SingleEnv(make_env(with_arrays(resolved, "host")))
         self.observation_space = self._env.observation_space
         self.action_space = self._env.action_space

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from embodichain.config.run_folder import SUMMARY
 from embodichain.learning.episodes import EPISODE_WINDOW
 from embodichain.learning.statistics import SeedEstimate, over_seeds
+from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
 
 __all__ = [
@@ -255,7 +256,7 @@ def _overrides(folder: Path) -> list[str]:
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read {folder / 'overrides.yaml'}: {error}") from error
     # Without the +, which a sweep's jobs have before every override.
-    plain = [str(line).lstrip("+") for line in lines]
+    plain = [shown(str(line)).lstrip("+") for line in lines]
     keys = {line: line.partition("=")[0].lstrip("~") for line in plain}
     return sorted(
         line for line, key in keys.items() if key != "task" and _FIRST.split(key)[0] not in _APART

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, read_note
 from embodichain.learning.curriculum_stage import stage_path
 from embodichain.learning.episodes import TrainStatistics
+from embodichain.learning.finite import Learning, check_finite
 from embodichain.learning.normalization import statistics_path
 from embodichain.learning.plain_state import read_tree
 from embodichain.learning.training_state import buffer_path
@@ -36,7 +37,7 @@ _SCORE = "score"
 _log = logging.getLogger(__name__)
 
 
-class Saved(Protocol):
+class Saved(Learning, Protocol):
     """A training that can be saved.
 
     Attributes:
@@ -46,10 +47,6 @@ class Saved(Protocol):
 
     run_dir: Path
     statistics: TrainStatistics
-
-    @property
-    def env_steps(self) -> int:
-        """Environment steps taken, summed over environments."""
 
     def save(self, path: Path, note: dict[str, Any], *, resumable: bool, rolling: bool) -> None:
         """Write a checkpoint.
@@ -116,7 +113,12 @@ class CheckpointKeeper:
                     shutil.copyfile(path, copy)
 
     def boundary(self) -> None:
-        """Write a checkpoint if one is due, and delete the oldest; call it before each rollout."""
+        """Write a checkpoint if one is due, and delete the oldest; call it before each rollout.
+
+        Raises:
+            NotFiniteError: The networks are not finite; nothing is written then.
+        """
+        check_finite(self._session)
         steps, statistics = self._session.env_steps, self._session.statistics
         if statistics.next_checkpoint is None:  # the first rollout
             statistics.next_checkpoint = steps + self._every
@@ -146,7 +148,11 @@ class CheckpointKeeper:
 
         Returns:
             Its path, relative to the run's folder.
+
+        Raises:
+            NotFiniteError: The networks are not finite; nothing is written then.
         """
+        check_finite(self._session)
         if finished:
             self._judge()
         # An interrupted training has begun its next rollout.

@@ -166,6 +166,10 @@ class RslRlPpo:
         module: torch.nn.Module = self._ppo.actor.as_jit()
         return module
 
+    def parameters(self) -> list[Tensor]:
+        """Return the parameters of actor and critic."""
+        return [*self._ppo.actor.parameters(), *self._ppo.critic.parameters()]
+
     def state_dict(self) -> dict[str, Any]:
         """Return networks, normalization and optimizer as plain values."""
         saved: dict[str, Any] = self._ppo.save()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,14 @@ import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from torch import Tensor
 
 from embodichain.learning.checkpoint import save_checkpoint
 from embodichain.learning.cloning import BehaviorCloning
 from embodichain.learning.curriculum_stage import save_stage
 from embodichain.learning.episodes import TrainStatistics
+from embodichain.learning.finite import told_apart
 from embodichain.learning.keeper import state_path
 from embodichain.learning.normalization import load_statistics, save_statistics, statistics_path
 from embodichain.learning.plain_state import write_tree
@@ -74,6 +77,7 @@ class Session:
     replay_buffer: bool = False
     _restored: dict[str, Any] | None = None
     _logged: dict[str, Any] | None = None
+    _watch: _Watch | None = None
 
     def __post_init__(self) -> None:
         self._buffer = buffer_of(self.model) if self.replay_buffer else None
@@ -86,6 +90,29 @@ class Session:
         """Environment steps taken, summed over environments."""
         steps: int = self.model.num_timesteps
         return steps
+
+    @property
+    def updates(self) -> int:
+        """Updates so far: one a rollout, or with a replay buffer the steps of its optimizers."""
+        model = self.model
+        if isinstance(model, OnPolicyAlgorithm):
+            return model.num_timesteps // (model.n_steps * model.n_envs)
+        # Of an update that did not end the model does not count the steps.
+        begun = self._watch is not None and self._watch.updating
+        return int(getattr(model, "_n_updates", 0)) + begun
+
+    def parameters(self) -> Iterator[Tensor]:
+        """Parameters of the networks, and of SAC's temperature."""
+        yield from self.model.policy.parameters()
+        temperature = getattr(self.model, "log_ent_coef", None)
+        if temperature is not None:
+            yield temperature
+
+    def losses(self) -> dict[str, Any]:
+        """What the last update logged."""
+        found = self.model.logger.name_to_value
+        prefix = "train/"
+        return {k.removeprefix(prefix): v for k, v in found.items() if k.startswith(prefix)}
 
     def resume(self, checkpoint: Path, state: dict[str, Any]) -> None:
         """Restore a new model to the state of a checkpoint.
@@ -131,6 +158,9 @@ class Session:
         Returns:
             The exception that stopped it, or None; and whether the model is between two rollouts,
             since a Ctrl-C raised by Python may come in the middle of an update.
+
+        Raises:
+            NotFiniteError: The networks or the losses are not finite.
         """
         model, total = self.model, self.statistics.total_timesteps
 
@@ -140,6 +170,7 @@ class Session:
 
         judged = isinstance(model, BehaviorCloning)
         watch = _Watch(self.vec_env, self.statistics, progress, boundary, judged=judged)
+        self._watch = watch
         if isinstance(model, BehaviorCloning):
             self.vec_env.base.hold_curriculum()  # its environments judge at the first stage
             model.after_row = watch.boundary
@@ -155,7 +186,8 @@ class Session:
         self.statistics.begin()
         try:
             remaining = total - model.num_timesteps
-            model.learn(remaining, watch, log_interval=interval, reset_num_timesteps=new)
+            with told_apart(self):
+                model.learn(remaining, watch, log_interval=interval, reset_num_timesteps=new)
         except KeyboardInterrupt as error:
             return error, error is watch.stopped
         finally:
@@ -209,6 +241,8 @@ class _Watch(BaseCallback):
         super().__init__()
         # The exception that `progress` raised to stop the training.
         self.stopped: KeyboardInterrupt | None = None
+        # Whether a rollout has ended and its update has not.
+        self.updating = False
         self._env = env
         self._split = TimeSplit()
         self._statistics = statistics
@@ -218,6 +252,7 @@ class _Watch(BaseCallback):
 
     def boundary(self) -> None:
         """Called between an update and the next rollout: calls `on_boundary`, and stops."""
+        self.updating = False
         self._on_boundary()
         if self.stopped is not None:
             raise self.stopped
@@ -246,6 +281,7 @@ class _Watch(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
+        self.updating = True
         self._split.rollout_ends(self._env)
         self._statistics.fractions = self._split.fractions
         for name, value in self._split.fractions.items():
@@ -255,6 +291,7 @@ class _Watch(BaseCallback):
 
     def end(self) -> None:
         """Called when learning ended, normally or not: counts the time since the last rollout."""
+        self.updating = False
         self._split.end()
         self._statistics.fractions = self._split.fractions
 

@@ -206,6 +206,10 @@ class SkrlPpo:
         scaler = self._agent.checkpoint_modules.get("observation_preprocessor")
         return copy.deepcopy(nn.Sequential(*([] if scaler is None else [scaler]), *parts))
 
+    def parameters(self) -> list[Tensor]:
+        """Return the parameters of policy and value."""
+        return [p for model in self._agent.models.values() for p in model.parameters()]
+
     def state_dict(self) -> dict[str, Any]:
         """Return networks, normalization and optimizer as plain values."""
         return {name: part.state_dict() for name, part in self._agent.checkpoint_modules.items()}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
@@ -25,6 +25,7 @@ from embodichain.learning.checkpoint import DIGEST, save_script
 from embodichain.learning.curriculum_stage import save_stage
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.exported import PolicyMetadata, script_bytes
+from embodichain.learning.finite import check_finite, told_apart
 from embodichain.learning.keeper import state_path
 from embodichain.learning.plain_state import write_tree
 from embodichain.learning.session import Progress, TimeSplit
@@ -67,6 +68,9 @@ class Learner(Protocol):
 
     def actor(self) -> torch.nn.Module:
         """Return a copy of the network: observations (N, K) -> mean actions (N, A)."""
+
+    def parameters(self) -> Iterable[Tensor]:
+        """Return the parameters of all networks."""
 
     def state_dict(self) -> dict[str, Any]:
         """Return networks, normalization and optimizer as plain values."""
@@ -153,11 +157,25 @@ class TensorSession:
         self._recorder = EpisodeRecorder(self.vec_env)
         self._generators: dict[str, Any] | None = None
         self._logged: dict[str, Any] | None = None
+        self._losses: dict[str, float] = {}
 
     @property
     def env_steps(self) -> int:
         """Environment steps taken, summed over environments."""
         return self.statistics.env_steps
+
+    @property
+    def updates(self) -> int:
+        """Updates so far: one a rollout."""
+        return self.env_steps // (self.learner.steps * self.vec_env.num_envs)
+
+    def parameters(self) -> Iterable[Tensor]:
+        """Parameters of all networks."""
+        return self.learner.parameters()
+
+    def losses(self) -> dict[str, float]:
+        """What the last update returned."""
+        return self._losses
 
     def resume(self, checkpoint: Path, state: dict[str, Any]) -> None:
         """Restore networks, environment, statistics and generators from a checkpoint.
@@ -213,8 +231,10 @@ class TensorSession:
                 ended = self._recorder.finish()
                 split.rollout_ends(self.vec_env)
                 statistics.fractions = split.fractions
-                losses = self.learner.update(self._groups)
-                self._log(logger, ended, losses)
+                with told_apart(self):
+                    self._losses = self.learner.update(self._groups)
+                    check_finite(self)
+                self._log(logger, ended, self._losses)
                 logger.dump(step=statistics.env_steps)
         except KeyboardInterrupt as error:
             return error, False

@@ -16,7 +16,6 @@ from stable_baselines3.common.logger import KVWriter
 
 from embodichain.config import Resolved, make_batch
 from embodichain.config.algorithms import DEFAULT_ALGORITHM, LEARN_FROM_DATA, AlgoCfg
-from embodichain.config.resolved import thaw
 from embodichain.config.run_folder import SUMMARY
 from embodichain.config.schema import RootCfg
 from embodichain.config.tensor_algorithms import TensorAlgoCfg
@@ -29,6 +28,7 @@ from embodichain.learning.cloning import BehaviorCloning
 from embodichain.learning.demonstrations import Demonstration, Demonstrations, fill, learn_scales
 from embodichain.learning.episodes import EPISODE_WINDOW, TrainStatistics
 from embodichain.learning.evaluation import Evaluation
+from embodichain.learning.finite import NotFiniteError
 from embodichain.learning.keeper import CheckpointKeeper, find_resumable, telling_where
 from embodichain.learning.plots import draw_curves
 from embodichain.learning.session import Progress, Session
@@ -39,6 +39,7 @@ from embodichain.learning.train_logs import check_wandb, wandb_writers
 from embodichain.learning.training_state import buffer_of
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.atomic import write_text
+from embodichain.utils.env_text import as_written, env_texts
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -128,8 +129,14 @@ def train(
         ConfigError: If the task cannot be learned or an argument is wrong; nothing was written.
         KeyboardInterrupt: Raised by `progress` or Ctrl-C; the model is saved first.
         WriteError: The folder cannot be written; complete checkpoints remain.
+        NotFiniteError: The networks or the losses of an update are not finite; checkpoints of
+            before remain.
     """
     algorithm = _checked_algorithm(resolved)
+    if resolved.root.wandb.mode != "disabled":
+        for path, text in env_texts(resolved.tree["wandb"], "wandb"):
+            names = " and ".join(text.names)
+            _log.warning("%s holds the value of %s: Weights & Biases keeps it", path, names)
     env = make_batch(resolved)
     try:
         env.run_dir = run_dir
@@ -143,7 +150,7 @@ def train(
             found = Demonstrations.of(episodes(env), _sb3(vec_env))
         with (
             _torch_threads(TORCH_THREADS),
-            wandb_writers(resolved.root.wandb, run_dir, thaw(resolved.tree)) as writers,
+            wandb_writers(resolved.root.wandb, run_dir, as_written(resolved.tree)) as writers,
             telling_where(run_dir),
         ):
             return _learn(resolved, algorithm, vec_env, run_dir, progress, writers, found)
@@ -332,8 +339,14 @@ def _learn(
     if found is not None:
         session.resume(*found)
         keeper.resume(found[0])
-    interrupt, resumable = session.learn(keeper.boundary, progress)
-    checkpoint = keeper.final(finished=interrupt is None, resumable=resumable)
+    try:
+        interrupt, resumable = session.learn(keeper.boundary, progress)
+        checkpoint = keeper.final(finished=interrupt is None, resumable=resumable)
+    except NotFiniteError as error:
+        rate = (resolved.tree["algo"] or {}).get("learning_rate")
+        given = "" if rate is None else f", {rate},"
+        message = f"{error}; the learning rate{given} may be too large (algo.learning_rate)"
+        raise NotFiniteError(message) from error
     summary = TrainSummary(
         task=task,
         algo=algorithm.name,
@@ -355,7 +368,7 @@ def _learn(
             statistics.mean_return if statistics.success_rate is None else statistics.success_rate
         ),
     )
-    _write(run_dir, dataclasses.asdict(summary))
+    _write(run_dir, resolved.record(dataclasses.asdict(summary)))
     draw_curves(run_dir)
     if interrupt is not None:
         raise interrupt

@@ -42,6 +42,7 @@ from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.simulation import Simulation
 from embodichain.recording.trajectory import Rows, Span, outcomes, runs
+from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -149,13 +150,19 @@ class RecordedLog:
             raise LogError(f"{self.path}: config.yaml is damaged: {error}") from error
 
     @cached_property
-    def config(self) -> dict[str, Any]:
-        """The resolved config as a tree."""
+    def written_config(self) -> dict[str, Any]:
+        """The resolved config as a tree, with interpolations for text of the environment."""
         try:
             tree = yaml.safe_load(self.config_yaml)
         except yaml.YAMLError as error:
             raise LogError(f"{self.path}: config.yaml is damaged: {error}") from error
         return tree or {}
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """The resolved config as a tree, with ``<env NAME>`` for text of the environment."""
+        found: dict[str, Any] = shown(self.written_config)
+        return found
 
     @cached_property
     def model(self) -> mujoco.MjModel:

@@ -18,6 +18,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from embodichain.config.environment import as_reader, notes_of_today
 from embodichain.config.host_arrays import with_arrays
 from embodichain.config.resolved import Resolved, resolve_tree
 from embodichain.lab.gym.envs.observation import Observation
@@ -50,14 +51,17 @@ def config_of(log: RecordedLog) -> Resolved:
     Raises:
         ConfigError: If the log contains no config, or the config has mistakes.
     """
-    tree = log.config
+    tree = log.written_config
     if "task" not in tree:
         raise ConfigError(f"{log.path} contains no config: it was not recorded by `run`")
     own = {"seed": log.seed, "num_envs": log.num_envs, "policy": None}
     here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
     here |= {"trust": False}  # whoever made the log does not say whom to trust
     changed = {**tree, **own, **{name: value for name, value in here.items() if name in tree}}
-    found = resolve_tree(changed, f"{log.path}: config.yaml", "run", task_name=log.task)
+    source = f"{log.path}: config.yaml"
+    found = resolve_tree(as_reader(changed), source, "run", task_name=log.task)
+    for note in notes_of_today(found.tree):
+        _log.warning("%s", note)
     return with_arrays(found, "host")
 
 

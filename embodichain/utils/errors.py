@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from embodichain.utils.env_text import hidden
+
 __all__ = [
     "ConfigError",
     "DataNotFoundError",
@@ -30,6 +32,8 @@ class Problem:
         source: Its origin: ``FILE:LINE``, ``FILE``, ``command line``; or empty.
         expected: ``text`` if a number or a flag was found where text is allowed, ``value`` if text
             was found where only numbers or flags are; else empty.
+
+    Message and hint show ``<env NAME>`` for the value of a variable of the environment.
     """
 
     path: str
@@ -37,6 +41,11 @@ class Problem:
     hint: str = ""
     source: str = ""
     expected: str = ""
+
+    def __post_init__(self) -> None:
+        """Hide values of variables of the environment."""
+        object.__setattr__(self, "message", hidden(self.message))
+        object.__setattr__(self, "hint", hidden(self.hint))
 
     def at(self, source: str, path: str | None = None) -> Problem:
         """Return a copy with this source, and this key path if given."""
@@ -106,7 +115,7 @@ class DataNotFoundError(EmbodichainError, FileNotFoundError):
             lines.append("Did you mean " + " or ".join(repr(match) for match in self.closest) + "?")
         if command:
             lines.append(command)
-        super().__init__("\n".join(lines))
+        super().__init__(hidden("\n".join(lines)))
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle with all four arguments, not only the message as by default."""

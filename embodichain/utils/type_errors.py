@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from embodichain.utils.env_text import hidden
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -112,7 +113,7 @@ def show_value(value: Any) -> str:
     """Return a value as written in YAML, shortened to one line."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
-    text = repr(value)
+    text = hidden(repr(value))  # before it is cut: a part of a value would not be found
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
 
 

@@ -44,6 +44,8 @@ def read_gym_config(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{path}:{error.lineno}: malformed JSON: {error.msg}") from error
     except yaml.YAMLError as error:
         raise ConfigError(f"{path}{_where(error)}: malformed YAML: {_why(error)}") from error
+    except RecursionError as error:
+        raise ConfigError(f"{path}: nested too deeply, or an alias is in itself") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from error
     if not isinstance(data, dict):

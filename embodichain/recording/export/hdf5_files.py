@@ -43,7 +43,7 @@ def describe_root(root: Any, log: RecordedLog) -> None:
     args = {
         "env_name": ENV_NAME,
         "type": _GYM_TYPE,
-        "env_kwargs": {"name": log.task, "config": log.config},
+        "env_kwargs": {"name": log.task, "config": log.written_config},
         "control_freq": action["rate_hz"],
         "action": action,
         "lang": instruction_of(log),
