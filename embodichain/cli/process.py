@@ -231,7 +231,8 @@ def report(error: BaseException, *, full: bool = False) -> int:
     if isinstance(error, KeyboardInterrupt):
         code, text = INTERRUPTED, str(error) or "interrupted"
     elif not isinstance(error, ConfigError):
-        hint = "" if full else "\n(--traceback shows where it happened)"
+        said = full or isinstance(error, OSError) and error.errno is not None
+        hint = "" if said else "\n(--traceback shows where it happened)"
         code = WRONG_INPUT if isinstance(error, RenderError) else FAILED
         text = f"error: {_line(error)}{hint}"
     elif len(error.problems) < 2:
@@ -246,7 +247,13 @@ def report(error: BaseException, *, full: bool = False) -> int:
 
 
 def _line(error: BaseException) -> str:
-    """The exception and its notes in one line, with its type unless it is of this package."""
+    """The exception and its notes in one line, with its type unless it is of this package.
+
+    An error of the operating system is its reason, then the file that it is about.
+    """
+    if isinstance(error, OSError) and error.errno is not None and error.strerror:
+        files = [str(name) for name in (error.filename, error.filename2) if name is not None]
+        return f"{error.strerror}: {' -> '.join(files)}" if files else error.strerror
     text = " ".join(" ".join([str(error), *getattr(error, "__notes__", ())]).split())
     name = type(error).__name__
     if type(error).__module__.startswith("embodichain."):

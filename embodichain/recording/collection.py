@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import platform
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -153,8 +154,10 @@ class CollectionWriter:
                 platforms.lock(self._files[success])
                 _cut_half_line(self._files[success])
         except BlockingIOError as error:
+            pid = platforms.locked_by(self._files[success])
+            which = f" (process {pid} on {platform.node()})" if pid is not None else ""
             self.close()
-            raise ConfigError(f"{folder}: another process is collecting into it") from error
+            raise ConfigError(f"{folder}: another process is collecting into it{which}") from error
         except OSError as error:
             self.close()
             raise ConfigError(f"{folder} cannot be written to: {error}") from error

@@ -19,6 +19,7 @@ from mcap.writer import CompressionType, Writer
 from embodichain.recording.log_error import LARGEST_CHUNK
 from embodichain.recording.parts import part_name
 from embodichain.recording.schema import descriptor_set
+from embodichain.utils.atomic import write_text_at
 
 __all__ = ["LogFile"]
 
@@ -248,13 +249,7 @@ class LogFile:
 
     def put_beside(self, name: str, text: str) -> None:
         """Write a small file next to the log, unless a file of that name exists."""
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        try:
-            descriptor = os.open(name, flags, 0o666, dir_fd=self.folder)
-        except FileExistsError:
-            return
-        with open(descriptor, "w") as stream:
-            stream.write(text)
+        write_text_at(self.folder, name, text, new=True)
 
     def roll(self, name: str, finish: Callable[[], None]) -> int:
         """Finish the file and continue in a new one with the same channels.
