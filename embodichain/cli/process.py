@@ -11,6 +11,7 @@ anything else at once; all files are closed before the process ends.
 from __future__ import annotations
 
 import _thread
+import errno
 import gc
 import os
 import signal
@@ -49,6 +50,11 @@ INTERRUPTED = 130
 _SIGNALS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
 ]
+_FAULTS = {
+    *(errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ESTALE),
+    *(errno.ENOMEM, errno.EMFILE, errno.ENFILE),
+}
+"""Errors of the operating system that are about the machine, not about what was typed."""
 _GL = "MUJOCO_GL"
 _TWICE = "interrupted twice: left without closing everything"
 
@@ -224,7 +230,8 @@ def report(error: BaseException, *, full: bool = False) -> int:
 
     Returns:
         2 when the user's input is wrong, or this machine cannot draw what it asks for; 130 when a
-        signal ended the run; else 1.
+        signal ended the run; else 1, also when the input could not be read or used because the
+        disk is full or fails.
     """
     if full and not isinstance(error, Interrupted):
         traceback.print_exception(error, file=sys.stderr)
@@ -236,7 +243,7 @@ def report(error: BaseException, *, full: bool = False) -> int:
         code = WRONG_INPUT if isinstance(error, RenderError) else FAILED
         text = f"error: {_line(error)}{hint}"
     elif len(error.problems) < 2:
-        code, text = WRONG_INPUT, f"error: {error}"
+        code, text = FAILED if _is_fault(error) else WRONG_INPUT, f"error: {error}"
     else:  # one paragraph for each mistake, its lists indented below
         mistakes = (str(problem).replace("\n", "\n    ") for problem in error.problems)
         lines = [f"{len(error.problems)} mistakes:", *(f"  {text}" for text in mistakes)]
@@ -244,6 +251,16 @@ def report(error: BaseException, *, full: bool = False) -> int:
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
     return code
+
+
+def _is_fault(error: BaseException) -> bool:
+    """Whether the machine failed: no other input would have helped."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _FAULTS:
+            return True
+        cause = cause.__cause__
+    return False
 
 
 def _line(error: BaseException) -> str:
