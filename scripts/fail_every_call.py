@@ -46,8 +46,9 @@ def main() -> int:
                 count, found = tried(CASES[name], forks, place, options.most, errors, **how)
                 wrong = [result for result in found if result.wrong]
                 failed = failed or bool(wrong)
-                codes = Counter(result.ended.code for result in found)
+                codes = Counter(r.ended.code for r in found if r.ended.failed)
                 said = ", ".join(f"{times} with code {code}" for code, times in codes.items())
+                said += f", {len(found) - codes.total()} not reached"
                 seconds = time.monotonic() - begun
                 sys.stdout.write(
                     f"{name}: {count} calls, {len(found)} tries ({said}), {len(wrong)} not as "

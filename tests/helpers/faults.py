@@ -13,8 +13,10 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import time
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,9 +24,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 import yaml
 
-__all__ = ["CASES", "Case", "Forks", "Tried", "build", "half_written", "sampled", "tried"]
+__all__ = [
+    "CASES",
+    "KILLS",
+    "Case",
+    "Forks",
+    "Killed",
+    "Tried",
+    "build",
+    "half_written",
+    "killed",
+    "sampled",
+    "tried",
+]
 
 ERRORS = (errno.EIO, errno.ENOSPC)
 SOURCE = Path(__file__).with_name("nth_call.c")
@@ -37,6 +52,10 @@ _WARM = (
     *("embodichain.config.factory", "embodichain.cli.sweeping", "rosbags.typesys"),
     *("embodichain.cli.report_page", "embodichain.recording.export.ros2", "embodichain.tasks"),
 )
+_TEMPORARY = " is temporary"
+_CUT = "EndOfFile"
+_ALONE = ("OpenGL", "mujoco.", "__", "IPython")
+"""Modules that start something where they are imported, which a fork would share."""
 
 
 def build(folder: Path) -> Path | None:
@@ -102,6 +121,7 @@ class Forks:
         number: int = errno.EIO,
         *,
         stays: bool = False,
+        kill_after: float | None = None,
     ) -> Ended:
         """Run a command.
 
@@ -111,12 +131,13 @@ class Forks:
             n: The call that fails, from 1; 0 is none.
             number: The error's number.
             stays: Whether all later calls that write fail too, as on a full disk.
+            kill_after: Seconds after which it is killed (SIGKILL), unless it has ended.
         """
         process = self._process
         if process.stdin is None or process.stdout is None:
             raise RuntimeError("no pipes")
         asked = {"arguments": [*arguments], "below": str(below), "n": n, "number": number}
-        process.stdin.write(json.dumps({**asked, "stays": stays}) + "\n")
+        process.stdin.write(json.dumps({**asked, "stays": stays, "kill": kill_after}) + "\n")
         process.stdin.flush()
         answer = process.stdout.readline()
         if not answer:
@@ -136,7 +157,11 @@ def _serve() -> None:
             importlib.import_module(name)
     for line in sys.stdin:
         asked = json.loads(line)
-        out.write(json.dumps(_forked(asked)) + "\n")
+        answer = _forked(asked)
+        for name in answer.pop("imported"):  # by the first of a kind, and by no other again
+            with suppress(Exception):
+                importlib.import_module(name)
+        out.write(json.dumps(answer) + "\n")
         out.flush()
 
 
@@ -147,19 +172,33 @@ def _forked(asked: dict[str, Any]) -> dict[str, Any]:
         pid = os.fork()
         if not pid:
             _child(asked, err.fileno(), told.fileno())
-        _, status = os.waitpid(pid, 0)
+        status = _waited(pid, asked["kill"])
         err.seek(0)
         told.seek(0)
-        counted = json.loads(told.read() or b'{"count": -1, "failed": ""}')
+        nothing = b'{"count": -1, "failed": "", "imported": []}'
+        counted = json.loads(told.read() or nothing)
         code = os.waitstatus_to_exitcode(status)
         return {"code": code, "err": err.read().decode(errors="replace"), **counted}
+
+
+def _waited(pid: int, kill_after: float | None) -> int:
+    """Wait for a fork, and kill it if it takes longer; returns how it ended."""
+    if kill_after is not None:
+        end = time.monotonic() + kill_after
+        while time.monotonic() < end:
+            if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None:
+                break
+            time.sleep(0.005)
+        else:
+            os.kill(pid, signal.SIGKILL)
+    return os.waitpid(pid, 0)[1]
 
 
 def _child(asked: dict[str, Any], err: int, told: int) -> None:
     """Run a command in a fork, and end it."""
     from embodichain.cli.app import main
 
-    code = 99
+    code, before = 99, set(sys.modules)
     try:
         os.dup2(err, 1)
         os.dup2(err, 2)
@@ -173,6 +212,9 @@ def _child(asked: dict[str, Any], err: int, told: int) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         counted = {"count": library.nth_count(), "failed": library.nth_failed().decode()}
+        counted["imported"] = [
+            name for name in sys.modules if name not in before and not name.startswith(_ALONE)
+        ]
         os.write(told, json.dumps(counted).encode())
     finally:
         os._exit(code)
@@ -190,7 +232,7 @@ def half_written(folder: Path) -> list[str]:
     for path in sorted(folder.rglob("*")):
         name = str(path.relative_to(folder))
         if ".part" in path.name and path.name.startswith("."):
-            found.append(f"{name} is temporary")
+            found.append(f"{name}{_TEMPORARY}")
         elif path.is_file() and (why := _damage(path)):
             found.append(f"{name}: {why}")
         elif path.is_symlink() and not path.exists():
@@ -278,7 +320,8 @@ class Case:
         result: Of the folder after a command that ended well: what must be the same.
         prepare: Commands before it, in which nothing fails.
         again: The command after a fault; None is the same.
-        folder: The final name that must not exist after a failure, relative; empty is any.
+        output: The final name that must not exist after a failure, relative; empty is any.
+        part: Of a folder in which it was killed, and of a whole one: what differs in what is there.
     """
 
     name: str
@@ -287,6 +330,7 @@ class Case:
     prepare: tuple[tuple[str, ...], ...] = ()
     again: Callable[[Path], tuple[str, ...] | None] = field(default=lambda folder: None)
     output: str = ""
+    part: Callable[[Path, Path], list[str]] | None = None
 
 
 @dataclass(frozen=True)
@@ -396,8 +440,8 @@ def _try(
 def _said_wrong(ended: Ended) -> list[str]:
     """What is wrong with exit code and stderr of a command in which a call failed."""
     wrong = []
-    if not ended.failed:
-        return [f"nothing failed: {ended.count} calls, exit code {ended.code}: {ended.err[-300:]}"]
+    if not ended.failed:  # it made fewer calls this time: a log is flushed every second
+        return [f"exit code {ended.code}: {ended.err[-300:]}"] if ended.code else []
     if ended.code not in (0, 1):
         wrong.append(f"exit code {ended.code}")
     for word in ("Traceback", "Exception ignored", "Error executing", "Fatal"):
@@ -410,6 +454,92 @@ def _said_wrong(ended: Ended) -> list[str]:
     if not any(text in ended.err for text in reason):
         wrong.append("the reason is not said")
     return wrong
+
+
+@dataclass(frozen=True)
+class Killed:
+    """What came of a kill.
+
+    Attributes:
+        after: Seconds after which the command was killed.
+        ended: Whether it had ended before.
+        left: Number of temporary files that it left.
+        wrong: What is not as promised.
+    """
+
+    after: float
+    ended: bool
+    left: int
+    wrong: list[str]
+
+
+def killed(
+    case: Case,
+    forks: Forks,
+    place: Path,
+    moments: Sequence[float],
+    report: Callable[[Killed], None] = lambda found: None,
+) -> list[Killed]:
+    """Kill a case (SIGKILL) and go on with it; return what came.
+
+    Args:
+        case: The verb.
+        forks: Runs it.
+        place: A folder for it.
+        moments: Shares of the time that it takes.
+        report: Called with each result.
+    """
+    with _prepared(case, forks, place) as start:
+        whole = place / f"{case.name}-whole"
+        shutil.copytree(start, whole, symlinks=True)
+        forks.run(case.arguments, whole)  # imports what the next does not import again
+        shutil.rmtree(whole)
+        shutil.copytree(start, whole, symlinks=True)
+        begun = time.monotonic()
+        ended = forks.run(case.arguments, whole)
+        seconds = time.monotonic() - begun
+        if ended.code or half_written(whole):
+            raise RuntimeError(f"{case.name}: {ended.err} {half_written(whole)}")
+        wanted = case.result(whole)
+        found = []
+        for moment in moments:
+            folder = place / f"{case.name}-killed"
+            shutil.copytree(start, folder, symlinks=True)
+            after = moment * seconds
+            ended = forks.run(case.arguments, folder, kill_after=after)
+            result = _after_kill(case, forks, folder, whole, ended, after, wanted)
+            shutil.rmtree(folder, ignore_errors=True)
+            found.append(result)
+            report(result)
+        shutil.rmtree(whole, ignore_errors=True)
+        return found
+
+
+def _after_kill(
+    case: Case,
+    forks: Forks,
+    folder: Path,
+    whole: Path,
+    ended: Ended,
+    after: float,
+    wanted: object,
+) -> Killed:
+    damage = half_written(folder)
+    left = [what for what in damage if what.endswith(_TEMPORARY)]
+    wrong = [what for what in damage if what not in left and not what.endswith(_CUT)]
+    wrong += [] if ended.code in (0, -signal.SIGKILL) else [f"exit code {ended.code}"]
+    if ended.code:
+        again = forks.run(case.again(folder) or case.arguments, folder)
+        if again.code:
+            wrong.append(f"again: exit code {again.code}: {again.err.strip()}")
+        elif case.result(folder) != wanted:
+            wrong.append("again: another result")
+    if case.part is not None:
+        wrong += case.part(folder, whole)
+    for log in _folders(folder, "**/rollout*.mcap"):
+        forks.run(("replay", str(log)), folder)  # any command that reads there
+    wrong += [f"again: {w}" for w in half_written(folder) if not w.endswith(_CUT)]
+    return Killed(after, ended.code == 0, len(left), wrong)
 
 
 # -- the cases -------------------------------------------------------------------------------------
@@ -437,7 +567,7 @@ def _steps_of(log: Path) -> object:
 
 
 def _ran(place: Path) -> object:
-    newest = _folders(place, "outputs/*/*/rollout.mcap")[-1]
+    newest = _folders(place, "outputs/2*/*/rollout.mcap")[-1]
     summary = json.loads((newest.parent / "summary.json").read_text())
     return summary["status"], summary["control_steps"], _steps_of(newest)
 
@@ -445,7 +575,7 @@ def _ran(place: Path) -> object:
 def _trained(place: Path) -> object:
     import torch
 
-    (*_, job) = (path.parent for path in _folders(place, "outputs/*/*/summary.json"))
+    (*_, job) = (path.parent for path in _folders(place, "outputs/2*/*/summary.json"))
     summary = json.loads((job / "summary.json").read_text())
     with zipfile.ZipFile(job / "checkpoints/final.zip") as archive:
         state = torch.load(io.BytesIO(archive.read("policy.pth")), weights_only=True)
@@ -457,7 +587,7 @@ def _resume_training(place: Path) -> tuple[str, ...] | None:
     from embodichain.learning.keeper import find_resumable
     from embodichain.utils.errors import EmbodichainError
 
-    for folder in reversed(_folders(place, "outputs/*/*")):
+    for folder in (path.parent for path in _folders(place, "outputs/2*/*/checkpoints")[::-1]):
         try:
             find_resumable(folder)
         except EmbodichainError:
@@ -469,13 +599,13 @@ def _resume_training(place: Path) -> tuple[str, ...] | None:
 def _collected(place: Path) -> object:
     from embodichain.recording.collection import read_collection
 
-    folder = _folders(place, "outputs/*/*")[-1]
+    folder = _folders(place, "outputs/2*/*/successes.jsonl")[-1].parent
     found = [(e.attempt, e.steps, e.total_reward) for e in read_collection(folder)]
     return found, json.loads((folder / "summary.json").read_text())["status"]
 
 
 def _resume_collection(place: Path) -> tuple[str, ...] | None:
-    folders = [path.parent for path in _folders(place, "outputs/*/*/successes.jsonl")]
+    folders = [path.parent for path in _folders(place, "outputs/2*/*/successes.jsonl")]
     ready = [path for path in folders if (path / "config.yaml").stat().st_size]
     return ("collect", f"resume={ready[-1]}", "quiet=true") if ready else None
 
@@ -526,6 +656,60 @@ CASES: dict[str, Case] = {
         ),
     )
 }
+
+
+def _logs_agree(folder: Path, whole: Path) -> list[str]:
+    """Compare the logs of a folder with the whole one, as far as they go."""
+    from embodichain import recording
+    from embodichain.recording.log_error import LogError
+
+    wrong = []
+    with recording.open(_folders(whole, "outputs/2*/*/rollout.mcap")[-1]) as log:
+        wanted = log.read()
+    for path in _folders(folder, "outputs/2*/*/rollout.mcap"):
+        try:
+            with recording.open(path) as log:
+                found = log.read()
+        except LogError:
+            continue  # no step is in it
+        count = len(found)
+        for name in found:
+            if not np.array_equal(found[name], wanted[name][:count], equal_nan=True):
+                wrong.append(f"{path}: {name} differs in {count} steps")
+    return wrong
+
+
+_LONG = (*_RUN[:2], *_SMALL[:3], "max_steps=1500", "policy=zero", "quiet=true", "episodes=100")
+
+
+def _recorded(name: str, *more: str) -> Case:
+    return Case(name, (*_LONG, *more), _ran, part=_logs_agree)
+
+
+def _learning(name: str, *more: str) -> Case:
+    words = ("train", "task=cart_pole", "num_envs=2", "seed=1", "sim.num_threads=1", "quiet=true")
+    often = ("checkpoint.every_steps=64", "checkpoint.keep=2", "eval.episodes=0")
+    return Case(name, (*words, *often, *more), _trained, again=_resume_training)
+
+
+KILLS: dict[str, Case] = {
+    case.name: case
+    for case in (
+        _recorded("run"),
+        _recorded("run-keyframes", "record.state=keyframes"),
+        _recorded("run-every", "record.every=2"),
+        _recorded("run-max_mb", "record.max_mb=0.5"),
+        _learning("train-ppo", "total_timesteps=384", "algo.n_steps=16", "algo.batch_size=16"),
+        _learning(
+            *("train-sac", "algo=sac", "total_timesteps=384", "algo.learning_starts=50"),
+            "checkpoint.replay_buffer=true",
+        ),
+        _learning("train-rsl_rl", "algo=rsl_rl_ppo", "total_timesteps=384"),
+        _learning("train-skrl", "algo=skrl_ppo", "total_timesteps=384"),
+        CASES["collect"],
+    )
+}
+"""Commands to kill, with all options of recording and learners of each kind."""
 
 if __name__ == "__main__":
     _serve()
