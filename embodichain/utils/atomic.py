@@ -6,6 +6,7 @@ left that was killed is removed by the next one that writes in the folder.
 
 from __future__ import annotations
 
+import errno
 import itertools
 import os
 import re
@@ -27,6 +28,8 @@ __all__ = [
 ]
 
 _NAME = re.compile(r"\..*\.(?P<process>[0-9a-f]{8}-\d+-\d+)-\d+\.part(\.[^.]*)?", re.DOTALL)
+_FAILS = (errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.ESTALE, errno.EROFS)
+"""Errors of a disk, not of one that has no links."""
 _numbers = itertools.count(1)
 
 
@@ -130,9 +133,10 @@ def move_new(temporary: Path, path: Path) -> None:
     _sync(temporary)
     try:
         os.link(temporary, path)  # unlike a rename, it fails if the name exists
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without links: create the file, then replace it
+    except OSError as error:
+        if isinstance(error, FileExistsError) or error.errno in _FAILS:
+            raise
+        # A file system without links: create the file, then replace it.
         path.open("xb").close()
         try:
             os.replace(temporary, path)
