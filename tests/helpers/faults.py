@@ -578,7 +578,10 @@ def _trained(place: Path) -> object:
     (*_, job) = (path.parent for path in _folders(place, "outputs/2*/*/summary.json"))
     summary = json.loads((job / "summary.json").read_text())
     with zipfile.ZipFile(job / "checkpoints/final.zip") as archive:
-        state = torch.load(io.BytesIO(archive.read("policy.pth")), weights_only=True)
+        if "policy.pt" in archive.namelist():  # of rsl_rl or skrl
+            state = torch.jit.load(io.BytesIO(archive.read("policy.pt"))).state_dict()  # type: ignore[no-untyped-call]
+        else:
+            state = torch.load(io.BytesIO(archive.read("policy.pth")), weights_only=True)
     values = [summary[key] for key in ("status", "env_steps", "mean_return", "objective")]
     return values, {key: value.numpy().tobytes() for key, value in state.items()}
 
@@ -679,7 +682,7 @@ def _logs_agree(folder: Path, whole: Path) -> list[str]:
         except LogError:
             continue  # no step is in it
         count = len(found)
-        for name in found:
+        for name in found if count else ():
             if not np.array_equal(found[name], wanted[name][:count], equal_nan=True):
                 wrong.append(f"{path}: {name} differs in {count} steps")
     return wrong
