@@ -71,6 +71,7 @@ def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
     Raises:
         ConfigError: There is no such collection, it is complete, or a key may not change.
     """
+    from embodichain.cli.sweep_jobs import read_summary
     from embodichain.config.rerun import read_config, task_of
     from embodichain.config.resolved import resolve_tree
     from embodichain.recording.collection import SUCCESSES, read_collection
@@ -84,7 +85,7 @@ def _resumed(overrides: Sequence[str]) -> tuple[Resolved, Path]:
     tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
     source = str(folder / CONFIG)
     found = resolve_tree(tree, source, "collect", task_name=task_of(folder), allow_import=True)
-    if done >= (found.root.episodes or 0):
+    if done >= (found.root.episodes or 0) and read_summary(folder).get("status") == "finished":
         message = f"{folder} has {done} successful episodes already: give more, episodes=N"
         raise ConfigError([Problem("episodes", message)])
     return dataclasses.replace(found, overrides=tuple(overrides)), folder
@@ -147,6 +148,10 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
         collected.add(episode)
     collected.failures_in_a_row = 0
     known = [[e.attempt for e in before if e.success is success] for success in (True, False)]
+    if before and collected.successes >= wanted:  # it ended before it could say so
+        logs = sorted({e.log for e in before})
+        log = str(job.folder / before[-1].log)
+        return _counted(job, collected, 0, 0, 0.0) | {"log": log, "logs": logs}
     attempts = Attempts(wanted, *known)
     count = min(root.num_envs or 1, wanted - collected.successes)
     name = new_log(job.folder, LOG)
@@ -208,21 +213,29 @@ def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
             collector.write()
         seconds = time.perf_counter() - start
         display.show(collected.successes, _facts(collected, wanted, rate()))
+    counted = _counted(job, collected, env.num_envs, steps, seconds)
+    return counted | {"status": status, "episodes_per_minute": round(60 * rate(), 3)}
+
+
+def _counted(
+    job: Job, collected: Collected, num_envs: int, steps: int, seconds: float
+) -> dict[str, Any]:
+    """What a summary counts, of a collection that is complete."""
     return {
-        "status": status,
-        "signal": stop.stopped,
-        "num_envs": env.num_envs,
+        "status": "finished",
+        "signal": job.stop.stopped,
+        "num_envs": num_envs,
         "successes": collected.successes,
-        "successes_wanted": wanted,
+        "successes_wanted": job.root.episodes or 1,
         "failures": collected.failures,
         "yield": collected.share,
         "failed_in": dict(collected.failed_in.most_common()),
-        "episodes_per_minute": round(60 * rate(), 3),
+        "episodes_per_minute": 0.0,
         "mean_length": collected.mean_length,
         "control_steps": steps,
-        "env_steps": steps * env.num_envs,
+        "env_steps": steps * num_envs,
         "seconds": round(seconds, 6),
-        "fps": round(steps * env.num_envs / seconds, 3),
+        "fps": round(steps * num_envs / seconds, 3) if seconds else 0.0,
     }
 
 

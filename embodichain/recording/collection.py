@@ -174,7 +174,8 @@ class CollectionWriter:
         Raises:
             OSError: They could not be written, for example because the disk is full.
         """
-        lines: dict[bool, list[str]] = {True: [], False: []}
+        # Failures first: with the last success, a collection is complete.
+        lines: dict[bool, list[str]] = {False: [], True: []}
         for episode in episodes:
             text = json.dumps(dataclasses.asdict(episode), allow_nan=False)
             lines[episode.success].append(text + "\n")

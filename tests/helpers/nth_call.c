@@ -222,5 +222,24 @@ ON_PATHS(link, (const char *a, const char *b), (a, b), AT_FDCWD, b, const char *
 ON_PATHS(linkat, (int x, const char *a, int y, const char *b, int f), (x, a, y, b, f), y, b, int, const char *, int, const char *, int)
 ON_PATHS(symlink, (const char *a, const char *b), (a, b), AT_FDCWD, b, const char *, const char *)
 ON_PATHS(symlinkat, (const char *a, int y, const char *b), (a, y, b), y, b, const char *, int, const char *)
-ON_PATHS(mkdir, (const char *a, mode_t m), (a, m), AT_FDCWD, a, const char *, mode_t)
-ON_PATHS(mkdirat, (int x, const char *a, mode_t m), (x, a, m), x, a, int, const char *, mode_t)
+
+/* A folder that is there need not be made: callers take any error for that. */
+static int makes(const char *call, const char *path) {
+    int number = errno, there = !access(path, F_OK);
+    errno = number;
+    return !there && fails(call, path, 1);
+}
+
+int mkdir(const char *path, mode_t mode) {
+    REAL(int, "mkdir", const char *, mode_t);
+    char whole[PATH_MAX];
+    if (is_below(AT_FDCWD, path, whole) && makes("mkdir", whole)) return -1;
+    return real(path, mode);
+}
+
+int mkdirat(int at, const char *path, mode_t mode) {
+    REAL(int, "mkdirat", int, const char *, mode_t);
+    char whole[PATH_MAX];
+    if (is_below(at, path, whole) && makes("mkdirat", whole)) return -1;
+    return real(at, path, mode);
+}
