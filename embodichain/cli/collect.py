@@ -115,7 +115,7 @@ def collect_job(job: Job) -> float | None:
             try:
                 _write_summary(job.folder, {**about, "status": "failed", "error": repr(error)})
             except OSError as second:  # a full disk fails here too; the first error is reported
-                _log.error("%s could not be written: %s", SUMMARY, second)
+                _log.warning("%s could not be written: %s", SUMMARY, second)
             raise
         _write_summary(job.folder, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))

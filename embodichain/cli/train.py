@@ -134,7 +134,7 @@ def _said_if_failed(job: Job, algo: str) -> Iterator[None]:
         try:
             write_text(job.folder / SUMMARY, to_json(failed, indent=2) + "\n")
         except OSError as second:  # a full disk fails here too; the first error is reported
-            _log.error("%s could not be written: %s", SUMMARY, second)
+            _log.warning("%s could not be written: %s", SUMMARY, second)
         raise
 
 
