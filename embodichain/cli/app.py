@@ -487,10 +487,13 @@ def complete_last(ctx: click.Context, parameter: click.Parameter, incomplete: st
 def log_of(name: str) -> Path:
     """Return the log of a name: a file, a run's folder, or ``last`` for the newest run.
 
+    Temporary files of processes that were killed are removed from its folder.
+
     Raises:
         ConfigError: There is no log yet, no such file, or the folder has none.
     """
     from embodichain.config.run_folder import LOG, SHARDS, newest_run, perhaps_last
+    from embodichain.utils.atomic import remove_abandoned
 
     path = newest_run("outputs", LOG, SHARDS) if name == "last" else Path(name)
     if path is None:
@@ -501,6 +504,7 @@ def log_of(name: str) -> Path:
         take_last(path)
     if not path.exists():
         raise ConfigError(f"{name} does not exist{perhaps_last(name)}")
+    remove_abandoned(path if path.is_dir() else path.parent)
     if not path.is_dir():
         return path
     log = path.resolve() / LOG

@@ -64,7 +64,8 @@ def command(**kwargs: Any) -> None:
         start("collect", collect_job, options)
     else:
         resolved, folder, done = _resumed(lines)
-        if done >= (resolved.root.episodes or 0):  # a loop that starts it again ends well
+        summed_up = read_summary(folder).get("status") == "finished"
+        if summed_up and done >= (resolved.root.episodes or 0):  # a loop that starts it again ends
             what = f"{folder} has {done} successful episodes: episodes=N collects more"
             sys.stderr.write(f"finished already: {what}\n")
             if resolved.root.json:
@@ -121,7 +122,7 @@ def collect_job(job: Job) -> float | None:
             try:
                 _write_summary(job, {**about, "status": "failed", "error": repr(error)})
             except OSError as second:  # a full disk fails here too; the first error is reported
-                _log.error("%s could not be written: %s", SUMMARY, second)
+                _log.warning("%s could not be written: %s", SUMMARY, second)
             raise
         _write_summary(job, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
@@ -154,6 +155,10 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
         collected.add(episode)
     collected.failures_in_a_row = 0
     known = [[e.attempt for e in before if e.success is success] for success in (True, False)]
+    if before and collected.successes >= wanted:  # it ended before it could say so
+        logs = sorted({e.log for e in before})
+        log = str(job.folder / before[-1].log)
+        return _counted(job, collected, 0, 0, 0.0) | {"log": log, "logs": logs}
     attempts = Attempts(wanted, *known)
     count = min(root.num_envs or 1, wanted - collected.successes)
     name = new_log(job.folder, LOG)
@@ -215,21 +220,29 @@ def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
             collector.write()
         seconds = time.perf_counter() - start
         display.show(collected.successes, _facts(collected, wanted, rate()))
+    counted = _counted(job, collected, env.num_envs, steps, seconds)
+    return counted | {"status": status, "episodes_per_minute": round(60 * rate(), 3)}
+
+
+def _counted(
+    job: Job, collected: Collected, num_envs: int, steps: int, seconds: float
+) -> dict[str, Any]:
+    """What a summary counts, of a collection that is complete."""
     return {
-        "status": status,
-        "signal": stop.stopped,
-        "num_envs": env.num_envs,
+        "status": "finished",
+        "signal": job.stop.stopped,
+        "num_envs": num_envs,
         "successes": collected.successes,
-        "successes_wanted": wanted,
+        "successes_wanted": job.root.episodes or 1,
         "failures": collected.failures,
         "yield": collected.share,
         "failed_in": dict(collected.failed_in.most_common()),
-        "episodes_per_minute": round(60 * rate(), 3),
+        "episodes_per_minute": 0.0,
         "mean_length": collected.mean_length,
         "control_steps": steps,
-        "env_steps": steps * env.num_envs,
+        "env_steps": steps * num_envs,
         "seconds": round(seconds, 6),
-        "fps": round(steps * env.num_envs / seconds, 3),
+        "fps": round(steps * num_envs / seconds, 3) if seconds else 0.0,
     }
 
 

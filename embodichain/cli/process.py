@@ -11,6 +11,7 @@ anything else at once; all files are closed before the process ends.
 from __future__ import annotations
 
 import _thread
+import errno
 import gc
 import os
 import signal
@@ -51,6 +52,11 @@ INTERRUPTED = 130
 _SIGNALS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
 ]
+_FAULTS = {
+    *(errno.EIO, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ESTALE),
+    *(errno.ENOMEM, errno.EMFILE, errno.ENFILE),
+}
+"""Errors of the operating system that are about the machine, not about what was typed."""
 _GL = "MUJOCO_GL"
 _TWICE = "interrupted twice: left without closing everything"
 
@@ -245,18 +251,20 @@ def report(error: BaseException, *, full: bool = False) -> int:
 
     Returns:
         2 when the user's input is wrong, or this machine cannot draw what it asks for; 130 when a
-        signal ended the run; else 1.
+        signal ended the run; else 1, also when the input could not be read or used because the
+        disk is full or fails.
     """
     if full and not isinstance(error, Interrupted):
         sys.stderr.write(hidden("".join(traceback.format_exception(error))))
     if isinstance(error, KeyboardInterrupt):
         code, text = INTERRUPTED, str(error) or "interrupted"
     elif not isinstance(error, ConfigError):
-        hint = "" if full else "\n(--traceback shows where it happened)"
+        said = full or isinstance(error, OSError) and error.errno is not None
+        hint = "" if said else "\n(--traceback shows where it happened)"
         code = WRONG_INPUT if isinstance(error, RenderError) else FAILED
         text = f"error: {_line(error)}{hint}"
     elif len(error.problems) < 2:
-        code, text = WRONG_INPUT, f"error: {error}"
+        code, text = FAILED if _is_fault(error) else WRONG_INPUT, f"error: {error}"
     else:  # one paragraph for each mistake, its lists indented below
         mistakes = (str(problem).replace("\n", "\n    ") for problem in error.problems)
         lines = [f"{len(error.problems)} mistakes:", *(f"  {text}" for text in mistakes)]
@@ -266,8 +274,24 @@ def report(error: BaseException, *, full: bool = False) -> int:
     return code
 
 
+def _is_fault(error: BaseException) -> bool:
+    """Whether the machine failed: no other input would have helped."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _FAULTS:
+            return True
+        cause = cause.__cause__
+    return False
+
+
 def _line(error: BaseException) -> str:
-    """The exception and its notes in one line, with its type unless it is of this package."""
+    """The exception and its notes in one line, with its type unless it is of this package.
+
+    An error of the operating system is its reason, then the file that it is about.
+    """
+    if isinstance(error, OSError) and error.errno is not None and error.strerror:
+        files = [str(name) for name in (error.filename, error.filename2) if name is not None]
+        return f"{error.strerror}: {' -> '.join(files)}" if files else error.strerror
     text = " ".join(" ".join([str(error), *getattr(error, "__notes__", ())]).split())
     name = type(error).__name__
     if type(error).__module__.startswith("embodichain."):

@@ -8,10 +8,11 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 from urllib.parse import urlsplit
@@ -32,6 +33,7 @@ __all__ = [
     "warnings_on_stderr",
 ]
 
+_log = logging.getLogger(__name__)
 _LINE_PERIOD = 10.0
 _FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
 
@@ -147,7 +149,7 @@ def log_to(path: Path) -> Iterator[logging.Logger]:
     root.addHandler(file)
     root.setLevel(logging.INFO)
     try:
-        with warnings_on_stderr():
+        with warnings_on_stderr(), _threads_report():
             yield logging.getLogger("embodichain.run")
     except BaseException as error:
         # Without the handler for the terminal: that gets a report of one line, later.
@@ -159,6 +161,29 @@ def log_to(path: Path) -> Iterator[logging.Logger]:
         root.setLevel(level)
         root.removeHandler(file)
         file.close()
+
+
+@contextmanager
+def _threads_report() -> Iterator[None]:
+    """Report an exception that ends a thread in one line, its traceback in the log file.
+
+    Libraries write files in threads of their own (TensorBoard's), and raise what failed there
+    again where they are called next.
+    """
+    before = threading.excepthook
+
+    def report(ended: threading.ExceptHookArgs) -> None:
+        if issubclass(ended.exc_type, SystemExit) or ended.exc_value is None:
+            return
+        name = "a thread" if ended.thread is None else f"thread {ended.thread.name}"
+        _log.warning("%s ended: %s: %s", name, ended.exc_type.__name__, ended.exc_value)
+        logging.getLogger("run").error("ended in %s", name, exc_info=ended.exc_value)
+
+    threading.excepthook = report
+    try:
+        yield
+    finally:
+        threading.excepthook = before
 
 
 @contextmanager
@@ -200,16 +225,19 @@ class _File(logging.FileHandler):
 
     def handleError(self, record: logging.LogRecord) -> None:
         """Report the first failure."""
-        if not self._failed:
-            self._failed = True
-            sys.stderr.write(
-                f"warning: {self.baseFilename} cannot be written: {sys.exc_info()[1]}\n"
-            )
+        self._report(sys.exc_info()[1])
 
     def close(self) -> None:
         """Close the file; data that could not be written are lost."""
-        with suppress(OSError):
+        try:
             super().close()
+        except OSError as error:
+            self._report(error)
+
+    def _report(self, error: BaseException | None) -> None:
+        if not self._failed:
+            self._failed = True
+            sys.stderr.write(f"warning: {self.baseFilename} cannot be written: {error}\n")
 
 
 def _is_ours(record: logging.LogRecord) -> bool:

@@ -73,7 +73,7 @@ def parsed_changes(
 
 
 def resumed_folder(name: str, newest: Path | None, what: str) -> Path:
-    """Return the folder of the run to resume.
+    """Return the folder of the run to resume, without temporary files of killed processes.
 
     Args:
         name: As typed; ``last`` is `newest`.
@@ -83,7 +83,8 @@ def resumed_folder(name: str, newest: Path | None, what: str) -> Path:
     Raises:
         ConfigError: There is none, or it has no config.
     """
-    from embodichain.config.run_folder import CONFIG, perhaps_last
+    from embodichain.config.run_folder import CHECKPOINT, CONFIG, perhaps_last
+    from embodichain.utils.atomic import remove_abandoned
 
     found = newest if name == "last" else Path(name)
     if found is None:
@@ -93,6 +94,8 @@ def resumed_folder(name: str, newest: Path | None, what: str) -> Path:
         raise ConfigError([Problem("resume", message)])
     if name == "last":
         take_last(found)
+    for folder in (found, found / Path(CHECKPOINT).parent):
+        remove_abandoned(folder)
     return found.resolve()
 
 

@@ -65,7 +65,7 @@ def run_job(job: Job) -> float | None:
         try:
             _write_summary(job, {**facts, "status": "failed", "error": repr(error)})
         except OSError as second:  # a full disk fails here too; the first error is reported
-            _log.error("%s could not be written: %s", SUMMARY, second)
+            _log.warning("%s could not be written: %s", SUMMARY, second)
         raise
     if log is not None:
         facts |= {"log": str(log.path), "log_bytes": log.nbytes}

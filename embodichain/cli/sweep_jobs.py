@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import platform
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TextIO
 
 import yaml
 
@@ -26,6 +28,7 @@ from embodichain.config.rerun import read_config
 from embodichain.config.resolved import Resolved, dump_yaml
 from embodichain.config.run_folder import CONFIG, SUMMARY, adopt
 from embodichain.config.schema import Verb
+from embodichain.utils import platforms
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 __all__ = [
@@ -209,7 +212,7 @@ def _locked(folder: Path) -> Iterator[None]:
     path = folder.with_name(f".{folder.name}.lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        stream = path.open("a")
+        stream = path.open("a+", encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"cannot make the run folder {folder}: {error}") from error
     with stream:
@@ -218,10 +221,30 @@ def _locked(folder: Path) -> Iterator[None]:
 
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise JobRunsError(f"{folder}: another process runs this job now") from error
+            message = f"{folder}: another process runs this job now{_owner(stream)}"
+            raise JobRunsError(message) from error
         except (ImportError, OSError) as error:  # Windows, and some network file systems
             _log.warning("%s cannot be locked (%s): start no job of it twice", folder, error)
+        _note_owner(stream)
         yield
+
+
+def _owner(stream: TextIO) -> str:
+    """Whose a lock is, in brackets; empty where that is not known."""
+    pid = platforms.locked_by(stream.fileno())
+    if pid is not None:
+        return f" (process {pid} on {platform.node()})"
+    stream.seek(0)
+    said = stream.read().strip()  # by a process of another machine
+    return f" ({said})" if said else ""
+
+
+def _note_owner(stream: TextIO) -> None:
+    """Write into a lock's file whose it is now, for the message of others."""
+    with suppress(OSError):  # the lock holds on a full disk, too
+        stream.truncate(0)
+        stream.write(f"process {os.getpid()} on {platform.node()}\n")
+        stream.flush()
 
 
 def _check_same(folder: Path, earlier: Mapping[str, Any], resolved: Resolved) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import signal
 import sys
 import threading
@@ -22,11 +23,14 @@ from embodichain.cli.sweep_progress import shown_progress
 from embodichain.config.run_folder import CONFIG
 from embodichain.config.schema import Verb
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
+from embodichain.utils.processes import end_with, own_process
 
 __all__ = ["SweepError", "run_sweep"]
 
 _PACKAGES = {"slurm": "submitit", "ray": "ray"}
 _HYDRAS_NAME = "hydra_plugins.embodichain.{}"
+_BACKEND = "loky"
+_ENDED_BY = " ERROR   run: ended by "
 _TAIL = 12
 """Lines of a log that are shown of a job that failed."""
 
@@ -57,7 +61,7 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
     try:
         with (
             shown_progress(plan.folder, plan.keys, plan.jobs) if shown else nullcontext(),
-            _stopping_workers(stop, plan.folder) if plan.launcher == "joblib" else nullcontext(),
+            _workers_of_joblib(stop, plan.folder) if plan.launcher == "joblib" else nullcontext(),
         ):
             job()
     except KeyboardInterrupt as error:
@@ -72,14 +76,48 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
         failed = _unfinished(plan.folder, verb) if plan.folder.is_dir() else []
         if not failed or _is_about_hydra(error):
             raise
-        sys.stderr.write(f"{error}\n")
+        killed = _killed_worker(error)
+        sys.stderr.write(f"{killed or error}\n")
         for name in failed:
-            _show(plan.folder, name)
+            if not killed or _says_why(plan.folder / name):
+                _show(plan.folder, name)
         raise SweepError(_summed_up(plan, verb)) from error
     if verb == "train":
         from embodichain.cli.sweep_report import report_sweep
 
         report_sweep(plan.folder, quiet=quiet)
+
+
+@contextmanager
+def _workers_of_joblib(stop: StopFlag, folder: Path) -> Iterator[None]:
+    """Inside the context, workers of joblib save at a signal, and none outlives this process."""
+    with _ending_with_this(), _stopping_workers(stop, folder):
+        yield
+
+
+@contextmanager
+def _ending_with_this() -> Iterator[None]:
+    """Let the workers of joblib end with this process, also where it is killed.
+
+    A worker waits for its next job and for the place of a result, in pipes that stay open as long
+    as other workers live. Hydra names the backend that it uses; here that name means another one.
+    """
+    from joblib import register_parallel_backend
+    from joblib._parallel_backends import LokyBackend
+
+    parent = own_process()
+
+    class Watched(LokyBackend):  # type: ignore[misc]
+        """Loky's backend, whose workers watch their parent before they do anything else."""
+
+        def configure(self, *args: Any, **kwargs: Any) -> Any:
+            return super().configure(*args, initializer=end_with, initargs=(parent,), **kwargs)
+
+    register_parallel_backend(_BACKEND, Watched)
+    try:
+        yield
+    finally:
+        register_parallel_backend(_BACKEND, LokyBackend)
 
 
 @contextmanager
@@ -178,6 +216,25 @@ def _summed_up(plan: Plan, verb: Verb) -> str:
     failed = f"; not done: {', '.join(unfinished)}" if unfinished else ""
     again = f"the same command with hydra.sweep.dir={plan.folder} does the rest"
     return f"{len(done)} of {plan.jobs} jobs are done{names}{failed}; {again}"
+
+
+def _killed_worker(error: Exception) -> str:
+    """What joblib's error about a worker that was killed says; empty for another error."""
+    if not any(kind.__name__ == "BrokenProcessPool" for kind in type(error).__mro__):
+        return ""
+    found = re.findall(r"[A-Z][A-Z0-9_]+\(-?\d+\)", str(error))
+    how = f" ({', '.join(dict.fromkeys(found))})" if found else ""
+    return (
+        f"a worker was killed{how}, perhaps because there was no memory left; "
+        "joblib has ended the other workers with it"
+    )
+
+
+def _says_why(folder: Path) -> bool:
+    """Whether a job's log has an error, and did not just end with its process."""
+    with suppress(OSError):
+        return _ENDED_BY in (folder / "run.log").read_text(encoding="utf-8", errors="replace")
+    return False
 
 
 def _show(sweep: Path, name: str) -> None:

@@ -51,7 +51,7 @@ from embodichain.config.resolved import Resolved, resolve
 from embodichain.config.run_folder import adopt, check_unused, missing_folders, take_back
 from embodichain.config.schema import Verb
 from embodichain.config.viewer_access import refuse_token
-from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["call_hydra", "points", "towards_scores"]
 
@@ -84,7 +84,7 @@ def call_hydra(
     """
     plan: Plan | None = None
     made: list[Path] = []
-    failed: list[EmbodichainError] = []
+    failed: list[Exception] = []
     gym = any(line.lstrip("+").startswith("gym_config=") for line in overrides)
     if options.cfg is not None or options.info is not None:
         if options.cfg is not None and gym:
@@ -136,7 +136,7 @@ def call_hydra(
             undo = partial(take_back, Path(folder), before, new)
             try:
                 return do(resolved, adopt(folder), False, undo)
-            except EmbodichainError as error:  # Hydra would put a line of its own above it
+            except Exception as error:  # noqa: BLE001  (raised below: Hydra adds a line of its own)
                 failed.append(error)
                 return None
 

@@ -135,7 +135,7 @@ def _said_if_failed(job: Job, algo: str) -> Iterator[None]:
             text = to_json(job.resolved.record(failed), indent=2)
             write_text(job.folder / SUMMARY, text + "\n")
         except OSError as second:  # a full disk fails here too; the first error is reported
-            _log.error("%s could not be written: %s", SUMMARY, second)
+            _log.warning("%s could not be written: %s", SUMMARY, second)
         raise
 
 

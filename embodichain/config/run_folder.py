@@ -15,6 +15,7 @@ from collections.abc import Collection, Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
 
+from embodichain.utils.atomic import remove_abandoned, temporary_name
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -289,9 +290,13 @@ def _point_latest(root: Path, folder: Path) -> None:
     link = root / LATEST
     if link.exists() and not link.is_symlink():
         raise FileExistsError(f"{link} is not a link; move it away")
-    temporary = root / f".{LATEST}.{folder.parent.name}.{folder.name}"
-    temporary.symlink_to(folder.relative_to(root), target_is_directory=True)
-    os.replace(temporary, link)
+    remove_abandoned(root)
+    temporary = root / temporary_name(LATEST)
+    try:
+        temporary.symlink_to(folder.relative_to(root), target_is_directory=True)
+        os.replace(temporary, link)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _began(run: Path) -> tuple[int, str]:

@@ -116,6 +116,7 @@ class _ContinuedCsv(CSVOutputFormat):
     def __init__(self, path: Path, env_steps: int) -> None:
         super().__init__(os.devnull)  # it would empty the file
         self.file.close()
+        self._path = path
         lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
         rows = list(csv.reader(lines))
         if rows and STEPS in rows[0]:
@@ -129,7 +130,10 @@ class _ContinuedCsv(CSVOutputFormat):
             write_text(path, "\n".join([lines[0], *kept]) + "\n")
         else:
             write_text(path, "")
-        self.file = path.open("r+", encoding="utf-8")
+        self._open()
+
+    def _open(self) -> None:
+        self.file = self._path.open("r+", encoding="utf-8")
         self.file.seek(0, os.SEEK_END)
 
     def write(
@@ -143,11 +147,11 @@ class _ContinuedCsv(CSVOutputFormat):
         fresh = sorted(names - set(self.keys))
         if fresh:
             self.keys.extend(fresh)
-            self.file.seek(0)
-            rows = self.file.read().splitlines()[1:]
+            rows = self._path.read_text(encoding="utf-8").splitlines()[1:]
             lines = [",".join(self.keys), *(row + "," * len(fresh) for row in rows)]
-            self.file.seek(0)
-            self.file.write("\n".join(lines) + "\n")
+            write_text(self._path, "\n".join(lines) + "\n")
+            self.file.close()
+            self._open()
         super().write(key_values, key_excluded, step)
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import platform
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -156,8 +157,10 @@ class CollectionWriter:
                 platforms.lock(self._files[success])
                 _cut_half_line(self._files[success])
         except BlockingIOError as error:
+            pid = platforms.locked_by(self._files[success])
+            which = f" (process {pid} on {platform.node()})" if pid is not None else ""
             self.close()
-            raise ConfigError(f"{folder}: another process is collecting into it") from error
+            raise ConfigError(f"{folder}: another process is collecting into it{which}") from error
         except OSError as error:
             self.close()
             raise ConfigError(f"{folder} cannot be written to: {error}") from error
@@ -174,7 +177,8 @@ class CollectionWriter:
         Raises:
             OSError: They could not be written, for example because the disk is full.
         """
-        lines: dict[bool, list[str]] = {True: [], False: []}
+        # Failures first: with the last success, a collection is complete.
+        lines: dict[bool, list[str]] = {False: [], True: []}
         for episode in episodes:
             text = json.dumps(dataclasses.asdict(episode), allow_nan=False)
             lines[episode.success].append(text + "\n")

@@ -20,6 +20,7 @@ from embodichain.recording.log_error import LARGEST_CHUNK
 from embodichain.recording.mcap_records import LIBRARIES
 from embodichain.recording.parts import part_name
 from embodichain.recording.schema import descriptor_set
+from embodichain.utils.atomic import write_text_at
 
 __all__ = ["LogFile"]
 
@@ -88,6 +89,7 @@ class _Appended:
 
     Args:
         descriptor: The open file.
+        name: Its name, for errors.
         on_chunk: Called after a chunk was written completely.
 
     Attributes:
@@ -95,9 +97,10 @@ class _Appended:
         size: Size of the file in bytes.
     """
 
-    def __init__(self, descriptor: int, on_chunk: Callable[[], None]) -> None:
+    def __init__(self, descriptor: int, name: str, on_chunk: Callable[[], None]) -> None:
         self.descriptor = descriptor
         self.size = 0
+        self._name = name
         self._on_chunk = on_chunk
 
     def write(self, data: bytes) -> int:
@@ -108,7 +111,10 @@ class _Appended:
         """
         left = memoryview(data)
         while left:
-            done = os.write(self.descriptor, left)  # writes less if the disk is nearly full
+            try:
+                done = os.write(self.descriptor, left)  # writes less if the disk is nearly full
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, self._name) from error
             self.size += done
             left = left[done:]
         if data[:1] == _CHUNK:
@@ -157,7 +163,7 @@ class LogFile:
     def _open(self, name: str) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         descriptor = os.open(name, flags, 0o666, dir_fd=self.folder)
-        self._stream = _Appended(descriptor, self._on_chunk)
+        self._stream = _Appended(descriptor, name, self._on_chunk)
         stream: Any = self._stream
         self._writer: Any = Writer(
             stream, _CHUNK_BYTES, self._compression, enable_crcs=True, enable_data_crcs=True
@@ -250,13 +256,7 @@ class LogFile:
 
     def put_beside(self, name: str, text: str) -> None:
         """Write a small file next to the log, unless a file of that name exists."""
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        try:
-            descriptor = os.open(name, flags, 0o666, dir_fd=self.folder)
-        except FileExistsError:
-            return
-        with open(descriptor, "w") as stream:
-            stream.write(text)
+        write_text_at(self.folder, name, text, new=True)
 
     def roll(self, name: str, finish: Callable[[], None]) -> int:
         """Finish the file and continue in a new one with the same channels.

@@ -8,7 +8,6 @@ expected files and the steps in each.
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.utils.atomic import write_text_at
 from embodichain.utils.errors import ConfigError
 
 __all__ = [
@@ -122,11 +122,7 @@ class Manifest:
             "complete": complete,
             "files": [asdict(entry) for entry in self.files],
         }
-        partial = f".{self._name}.part"
-        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
-        with open(os.open(partial, flags, 0o644, dir_fd=self._folder), "w") as stream:
-            json.dump(content, stream, indent=1)
-        os.replace(partial, self._name, src_dir_fd=self._folder, dst_dir_fd=self._folder)
+        write_text_at(self._folder, self._name, json.dumps(content, indent=1))
 
 
 def first_file(path: str | Path) -> Path:

@@ -99,7 +99,8 @@ class Writing:
         self.told = True
         cause, why = self._cause, str(self._cause)
         if isinstance(cause, OSError) and cause.strerror:
-            why = cause.strerror + (f": {cause.filename}" if cause.filename else "")
+            named = cause.filename not in (None, Path(self._path).name)
+            why = cause.strerror + (f": {cause.filename}" if named else "")
         end = self._where_it_ends()
         return LogWriteError(
             f"the log {self._path} could not be written: {why}{end and f'; {end}'}"

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["LIMITED", "LIMITS", "Limit", "limits", "lock", "memory_bytes", "need"]
+__all__ = ["LIMITED", "LIMITS", "Limit", "limits", "lock", "locked_by", "memory_bytes", "need"]
 
 LIMITED = {"darwin": "macOS", "win32": "Windows"}
 """`sys.platform` -> name of a system that lacks something, and on which the package is untried."""
@@ -102,6 +104,25 @@ def lock(descriptor: int) -> None:
     import fcntl
 
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def locked_by(descriptor: int) -> int | None:
+    """Return the process of this machine that has locked a file (proc(5)).
+
+    Args:
+        descriptor: The file, opened by this process.
+
+    Returns:
+        Its id; None if another machine has locked it, or where the system does not tell.
+    """
+    own = os.fstat(descriptor)
+    place = f"{os.major(own.st_dev):02x}:{os.minor(own.st_dev):02x}:{own.st_ino}"
+    with suppress(OSError, ValueError, IndexError):
+        for line in Path("/proc/locks").read_text().splitlines():
+            fields = line.split()
+            if fields[1] == "FLOCK" and fields[5] == place and int(fields[4]) > 0:
+                return int(fields[4])
+    return None
 
 
 def memory_bytes() -> float:

@@ -5,16 +5,22 @@ MP4 needs the extra `video` (imageio-ffmpeg).
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import os
+import subprocess
+import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
+from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import IO, TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.utils.atomic import remove_abandoned, temporary_name
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -23,6 +29,8 @@ if TYPE_CHECKING:
 __all__ = ["GIF", "Film", "GifFile", "VideoFile", "film_file", "need_encoder"]
 
 GIF = ".gif"
+_QUALITY = "25"
+"""Constant rate factor of x264: 0 is lossless, 51 the worst."""
 _COLORS = (
     *("-vf", "setparams=color_primaries=bt709:color_trc=iec61966-2-1"),
     *("-colorspace", "smpte170m", "-color_range", "tv"),
@@ -56,7 +64,8 @@ class Film(ABC):
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._path = path
-        self._part = path.with_name(f".{path.stem}.part{path.suffix}")
+        remove_abandoned(path.parent)
+        self._part = path.with_name(temporary_name(path.name))
 
     @abstractmethod
     def write(self, picture: NDArray[np.uint8]) -> None:
@@ -67,13 +76,16 @@ class Film(ABC):
         """Write what is left."""
 
     def close(self) -> Path:
-        """Finish the file and return its path."""
-        self._end()
-        path, number = self._path, 1
-        while os.path.lexists(path):
-            number += 1
-            path = self._path.with_name(f"{self._path.stem}_{number}{self._path.suffix}")
-        self._part.replace(path)
+        """Finish the file and return its path; if that fails, no file remains."""
+        try:
+            self._end()
+            path, number = self._path, 1
+            while os.path.lexists(path):
+                number += 1
+                path = self._path.with_name(f"{self._path.stem}_{number}{self._path.suffix}")
+            self._part.replace(path)
+        finally:
+            self._part.unlink(missing_ok=True)
         return path
 
     def discard(self) -> None:
@@ -109,22 +121,73 @@ class VideoFile(Film):
         import imageio_ffmpeg
 
         super().__init__(path)
-        self._writer: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
-            str(self._part),
-            size,
-            fps=fps,
-            codec="libx264",
-            macro_block_size=2,
-            output_params=["-preset", "veryfast", "-threads", "1", *_COLORS, *options],
+        rate = str(Fraction(fps).limit_denominator())
+        command = [
+            *(imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "warning"),
+            *("-f", "rawvideo", "-vcodec", "rawvideo", "-s", f"{size[0]}x{size[1]}"),
+            *("-pix_fmt", "rgb24", "-r", rate, "-i", "-", "-an"),
+            *("-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", _QUALITY),
+            *("-preset", "veryfast", "-threads", "1", *_COLORS, *options, str(self._part)),
+        ]
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115  (open as long as the encoder)
+        self._encoder = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=self._said,
+            start_new_session=True,  # Ctrl-C ends it after the picture that is written
         )
-        self._writer.send(None)
 
     def write(self, picture: NDArray[np.uint8]) -> None:
-        """Append an RGB frame, (height, width, 3)."""
-        self._writer.send(np.ascontiguousarray(picture))
+        """Append an RGB frame, (height, width, 3).
+
+        Raises:
+            OSError: The encoder has ended, for example because the disk is full.
+        """
+        try:
+            self._pipe.write(np.ascontiguousarray(picture).data)
+        except BrokenPipeError as error:
+            self._encoder.wait()
+            raise self._failed() from error
+
+    def discard(self) -> None:
+        """Stop the encoder and remove the file."""
+        self._encoder.kill()
+        self._wait()
+        self._said.close()
+        self._part.unlink(missing_ok=True)
 
     def _end(self) -> None:
-        self._writer.close()
+        self._wait()
+        try:
+            if self._encoder.returncode:
+                raise self._failed()
+        finally:
+            self._said.close()
+
+    @property
+    def _pipe(self) -> IO[bytes]:
+        if self._encoder.stdin is None:
+            raise RuntimeError("the encoder has no pipe")
+        return self._encoder.stdin
+
+    def _wait(self) -> None:
+        with suppress(BrokenPipeError):  # it has ended: its exit code says why
+            self._pipe.close()
+        self._encoder.wait()
+
+    def _failed(self) -> OSError:
+        """The error of an encoder that has ended: the first line that it said."""
+        self._said.seek(0)
+        lines = self._said.read().decode(errors="replace").split("\n")
+        said = next((line for line in lines if line.strip()), "it says nothing")
+        reason = said.rpartition("] ")[2].strip()
+        for number in (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG, errno.EROFS):
+            if os.strerror(number) in said:
+                return OSError(number, os.strerror(number), str(self._path))
+        code = self._encoder.returncode
+        text = f"the encoder ended with code {code}: {reason}"
+        return OSError(errno.EIO, text, str(self._path))
 
 
 class GifFile(Film):

@@ -221,3 +221,21 @@ def test_a_full_disk_is_loud(
     collect("resume=last", "-q")
     assert len(read_collection(folder)) == 2
     assert np.all([e.log == "rollout-2.mcap" for e in read_collection(folder)])
+
+
+def test_a_complete_collection_that_could_not_say_so_is_summed_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Its process ended after the last success, before its summary."""
+    folder = collect(*REACH, "episodes=2", "num_envs=2", f"output_dir={tmp_path}") and next(
+        tmp_path.glob("2*/*_reach")
+    )
+    before = json.loads((folder / "summary.json").read_text())
+    (folder / "summary.json").unlink()
+    assert main(["collect", f"resume={folder}", "-q"]) == 0
+    after = json.loads((folder / "summary.json").read_text())
+    for key in ("status", "successes", "failures", "yield", "mean_length", "logs"):
+        assert after[key] == before[key]
+    assert after["control_steps"] == 0
+    assert main(["collect", f"resume={folder}", "-q"]) == 2
+    assert "2 successful episodes already" in capsys.readouterr().err

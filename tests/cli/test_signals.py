@@ -137,7 +137,7 @@ def test_an_evaluation_counts_what_was_played(
 def test_the_film_of_a_run_ends_too(start: Started, here: Path, verb: str) -> None:
     first = ["eval", "random"] if verb == "eval" else ["run", "policy=random"]
     keys = ["task=reach", "num_envs=1", "episodes=20", "video=true", "output_dir=out", "seed=3"]
-    process = start("out/20*/*/.rollout.part.mp4", *first, *keys)
+    process = start("out/20*/*/.rollout.*.part.mp4", *first, *keys)
     err = ended(process, signal.SIGTERM)
     folder = next(here.glob("out/20*/*"))
     warned = next(line for line in err.splitlines() if line.startswith("warning: interrupted"))

@@ -2,6 +2,8 @@
 
 import fcntl
 import json
+import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -109,7 +111,8 @@ def test_a_job_runs_only_once_at_a_time(copied: Path, capsys: pytest.CaptureFixt
     with (copied / "s/.0.lock").open("a") as stream:
         fcntl.flock(stream, fcntl.LOCK_EX)
         assert sweep(copied, "seed=0,1") == 1
-    assert f"{copied}/s/0: another process runs this job now" in capsys.readouterr().err
+    whose = f"process {os.getpid()} on {platform.node()}"
+    assert f"{copied}/s/0: another process runs this job now ({whose})" in capsys.readouterr().err
 
 
 def test_a_failed_job_is_shown_and_the_others_are_named(

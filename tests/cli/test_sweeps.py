@@ -1,9 +1,12 @@
 """Sweeps: workers, searches, and what is said without the packages they need."""
 
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -141,3 +144,63 @@ def test_a_search_maximizes_unless_told_otherwise() -> None:
     assert towards_scores([optuna]) == [optuna, "hydra.sweeper.direction=maximize"]
     assert towards_scores([optuna, minimize]) == [optuna, minimize]
     assert towards_scores(["seed=0,1"]) == ["seed=0,1"]
+
+
+def running_children(pid: int) -> list[int]:
+    """Processes that a process has started and that have not ended (proc(5))."""
+    found = [p.read_text().split() for p in Path(f"/proc/{pid}/task").glob("*/children")]
+    return [int(child) for line in found for child in line if is_running(int(child))]
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process has not ended; it may not have been waited for."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+@pytest.mark.unmeasured
+def test_workers_of_a_killed_sweep_end_with_it(tmp_path: Path) -> None:
+    """Three workers: one has no job, and waits for one in a pipe."""
+    words = ("task=cart_pole", "seed=0,1", "num_envs=1", "record=none", "episodes=1000000")
+    workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=3", f"hydra.sweep.dir={tmp_path}/s")
+    command = [sys.executable, "-m", "embodichain", "run", "-m", *workers, *words]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as sweep:
+        try:
+            end = time.monotonic() + 120.0
+            while len([*tmp_path.glob("s/[01]/run.log")]) < 2 and time.monotonic() < end:
+                time.sleep(0.1)
+            children = running_children(sweep.pid)
+            assert len(children) >= 3
+        finally:
+            sweep.send_signal(signal.SIGKILL)
+    end = time.monotonic() + 30.0
+    while any(map(is_running, children)) and time.monotonic() < end:
+        time.sleep(0.05)
+    left = [pid for pid in children if is_running(pid)]
+    for pid in left:
+        os.kill(pid, signal.SIGKILL)
+    assert not left
+
+
+@pytest.mark.unmeasured
+def test_a_worker_that_is_killed_is_said_in_one_line(tmp_path: Path) -> None:
+    words = ("task=cart_pole", "seed=0,1", "num_envs=1", "record=none", "episodes=1000000")
+    workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"hydra.sweep.dir={tmp_path}/s")
+    command = [sys.executable, "-m", "embodichain", "run", "-m", *workers, *words, "-q"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as sweep:
+        end = time.monotonic() + 120.0
+        while len([*tmp_path.glob("s/[01]/run.log")]) < 2 and time.monotonic() < end:
+            time.sleep(0.1)
+        named = [Path(f"/proc/{pid}/cmdline").read_text() for pid in running_children(sweep.pid)]
+        worker = named.index(next(name for name in named if "LokyProcess" in name))
+        os.kill(running_children(sweep.pid)[worker], signal.SIGKILL)
+        said = sweep.communicate(timeout=60.0)[1].splitlines()
+    assert sweep.returncode == 1
+    assert [line for line in said if "was killed" in line] == [
+        "a worker was killed (SIGKILL(-9)), perhaps because there was no memory left; "
+        "joblib has ended the other workers with it"
+    ]
+    assert not [line for line in said if "failed" in line]
+    assert any("0 of 2 jobs are done; not done: 0, 1" in line for line in said)

@@ -1,5 +1,6 @@
 """The lists of a collection, and which attempts belong to it."""
 
+import os
 import random
 from pathlib import Path
 
@@ -35,7 +36,8 @@ def test_what_is_added_is_read_in_the_order_of_attempts(tmp_path: Path) -> None:
 
 
 def test_one_process_at_a_time_and_again_later(tmp_path: Path) -> None:
-    with CollectionWriter(tmp_path), pytest.raises(ConfigError, match="another process"):
+    said = rf"another process is collecting into it \(process {os.getpid()} on "
+    with CollectionWriter(tmp_path), pytest.raises(ConfigError, match=said):
         CollectionWriter(tmp_path)
     with CollectionWriter(tmp_path) as writer:
         writer.add([ended(0)])

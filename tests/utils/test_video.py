@@ -1,6 +1,7 @@
 """`GifFile`: pictures, their durations, and what is left where writing stops."""
 
 import importlib.util
+import shutil
 import subprocess
 
 import numpy as np
@@ -93,3 +94,18 @@ def test_an_mp4_names_its_colours(tmp_path, size):
         check=False,
     ).stderr
     assert "yuv420p(tv, smpte170m/bt709/iec61966-2-1" in told
+
+
+def test_a_film_whose_encoder_fails_is_an_error_and_no_film(tmp_path, capfd):
+    """The encoder opens its file at the first picture: here the folder is gone by then."""
+    pytest.importorskip("imageio_ffmpeg")
+    path = tmp_path / "gone/film.mp4"
+    film = VideoFile(path, (64, 48), 25)
+    shutil.rmtree(path.parent)
+    with pytest.raises(OSError, match="the encoder ended with code") as raised, film:
+        for _ in range(3):
+            film.write(np.zeros((48, 64, 3), np.uint8))
+    assert raised.value.filename == str(path)
+    assert "No such file or directory" in str(raised.value)
+    assert capfd.readouterr().err == ""
+    assert not path.parent.exists()

@@ -19,6 +19,7 @@ import numpy as np
 from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.playback import Playback, span_of
+from embodichain.utils.atomic import move_new, naming, remove_abandoned, temporary_name
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -195,20 +196,24 @@ def _require_steps(log: Log, part: Part) -> None:
 
 @contextmanager
 def new_file(path: Path, suffix: str) -> Iterator[Path]:
-    """A temporary name to write to; the complete file is renamed unless `path` exists by then."""
+    """A temporary name to write to; the complete file is renamed unless `path` exists by then.
+
+    Nothing is written where the writer has not made the file.
+    """
     if os.path.lexists(path):
         raise ConfigError(f"{path} exists; it is never replaced")
     if not path.parent.is_dir():
         raise ConfigError(f"the folder {path.parent} does not exist")
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.part{suffix}")
+    remove_abandoned(path.parent)
+    partial = path.with_name(temporary_name(f"{path.stem}{suffix}"))
     try:
         yield partial
-        if partial.is_dir():
-            partial.rename(path)  # fails if the name exists, unless it is an empty folder
-        elif partial.exists():
-            os.link(partial, path)  # unlike a rename, it fails if the name exists
+        if partial.exists():
+            move_new(partial, path)
     except (FileExistsError, NotADirectoryError) as error:
         raise ConfigError(f"{path} exists; it is never replaced") from error
+    except OSError as error:
+        raise naming(error, partial, path) from error
     finally:
         if partial.is_dir():
             shutil.rmtree(partial)

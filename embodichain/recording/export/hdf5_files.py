@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +30,64 @@ _HOW = (
 )
 
 
-def new_hdf5(path: Path, format: str) -> Any:
+@contextmanager
+def new_hdf5(path: Path, format: str) -> Iterator[tuple[Any, Callable[[], None]]]:
     """Open a new file, in the version of HDF5 from 1.8 on, whose attributes may exceed 64 KB.
+
+    Yields the file, and a function to call now and then, which raises the `OSError` if the file
+    cannot be written any more; so does the end of the context.
 
     Raises:
         ConfigError: If h5py is not installed.
+        OSError: If the file cannot be written.
     """
     h5py: Any = required("h5py", format)
-    return h5py.File(path, "x", libver=("v108", "latest"))
+    with _Stream(path) as stream:
+        try:
+            with h5py.File(stream, "w", libver=("v108", "latest")) as file:
+                yield file, stream.check
+        finally:  # instead of what HDF5 makes of it
+            stream.check()
+
+
+class _Stream(io.FileIO):
+    """A new file for HDF5, which hears of no failure.
+
+    HDF5 frees what it could not write, and frees it again when it is closed: a disk that is full
+    would end the process. Here it goes on; the first failure is kept, and nothing written any more.
+
+    Args:
+        path: The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "x+")
+        self._error: OSError | None = None
+
+    def check(self) -> None:
+        """Raise the first failure, if there was one."""
+        if self._error is not None:
+            raise self._error
+
+    def write(self, data: Any) -> int:
+        """Write all bytes, unless there was a failure."""
+        left = memoryview(data).cast("B")
+        size = len(left)
+        try:
+            while left and self._error is None:
+                done = super().write(left)  # writes less if the disk is nearly full
+                left = left[done:]
+        except OSError as error:
+            self._error = error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the size of the file, unless there was a failure."""
+        try:
+            return size or 0 if self._error is not None else super().truncate(size)
+        except OSError as error:
+            self._error = error
+            return size or 0
 
 
 def describe_root(root: Any, log: RecordedLog) -> None:

@@ -49,7 +49,7 @@ def write_episodes(data: DataSet, path: Path) -> None:
         LogError: If a log is damaged.
     """
     keys = _keys(data)
-    with data.log() as log, new_hdf5(path, "robomimic") as file:
+    with data.log() as log, new_hdf5(path, "robomimic") as (file, check):
         names, columns = _state_names(log)
         root, models = file.create_group("data"), ModelFiles(file)
         describe_root(root, log)
@@ -78,6 +78,7 @@ def write_episodes(data: DataSet, path: Path) -> None:
                 _observe(demo, data, episode, keys)
                 total += len(episode)
                 demos.append(f"demo_{number}")
+                check()
         root.attrs["total"] = total
         valid = demos[_VALID - 1 :: _VALID] or demos[1:][-1:]
         train = [name for name in demos if name not in valid]

@@ -128,7 +128,7 @@ def write_hdf5(log: Log, part: Part, path: Path) -> None:
     keys = require_unique(cameras, lambda name: f"{name.replace('/', '_')}_image", "hdf5")
     filmed = {keys[name]: camera for name, camera in cameras.items()}
     with ExitStack() as stack:
-        file = stack.enter_context(new_hdf5(path, "hdf5"))
+        file, check = stack.enter_context(new_hdf5(path, "hdf5"))
         renderer = stack.enter_context(closing(OffscreenRenderer(log.model))) if cameras else None
         root, models = file.create_group("data"), ModelFiles(file)
         for number, (episode, steps) in enumerate(episodes):
@@ -144,6 +144,7 @@ def write_hdf5(log: Log, part: Part, path: Path) -> None:
             say_action(demo["actions"], log)
             if renderer is not None:
                 _draw(demo, renderer, Playback(log, episode.env), filmed, steps)
+            check()
         root.attrs["total"] = sum(int(demo.attrs["num_samples"]) for demo in root.values())
         root.attrs.update(about(log))
         describe_root(root, log)

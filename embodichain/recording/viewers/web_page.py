@@ -30,6 +30,7 @@ from embodichain.lab.sim.engine.api import F64
 from embodichain.utils import platforms
 from embodichain.utils.access import Access
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
+from embodichain.utils.processes import own_process
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import Engine
@@ -341,7 +342,7 @@ def _start(errors: Any) -> tuple[Connection, subprocess.Popen[bytes]]:
     ours, theirs = socket.socketpair()
     with theirs:
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", _PROCESS, str(theirs.fileno())],
+            [sys.executable, "-P", "-m", _PROCESS, str(theirs.fileno()), str(own_process())],
             pass_fds=[theirs.fileno()],
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             stdin=subprocess.DEVNULL,

@@ -1,8 +1,9 @@
-"""The process that serves a page of `viewer=web`: ``python -m ...web_process FD``.
+"""The process that serves a page of `viewer=web`: ``python -m ...web_process FD PROCESS``.
 
 MuJoCo Studio is native code with one user interface per process; a failure there must not end a
 training. The run's process (`web_page.py`) sends models, states and facts through a socket; this
-process sends back the controls. It ends when the socket closes.
+process sends back the controls. It ends when the socket closes, and with the run's process, of
+which a fork could hold the socket open.
 
 MuJoCo 4.0's web viewer listens on every interface, accepts files dropped on its page, answers
 pages of other sites, asks for no token, and has a second port, to which its own native code
@@ -36,6 +37,7 @@ from embodichain.recording.viewers.web_guard import GUARDS, Guard, guard_serving
 from embodichain.recording.viewers.web_page import SPEEDS, Controls, Facts, PageOptions
 from embodichain.utils.addresses import reachable
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.processes import ProcessId, end_with
 
 __all__ = ["Panel", "Studio", "main"]
 
@@ -442,4 +444,7 @@ def _draw_facts(facts: Facts, history: list[Facts]) -> None:
 
 
 if __name__ == "__main__":
+    run = ProcessId.parse(sys.argv[2])
+    if run is not None:
+        end_with(run)
     main(int(sys.argv[1]))

@@ -3,6 +3,8 @@ import csv
 import importlib
 import io
 import json
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 
 import h5py
@@ -417,3 +419,26 @@ def test_the_command(record, tmp_path, capsys):
         assert main(["export", str(path), *arguments]) == 2
         assert message in capsys.readouterr().err
     assert not [p for p in tmp_path.iterdir() if ".part" in p.name]
+
+
+FULL = """
+import resource, sys
+from embodichain.cli import main
+
+most = int(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))  # each file's disk is full there
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.parametrize("kilobytes", [0, 4])
+def test_hdf5_on_a_full_disk_is_an_error_and_nothing_is_left(record, tmp_path, kilobytes):
+    """HDF5 itself ended the process with SIGSEGV: a file that it could not close, closed again."""
+    path, out = record(steps=24), tmp_path / "out"
+    out.mkdir()
+    command = ["export", str(path), "--format", "hdf5", "-o", str(out / "x.hdf5")]
+    command = [sys.executable, "-c", FULL, str(kilobytes * 1024), *command]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == f"error: File too large: {out}/x.hdf5\n"
+    assert list(out.iterdir()) == []

@@ -9,7 +9,6 @@ import json
 import os
 import re
 import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
@@ -21,6 +20,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from embodichain.lab.sim.meshes.mesh_reading import MeshError, MeshPart, Rgba, joined, read_mesh
+from embodichain.utils.atomic import remove_abandoned, temporary_name
 
 __all__ = [
     "MAX_STL_FACES",
@@ -84,7 +84,9 @@ def entry(name: str, make: Callable[[Path], dict[str, Any]]) -> tuple[Path, dict
     except FileNotFoundError:
         pass
     place.parent.mkdir(parents=True, exist_ok=True)
-    stage = Path(tempfile.mkdtemp(prefix=".making-", dir=place.parent))
+    remove_abandoned(place.parent)
+    stage = place.with_name(temporary_name(name))
+    stage.mkdir()
     try:
         manifest = make(stage)
         (stage / _MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
