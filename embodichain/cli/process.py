@@ -276,10 +276,12 @@ def report(error: BaseException, *, full: bool = False) -> int:
 
 def _is_fault(error: BaseException) -> bool:
     """Whether the machine failed: no other input would have helped."""
+    chain: list[BaseException] = []
     cause: BaseException | None = error
-    while cause is not None:
+    while cause is not None and cause not in chain:  # an error that is raised again may be its own
         if isinstance(cause, OSError) and cause.errno in _FAULTS:
             return True
+        chain.append(cause)
         cause = cause.__cause__
     return False
 

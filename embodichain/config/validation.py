@@ -163,7 +163,7 @@ def _advised(problem: Problem, locator: Locator) -> Problem:
         hint = quoted if typed else quoting(written)
     elif "${oc.env:" in written:
         hint = f"A variable of the environment is text: write ${{oc.decode:{written}}}."
-    elif typed and problem.expected == "true or false" and written.lower() in _FLAGS:
+    elif typed and problem.expected == "flag" and written.lower() in _FLAGS:
         hint = f"Write {problem.path}={_FLAGS[written.lower()]}."
     else:
         return problem

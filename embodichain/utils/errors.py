@@ -30,8 +30,8 @@ class Problem:
         message: One line: what was found and what is allowed.
         hint: The closest match as a sentence (``Did you mean 'x'?``), or empty.
         source: Its origin: ``FILE:LINE``, ``FILE``, ``command line``; or empty.
-        expected: ``text`` if a number or a flag was found where text is allowed, ``value`` if text
-            was found where only numbers or flags are; else empty.
+        expected: ``text`` if a number or a flag was found where text is allowed, ``number``
+            or ``flag`` if text was found where only numbers or flags are; else empty.
 
     Message and hint show ``<env NAME>`` for the value of a variable of the environment.
     """

@@ -47,10 +47,8 @@ _LIMITS = {
     "less_than_equal": ("le", "at most"),
 }
 _TEXT_ERRORS = {"string_type", "string_pattern_mismatch"}
-_VALUE_ERRORS = {
-    *("int_type", "float_type", "bool_type", "int_parsing", "float_parsing", "bool_parsing"),
-    "int_from_float",
-}
+_FLAG_ERRORS = {"bool_type", "bool_parsing"}
+_NUMBER_ERRORS = {"int_type", "float_type", "int_parsing", "float_parsing", "int_from_float"}
 _LONGEST = 60
 
 
@@ -94,14 +92,19 @@ def expected_kind(errors: Sequence[ErrorDetails]) -> str:
         errors: As for `what_is_wrong`.
 
     Returns:
-        ``text`` for a number or a flag, ``value`` for text, else an empty string (see `Problem`).
+        ``text`` in place of a number or a flag, ``flag`` or ``number`` in place of text, else an
+        empty string (see `Problem`).
     """
     kinds = {error["type"] for error in errors}
     value = errors[0]["input"]
     text = kinds & _TEXT_ERRORS or any(_choices(error) for error in errors)
     if text and isinstance(value, bool | int | float):
         return "text"
-    return "value" if isinstance(value, str) and kinds & _VALUE_ERRORS else ""
+    if not isinstance(value, str):
+        return ""
+    if kinds & _NUMBER_ERRORS:
+        return "number"
+    return "flag" if kinds & _FLAG_ERRORS else ""
 
 
 def unknown_key(name: str, allowed: Sequence[str]) -> tuple[str, str]:

@@ -104,5 +104,5 @@ def test_wrong_calls_are_refused(make_reach):
         evaluate(env, "zero", 1, seed=-1)
     with pytest.raises(ValueError, match="SAME_STEP"):
         evaluate(make_reach(2, "NEXT_STEP"), "zero", 1)
-    with pytest.raises(ConfigError, match="no file or folder"):
+    with pytest.raises(ConfigError, match="no such file or folder: nowhere"):
         evaluate(env, "nowhere/final.zip", 1)
