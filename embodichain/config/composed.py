@@ -510,5 +510,7 @@ def _check_option(override: Override, options: list[str]) -> Problem | None:
             group = override.key_or_group
             message = f"unknown option {name!r}; {group} is one of: {', '.join(options)}."
             hint = did_you_mean(name, options).strip()
+            if group == "task" and (name == "last" or Path(name).is_dir()):
+                hint = "A run is taken by eval, play, replay, report, export and compare."
             return Problem(group, message, hint, COMMAND_LINE)
     return None

@@ -4,84 +4,22 @@ from __future__ import annotations
 
 import errno
 import os
-import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import mcap.writer
-import zstandard
-from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
-from mcap.records import Message
-from mcap.writer import CompressionType, Writer
-
 from embodichain.recording.log_error import LARGEST_CHUNK
 from embodichain.recording.mcap_records import LIBRARIES
+from embodichain.recording.mcap_writer import McapWriter, nbytes
 from embodichain.recording.parts import part_name
 from embodichain.recording.schema import descriptor_set
 from embodichain.utils.atomic import write_text_at
 
 __all__ = ["LogFile"]
 
-_CHUNK_BYTES = 2**20
-_LARGEST_MESSAGE = LARGEST_CHUNK - 2 * _CHUNK_BYTES
-_COMPRESSIONS = {
-    "none": CompressionType.NONE,
-    "lz4": CompressionType.LZ4,
-    "zstd": CompressionType.ZSTD,
-}
-_FAST = zstandard.ZstdCompressionParameters(
-    window_log=20,
-    hash_log=13,
-    chain_log=6,
-    search_log=1,
-    min_match=7,
-    target_length=47,
-    strategy=zstandard.STRATEGY_FAST,
-)
-
-
-class _FastZstd:
-    """The part of zstandard that `mcap.writer` uses; its level 3 is 9 times slower on float64."""
-
-    compress = staticmethod(zstandard.ZstdCompressor(compression_params=_FAST).compress)
-
-
-_MESSAGE = struct.Struct("<BQHIQQ")
-
-
-class _Message(Message):
-    """A message whose data may be a list of pieces, which are not copied together first.
-
-    Its head is written in one call: in a third of the time.
-    """
-
-    def write(self, stream: RecordBuilder) -> None:
-        """Append the record."""
-        pieces = _pieces(self.data)
-        length = _MESSAGE.size - 9 + _nbytes(pieces)  # without opcode and length
-        ids = self.channel_id, self.sequence
-        stream.write(_MESSAGE.pack(Opcode.MESSAGE, length, *ids, self.log_time, self.publish_time))
-        for piece in pieces:
-            stream.write(piece)
-
-
-def _pieces(data: Any) -> list[Any]:
-    return data if isinstance(data, list) else [data]
-
-
-def _nbytes(pieces: Sequence[Any]) -> int:
-    return sum(len(p) if type(p) is bytes else memoryview(p).nbytes for p in pieces)
-
-
-_library: Any = mcap.writer
-_library.zstandard = _FastZstd  # `mcap.writer` has no parameter for the level
-_library.Message = _Message
-
-
+_LARGEST_MESSAGE = LARGEST_CHUNK - 2 * 2**20
 _CHUNK = b"\x06"
-"""Opcode of a chunk; `mcap.writer` writes a chunk in one call, and its message indexes after it."""
+"""Opcode of a chunk; `McapWriter` writes a chunk in one call, and its message indexes after it."""
 
 
 class _Appended:
@@ -124,9 +62,6 @@ class _Appended:
     def tell(self) -> int:
         return self.size
 
-    def flush(self) -> None:
-        """Do nothing: the file is unbuffered."""
-
 
 class LogFile:
     """The file that a log is being written to.
@@ -148,7 +83,7 @@ class LogFile:
 
     def __init__(self, path: Path, compression: str, part: int = 0) -> None:
         self.name = path.name
-        self._compression = _COMPRESSIONS[compression]
+        self._compression = compression
         self.folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         self.part = part
         self._before = 0  # size of the finished files in bytes
@@ -164,11 +99,7 @@ class LogFile:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         descriptor = os.open(name, flags, 0o666, dir_fd=self.folder)
         self._stream = _Appended(descriptor, name, self._on_chunk)
-        stream: Any = self._stream
-        self._writer: Any = Writer(
-            stream, _CHUNK_BYTES, self._compression, enable_crcs=True, enable_data_crcs=True
-        )
-        self._writer.start(library=LIBRARIES[0])
+        self._writer = McapWriter(self._stream, self._compression, LIBRARIES[0])
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         for topic, (schema, data) in self._declared.items():
@@ -205,16 +136,16 @@ class LogFile:
     def _register(self, topic: str, schema: str, data: bytes) -> None:
         writer = self._writer
         if schema not in self._schemas:
-            self._schemas[schema] = writer.register_schema(schema, "protobuf", data)
-        self._channels[topic] = writer.register_channel(topic, "protobuf", self._schemas[schema])
+            self._schemas[schema] = writer.schema(schema, "protobuf", data)
+        self._channels[topic] = writer.channel(topic, "protobuf", self._schemas[schema])
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Add an attachment."""
-        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
+        self._writer.attachment(name, media_type, data, time_ns)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
-        self._writer.add_metadata(name, dict(values))
+        self._writer.metadata(name, values)
 
     def write(
         self, topic: str, time_ns: int, data: bytes | list[Any], last_step: int | None = None
@@ -230,12 +161,12 @@ class LogFile:
         Raises:
             OSError: If it cannot be written, or exceeds the size limit of a chunk.
         """
-        size = _nbytes(_pieces(data))
+        size = sum(map(nbytes, data)) if isinstance(data, list) else len(data)
         if size > _LARGEST_MESSAGE:
             raise OSError(errno.EMSGSIZE, f"a message of {size} bytes fits into no chunk")
         if last_step is not None:
             self._last_step = last_step
-        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
+        self._writer.message(self._channels[topic], time_ns, data)
         return size
 
     def flush(self) -> None:
@@ -244,7 +175,7 @@ class LogFile:
         Raises:
             OSError: If it cannot be written, or was removed.
         """
-        self._writer.flush()
+        self._writer.end_chunk()
         self._check_place()
 
     def _on_chunk(self) -> None:

@@ -9,15 +9,13 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from mcap.writer import CompressionType, Writer
 
 from embodichain.recording.block import unpack_steps
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.header import METADATA, METADATA_END, METADATA_RECOVERED
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.mcap_records import LIBRARIES
+from embodichain.recording.mcap_writer import McapWriter
 from embodichain.recording.parts import first_file
 from embodichain.recording.schema import STEPS_TOPIC
 from embodichain.recording.seals import SEAL, sealed
@@ -76,9 +74,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             raise ConfigError(f"the folder {target.parent} does not exist")
         try:
             with atomic_file(target, new=True) as temporary, temporary.open("xb") as stream:
-                how = CompressionType.LZ4
-                writer = Writer(stream, compression=how, enable_crcs=True, enable_data_crcs=True)
-                copy = _Copy(reader, writer)
+                copy = _Copy(reader, McapWriter(stream, "lz4", LIBRARIES[1]))
                 copy.all_records()
         except FileExistsError:
             raise ConfigError(taken) from None
@@ -91,7 +87,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
 class _Copy:
     """Copies what a reader finds to a new file."""
 
-    def __init__(self, reader: LogReader, writer: Any) -> None:
+    def __init__(self, reader: LogReader, writer: McapWriter) -> None:
         self._reader, self._writer = reader, writer
         self._schemas: dict[int, int] = {}
         self._channels: dict[str, int] = {}
@@ -108,15 +104,14 @@ class _Copy:
         reader, writer = self._reader, self._writer
         header = reader.require_header()
         sizes = header.num_envs, header.moved_width, header.nstate
-        writer.start(library=LIBRARIES[1])
         damaged = [name for name in reader.attachments if not self._attach(name)]
-        writer.add_metadata(METADATA, self._metadata())
+        writer.metadata(METADATA, self._metadata())
         try:
             for topic, time_ns, data in reader.messages():
                 if topic == STEPS_TOPIC:
                     found = unpack_steps(data, *sizes, outcomes)
                     self.steps += sum(run.steps for run in found)
-                writer.add_message(self._channel(topic), time_ns, bytes(data), time_ns)
+                writer.message(self._channel(topic), time_ns, bytes(data))
                 self.messages += 1
             self.why = reader.cut
         except DamageError as error:
@@ -124,12 +119,12 @@ class _Copy:
         if not self.why and damaged:
             self.why = f"the attachment {damaged[0]} is damaged"
         if reader.recovered:
-            writer.add_metadata(METADATA_RECOVERED, reader.metadata[METADATA_RECOVERED])
+            writer.metadata(METADATA_RECOVERED, reader.metadata[METADATA_RECOVERED])
         if reader.finished:
-            writer.add_metadata(METADATA_END, reader.metadata[METADATA_END])
+            writer.metadata(METADATA_END, reader.metadata[METADATA_END])
         if self.why:
             values = {"why": self.why, "steps": str(self.steps), "source": reader.path.name}
-            writer.add_metadata(METADATA_RECOVERED, sealed(METADATA_RECOVERED, values))
+            writer.metadata(METADATA_RECOVERED, sealed(METADATA_RECOVERED, values))
         writer.finish()
 
     def _metadata(self) -> dict[str, str]:
@@ -147,8 +142,7 @@ class _Copy:
             found = self._reader.attachment_record(name)
         except LogError:
             return False
-        times = found.create_time, found.log_time
-        self._writer.add_attachment(*times, found.name, found.media_type, found.data)
+        self._writer.attachment(found.name, found.media_type, found.data, found.log_time)
         self.attachments.append(name)
         return True
 
@@ -165,7 +159,7 @@ class _Copy:
                 raise LogError(f"{self._reader.path}: the channel {topic} is not a log's")
             if schema.id not in self._schemas:
                 declared = schema.name, schema.encoding, schema.data
-                self._schemas[schema.id] = self._writer.register_schema(*declared)
+                self._schemas[schema.id] = self._writer.schema(*declared)
             declared_as = self._schemas[schema.id]
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", declared_as)
+            self._channels[topic] = self._writer.channel(topic, "protobuf", declared_as)
         return self._channels[topic]

@@ -103,6 +103,17 @@ def test_a_task_in_place_of_a_verb(empty_cwd: Path, capsys: pytest.CaptureFixtur
     assert capsys.readouterr().err.startswith(said)
 
 
+@pytest.mark.parametrize("words", [["run", "last"], ["show", "runs"], ["validate", "last"]])
+def test_a_run_in_place_of_a_task(
+    words: list[str], empty_cwd: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("runs").mkdir()
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert f"task: unknown option {words[1]!r}" in said
+    assert said.endswith("A run is taken by eval, play, replay, report, export and compare.\n")
+
+
 def test_a_policy_of_a_training_that_did_not_finish(
     empty_cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,11 +13,11 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import mujoco
 import numpy as np
-from mcap.writer import CompressionType, Writer
 
 from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.api import Log
 from embodichain.recording.export.formats import Part, poses, required
+from embodichain.recording.mcap_writer import McapWriter
 from embodichain.recording.views.channels import frame_names, scalar_joints
 from embodichain.recording.views.shapes import Shape, shapes
 from embodichain.utils.math import quat_multiply, quat_rotate, quat_to_rpy
@@ -49,22 +49,21 @@ def write_ros2(log: Log, part: Part, path: Path) -> None:
     """
     types: Any = required("rosbags.typesys", "ros2")
     with path.open("xb") as stream:
-        bag = _Bag(Writer(stream, compression=CompressionType.ZSTD), types)
+        bag = _Bag(McapWriter(stream, "zstd", "embodichain", profile="ros2"), types)
         steps = (_write_env(bag, log, env, part) for env in part.envs_of(log))
         for _ in zip(*steps, strict=True):
             pass  # each iteration writes one control step of each environment
-        bag.writer.finish()  # type: ignore[no-untyped-call]
+        bag.writer.finish()
 
 
 class _Bag:
     """Channels of a bag, declared at the first message."""
 
-    def __init__(self, writer: Writer, types: Any) -> None:
+    def __init__(self, writer: McapWriter, types: Any) -> None:
         self.writer = writer
         self._store = types.get_typestore(types.Stores.ROS2_HUMBLE)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
-        writer.start(profile="ros2", library="embodichain")
 
     def make(self, kind: str, *fields: Any) -> Any:
         """Return a message of a type, from its fields in order."""
@@ -87,14 +86,12 @@ class _Bag:
         kind = message.__msgtype__
         if kind not in self._schemas:
             definition, _ = self._store.generate_msgdef(kind, ros_version=2)
-            self._schemas[kind] = self.writer.register_schema(kind, "ros2msg", definition.encode())
+            self._schemas[kind] = self.writer.schema(kind, "ros2msg", definition.encode())
         if topic not in self._channels:
             metadata = {"offered_qos_profiles": qos}
-            self._channels[topic] = self.writer.register_channel(
-                topic, "cdr", self._schemas[kind], metadata
-            )
+            self._channels[topic] = self.writer.channel(topic, "cdr", self._schemas[kind], metadata)
         data = bytes(self._store.serialize_cdr(message, kind))
-        self.writer.add_message(self._channels[topic], time_ns, data, time_ns)
+        self.writer.message(self._channels[topic], time_ns, data)
 
 
 def _write_env(bag: _Bag, log: Log, env_id: int, part: Part) -> Iterator[None]:
