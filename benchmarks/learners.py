@@ -127,10 +127,10 @@ class _Terminal(io.StringIO):
 
 def _train(count: int, settings: Settings, seed: int, folder: Path) -> Learner:
     """What `embodichain train` does with it: statistics, logs, and the dashboard on a terminal."""
-    from embodichain.cli.dashboard import Dashboard
+    from embodichain.cli.jobs.dashboard import Dashboard
     from embodichain.learning import SB3VecEnv
-    from embodichain.learning.episodes import TrainStatistics
-    from embodichain.learning.session import Session
+    from embodichain.learning.evaluation.episodes import TrainStatistics
+    from embodichain.learning.training.session import Session
 
     vec = SB3VecEnv(arms.make("reach", count))
     model = sb3(vec, settings, seed)

@@ -23,7 +23,7 @@ from benchmarks import arms
 from benchmarks.machine import table, write_json
 from benchmarks.medians import sure
 from benchmarks.rounds import EPISODE
-from embodichain.lab.sim.engine.mujoco_process import stop_timers
+from embodichain.lab.sim.engine.cpu.mujoco_process import stop_timers
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv

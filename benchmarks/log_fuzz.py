@@ -27,7 +27,7 @@ from benchmarks.machine import machine, table, write_json
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.recording.api import Log
+    from embodichain.recording.read.api import Log
 
 ROOT = Path(__file__).parents[1]
 SECONDS = 30
@@ -182,7 +182,7 @@ def check(path: Path, everything: bool, base: Path | None = None, turn: int = 0)
         ConfigError: It cannot be read in some way.
     """
     from embodichain.recording import diff, inspect, open, verify
-    from embodichain.recording.recover import recover
+    from embodichain.recording.read.recover import recover
 
     def read(log: Log) -> Any:
         return log.read(), log.episodes
@@ -227,7 +227,7 @@ def _with(open: Callable[[Path], Log], path: Path, way: Callable[[Log], Any]) ->
 def _readings(turn: int) -> list[Callable[[Log], Any]]:
     """What else can be asked of a log."""
     from embodichain.recording.export import export
-    from embodichain.recording.playback import Playback, span_of
+    from embodichain.recording.read.playback import Playback, span_of
 
     format = FORMATS[turn % len(FORMATS)]
     return [

@@ -105,7 +105,7 @@ def _record(folder: Path, times: Any) -> None:
 def look(folder: Path, times: Any, killed: float) -> dict[str, Any]:
     """Read, verify and recover a killed process's log; what is wrong with it is listed."""
     from embodichain.recording import inspect, verify
-    from embodichain.recording.recover import recover
+    from embodichain.recording.read.recover import recover
 
     path, saved = folder / "rollout.mcap", folder / "saved.mcap"
     found: dict[str, Any] = {"made": len(times), "steps": 0, "lost_s": 0.0, "wrong": []}

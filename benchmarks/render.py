@@ -25,7 +25,7 @@ from benchmarks.machine import table, write_json
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.drawing.views import View
-    from embodichain.lab.sim.engine.cpu import CpuEngine
+    from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 
 TASKS = ("reach", "push_cube", "lift_cube", "quadruped_velocity")
 NUM_ENVS, PIXELS = (1, 16, 64), (64, 128)
@@ -55,7 +55,7 @@ def main() -> None:
 
 def measure(task: str, rounds: int) -> dict[str, Any]:
     """All figures of a task: ms of CPU a picture, and MiB."""
-    from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
+    from embodichain.lab.sim.drawing.layered.batch_renderer import BatchRenderer
 
     engines = {count: _engine(task, count) for count in NUM_ENVS}
     plain = _Plain(engines[16])
@@ -94,7 +94,7 @@ def _engine(task: str, count: int) -> CpuEngine:
     import torch
 
     from benchmarks import arms
-    from embodichain.lab.sim.engine.cpu import CpuEngine
+    from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 
     env = arms.make(task, count)
     env.reset(seed=0)

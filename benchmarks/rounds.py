@@ -11,7 +11,7 @@ from statistics import median
 import mujoco
 
 from benchmarks.arms import Arm
-from embodichain.lab.sim.engine.mujoco_process import stop_timers
+from embodichain.lab.sim.engine.cpu.mujoco_process import stop_timers
 
 EPISODE = 100
 """Every timed stretch is whole episodes of this many steps, so that resets are in it."""

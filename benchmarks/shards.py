@@ -28,7 +28,7 @@ import torch
 import embodichain
 from benchmarks.machine import table, write_json
 from embodichain.learning.episode_statistics import EpisodeStatistics
-from embodichain.learning.sharded_play import play_sharded
+from embodichain.learning.evaluation.sharded_play import play_sharded
 
 WAYS = ("inside", "step")
 TARGET = 0.85

@@ -62,7 +62,7 @@ def measure(task: str, num_envs: int, steps: int, rounds: int) -> dict[str, Any]
     """Return ms of CPU an update of one environment in each pair of turns, and ms a step."""
     from benchmarks import arms
     from embodichain.recording import McapRecorder
-    from embodichain.recording.options import RecordOptions
+    from embodichain.recording.format.options import RecordOptions
 
     env = arms.make(task, num_envs)
     actions, number = _actions(env, steps + BEFORE), count()

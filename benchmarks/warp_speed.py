@@ -17,7 +17,7 @@ from benchmarks import arms
 from benchmarks.arms import Arm
 from benchmarks.machine import table
 from benchmarks.rounds import Result, measure
-from embodichain.lab.sim.engine.warp_support import start_warp, why_missing
+from embodichain.lab.sim.engine.warp.warp_support import start_warp, why_missing
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -77,7 +77,7 @@ def bare(task: str, env: BaseEnv) -> Arm:
     """Captured physics of an environment's model; a turn begins with the environment's states."""
     import warp
 
-    from embodichain.lab.sim.engine.warp_worlds import WarpWorlds
+    from embodichain.lab.sim.engine.warp.warp_worlds import WarpWorlds
 
     engine, nstep = env.sim.engine, env.sim_steps_per_control
     device = str(env.sim.sim_config.sim_device)

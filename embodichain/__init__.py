@@ -9,21 +9,24 @@ from typing import TYPE_CHECKING
 
 import lazy_loader
 
-from embodichain.compat import names
+from embodichain.compat import moved, names
 from embodichain.config.gymnasium_ids import register_with_gymnasium
 from embodichain.utils.on_disk import require_files
 
 if TYPE_CHECKING:
-    from embodichain.config.factory import make
+    from embodichain.config.environments.factory import make
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.factory": ["make"]})
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__, submod_attrs={"config.environments.factory": ["make"]}
+)
 
 __all__ = ["__version__", "make"]
 
 require_files(__file__)
 names.install()
+moved.install()
 
 from embodichain.utils.plugins import TERM_MODULES  # noqa: E402  (found by the hook)
 

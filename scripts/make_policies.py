@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from embodichain.data.pretrained import FOLDER, Pretrained
-from embodichain.utils.atomic import atomic_file, write_text
+from embodichain.utils.system.atomic import atomic_file, write_text
 
 RECIPES = {
     "cart_pole": 1,

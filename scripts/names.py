@@ -48,7 +48,7 @@ MODULES = (
     "embodichain.lab.sim.cfg",
     "embodichain.lab.sim.drawing.views",
     "embodichain.lab.sim.shapes",
-    "embodichain.recording.collection",
+    "embodichain.recording.demos.collection",
     "embodichain.recording.viewers.web",
     "embodichain.utils.errors",
 )
@@ -117,7 +117,7 @@ def _command_line() -> Iterator[str]:
     from embodichain.cli.app import VERBS
 
     for verb in VERBS:
-        module = importlib.import_module(f"embodichain.cli.{verb.replace('-', '_')}")
+        module = importlib.import_module(f"embodichain.cli.verbs.{verb.replace('-', '_')}")
         yield f"verb {verb}"
         for parameter in module.command.params:
             if isinstance(parameter, click.Option):
@@ -126,7 +126,7 @@ def _command_line() -> Iterator[str]:
 
 
 def _keys() -> Iterator[str]:
-    from embodichain.config.schema import RootCfg
+    from embodichain.config.keys.schema import RootCfg
 
     yield from _fields("", RootCfg, ())
 
@@ -165,7 +165,7 @@ def _choices() -> Iterator[str]:
 
 
 def _terms() -> Iterator[str]:
-    from embodichain.cli.terms import SECTION_OF, all_entries
+    from embodichain.cli.results.terms import SECTION_OF, all_entries
 
     for entry in all_entries():
         words = [

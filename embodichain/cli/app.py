@@ -21,8 +21,8 @@ from typing import Any
 import click
 from click.shell_completion import BashComplete, add_completion_class, shell_complete
 
-from embodichain.cli import process
-from embodichain.cli.plain_text import degrading_text
+from embodichain.cli.terminal import process
+from embodichain.cli.terminal.plain_text import degrading_text
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -143,7 +143,7 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        module = importlib.import_module(f"embodichain.cli.{cmd_name.replace('-', '_')}")
+        module = importlib.import_module(f"embodichain.cli.verbs.{cmd_name.replace('-', '_')}")
         found: click.Command = module.command
         return found
 
@@ -358,7 +358,7 @@ def _own_modules() -> Iterator[None]:
 def _search_first(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
     ctx.meta["config_dir"] = value
     if value is not None and not ctx.resilient_parsing:
-        from embodichain.config.hydra_loader import user_configs
+        from embodichain.config.composition.hydra_loader import user_configs
 
         ctx.with_resource(user_configs(value))
 
@@ -449,7 +449,7 @@ def _complete(
     config: str,
     names: tuple[str, ...],
 ) -> list[str]:
-    from embodichain.config.completion import complete_override
+    from embodichain.config.composition.completion import complete_override
 
     found = [name for name in names if incomplete and name.startswith(incomplete)]
     if found:
@@ -493,13 +493,13 @@ def log_of(name: str) -> Path:
         ConfigError: There is no log yet, no such file, or the folder has none.
     """
     from embodichain.config.run_folder import LOG, SHARDS, newest_run, perhaps_last
-    from embodichain.utils.atomic import remove_abandoned
+    from embodichain.utils.system.atomic import remove_abandoned
 
     path = newest_run("outputs", LOG, SHARDS) if name == "last" else Path(name)
     if path is None:
         raise ConfigError("no run in outputs has a log yet: embodichain run task=NAME")
     if name == "last":
-        from embodichain.cli.last import take_last
+        from embodichain.cli.terminal.last import take_last
 
         take_last(path)
     if not path.exists():

@@ -14,12 +14,12 @@ from typing import Any
 from embodichain.compat.gym_config.conversion import convert
 from embodichain.compat.gym_config.env_cfg import FUNCTORS, checked_cfg
 from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
-from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
+from embodichain.lab.gym.envs.managers.terms.registry import TERMS, Kind
 from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, name_of
-from embodichain.lab.sim.sensors.cfg import CameraCfg
+from embodichain.lab.sim.configs.sensor_cfg import CameraCfg
 from embodichain.utils.configclass import configclass, is_configclass
-from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.fields.defaults import is_given
 
 __all__ = ["EmbodiedEnvCfg"]
 

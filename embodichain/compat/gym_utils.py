@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from embodichain.compat.gym_config.env_cfg import config_to_cfg
 from embodichain.compat.gym_config.file import read_gym_config
-from embodichain.utils.defaults import DefaultFloat, DefaultInt, DefaultStr, is_given
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.fields.defaults import DefaultFloat, DefaultInt, DefaultStr, is_given
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg

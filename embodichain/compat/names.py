@@ -253,8 +253,8 @@ def _term(module: str, name: str) -> Any:
     if not module.startswith(_MANAGERS):
         return None
     from embodichain.compat.gym_config.functors import ACTIONS
-    from embodichain.lab.gym.envs.managers.aliases import AliasSpec
-    from embodichain.lab.gym.envs.managers.registry import TERMS
+    from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
+    from embodichain.lab.gym.envs.managers.terms.registry import TERMS
 
     for kind in _KINDS:
         spec = TERMS[kind].get(ACTIONS.get(name, name))

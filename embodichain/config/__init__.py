@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
-    from embodichain.config.composed import Composed, compose, from_hydra, list_options, relax
-    from embodichain.config.factory import make, make_batch, make_env
+    from embodichain.config.checks.validation import validate
+    from embodichain.config.composition.composed import (
+        Composed,
+        compose,
+        from_hydra,
+        list_options,
+        relax,
+    )
+    from embodichain.config.composition.hydra_loader import user_configs
+    from embodichain.config.environments.factory import make, make_batch, make_env
     from embodichain.config.file_validation import validate_file
-    from embodichain.config.hydra_loader import user_configs
     from embodichain.config.resolved import (
         Resolved,
         dump_yaml,
@@ -23,20 +30,19 @@ if TYPE_CHECKING:
         write_record,
     )
     from embodichain.config.run_folder import adopt, claim, find_run
-    from embodichain.config.validation import validate
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "composed": ["Composed", "compose", "from_hydra", "list_options", "relax"],
-        "factory": ["make", "make_batch", "make_env"],
-        "hydra_loader": ["user_configs"],
+        "composition.composed": ["Composed", "compose", "from_hydra", "list_options", "relax"],
+        "environments.factory": ["make", "make_batch", "make_env"],
+        "composition.hydra_loader": ["user_configs"],
         "resolved": [
             *("Resolved", "dump_yaml", "freeze", "resolve", "resolve_tree", "thaw"),
             "write_record",
         ],
         "run_folder": ["adopt", "claim", "find_run"],
-        "validation": ["validate"],
+        "checks.validation": ["validate"],
         "file_validation": ["validate_file"],
     },
 )

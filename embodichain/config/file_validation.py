@@ -8,13 +8,13 @@ from pathlib import Path
 import yaml
 
 from embodichain.compat.gym_config.file import is_gym_config, read_gym_config
-from embodichain.config.composed import Composed, compose
-from embodichain.config.gym_config import load_gym_config, override_of
-from embodichain.config.hydra_loader import explain_yaml
-from embodichain.config.locate import ConfigFile, Locator, display_path
+from embodichain.config.checks.validation import check_tree
+from embodichain.config.composition.composed import Composed, compose
+from embodichain.config.composition.gym_config import load_gym_config, override_of
+from embodichain.config.composition.hydra_loader import explain_yaml
+from embodichain.config.composition.locate import ConfigFile, Locator, display_path
+from embodichain.config.keys.schema import Verb
 from embodichain.config.resolved import Checked, Resolved, checked
-from embodichain.config.schema import Verb
-from embodichain.config.validation import check_tree
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["checked_file", "notes_on_file", "resolve_file", "validate_file"]

@@ -33,7 +33,7 @@ ENTRY_POINTS = "embodichain.conf"
 LOCAL = "conf"
 """The user's YAML tree, in the working directory."""
 _ID = re.compile(r"embodichain/([\w.-]+)-v0")
-_ENVS = "embodichain.config.gymnasium_envs"
+_ENVS = "embodichain.config.environments.gymnasium_envs"
 
 
 def task_id(name: str) -> str:

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from embodichain.config.algorithms import ALGORITHMS
-from embodichain.config.tensor_algorithms import PUBLISHED_STEPS
+from embodichain.config.keys.algorithms import ALGORITHMS
+from embodichain.config.keys.tensor_algorithms import PUBLISHED_STEPS
 from embodichain.utils.errors import Problem
 
 __all__ = ["LearningScale", "doubtful_scale", "scale_learning"]

@@ -16,12 +16,17 @@ import yaml
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from embodichain.config.composed import ParsedOverrides, apply_values, parse, plain_values
-from embodichain.config.environment import as_reader, for_omegaconf, not_taken
-from embodichain.config.given_last import keep_last_given
-from embodichain.config.hydra_loader import config_loader
-from embodichain.config.locate import COMMAND_LINE, Locator
-from embodichain.config.removed_entries import remove_null_entries
+from embodichain.config.composition.composed import (
+    ParsedOverrides,
+    apply_values,
+    parse,
+    plain_values,
+)
+from embodichain.config.composition.environment import as_reader, for_omegaconf, not_taken
+from embodichain.config.composition.given_last import keep_last_given
+from embodichain.config.composition.hydra_loader import config_loader
+from embodichain.config.composition.locate import COMMAND_LINE, Locator
+from embodichain.config.composition.removed_entries import remove_null_entries
 from embodichain.config.resolved import Resolved, resolve_tree
 from embodichain.config.run_folder import CONFIG, SUMMARY
 from embodichain.utils.errors import ConfigError, Problem

@@ -17,9 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from embodichain.config.check_types import check_types
-from embodichain.config.composed import Composed, compose
-from embodichain.config.environment import notes_of_today, taken_today
+from embodichain.config.checks.validation import Check, check, check_tree
+from embodichain.config.checks.viewer_access import access_of, take_token, without_token
+from embodichain.config.composition.composed import Composed, compose
+from embodichain.config.composition.environment import notes_of_today, taken_today
+from embodichain.config.keys.check_types import check_types
+from embodichain.config.keys.schema import RootCfg, Verb
 from embodichain.config.learning_scale import doubtful_scale, scale_learning
 from embodichain.config.run_folder import (
     CHECKPOINT,
@@ -28,20 +31,17 @@ from embodichain.config.run_folder import (
     newest_run,
     versions,
 )
-from embodichain.config.schema import RootCfg, Verb
-from embodichain.config.validation import Check, check, check_tree
-from embodichain.config.viewer_access import access_of, take_token, without_token
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.managers.term_errors import KeySources
+from embodichain.lab.gym.envs.managers.terms.term_errors import KeySources
 from embodichain.lab.gym.policies import PRETRAINED
 from embodichain.lab.sim.cfg import SimulationManagerCfg, choose_engine
 from embodichain.lab.sim.compiler.names import exact_pattern
-from embodichain.lab.sim.prepared_scene import PreparedScene
-from embodichain.utils.access import AUTO, Access
-from embodichain.utils.atomic import write_text
+from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
 from embodichain.utils.env_text import EnvText, env_texts, hidden
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.system.access import AUTO, Access
+from embodichain.utils.system.atomic import write_text
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv

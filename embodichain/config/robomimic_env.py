@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.config.environment import as_reader, notes_of_today
-from embodichain.config.factory import make_env
-from embodichain.config.host_arrays import with_arrays
+from embodichain.config.composition.environment import as_reader, notes_of_today
+from embodichain.config.environments.factory import make_env
+from embodichain.config.environments.host_arrays import with_arrays
 from embodichain.config.resolved import resolve_tree
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.utils.errors import ConfigError

@@ -15,9 +15,9 @@ from collections.abc import Collection, Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
 
-from embodichain.utils.atomic import remove_abandoned, temporary_name
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
+from embodichain.utils.system.atomic import remove_abandoned, temporary_name
 
 __all__ = [
     "CHECKPOINT",

@@ -14,11 +14,11 @@ from contextlib import contextmanager
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass, replace
 from typing import Any
 
+from embodichain.config.checks.validation import check_tree, named_maps
+from embodichain.config.keys.schema import RootCfg
 from embodichain.config.resolved import Checked, Resolved, thaw
-from embodichain.config.schema import RootCfg
-from embodichain.config.validation import check_tree, named_maps
-from embodichain.lab.gym.envs.managers.registry import SECTIONS
-from embodichain.lab.gym.envs.managers.term_errors import FAILURES
+from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS
+from embodichain.lab.gym.envs.managers.terms.term_errors import FAILURES
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["further_mistakes"]

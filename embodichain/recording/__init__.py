@@ -8,13 +8,13 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "api": ["Log"],
-        "demonstrations": ["Episode", "read_episodes"],
-        "joining": ["inspect", "open", "verify"],
-        "log_diff": ["DiffReport", "LogDifference", "diff"],
-        "options": ["ImageOptions", "RecordOptions"],
-        "recorder": ["McapRecorder"],
-        "summary": ["LogSummary"],
-        "verification": ["Difference", "VerifyReport"],
+        "read.api": ["Log"],
+        "demos.demonstrations": ["Episode", "read_episodes"],
+        "shards.joining": ["inspect", "open", "verify"],
+        "check.log_diff": ["DiffReport", "LogDifference", "diff"],
+        "format.options": ["ImageOptions", "RecordOptions"],
+        "write.recorder": ["McapRecorder"],
+        "read.summary": ["LogSummary"],
+        "check.verification": ["Difference", "VerifyReport"],
     },
 )

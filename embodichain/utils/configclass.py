@@ -127,7 +127,7 @@ def _missing(value: Any, path: str) -> list[str]:
 
 def _from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:
     """Build a config from nested plain values; ConfigError lists every mistake."""
-    from embodichain.utils.type_errors import from_dict  # pydantic: only when it is called
+    from embodichain.utils.fields.type_errors import from_dict  # pydantic: only when it is called
 
     return from_dict(cls, init_dict)
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks import arms, warp_speed
-from embodichain.lab.sim.engine import warp_worlds
-from embodichain.lab.sim.engine.warp_support import cuda_devices
+from embodichain.lab.sim.engine.warp import warp_worlds
+from embodichain.lab.sim.engine.warp.warp_support import cuda_devices
 
 pytestmark = pytest.mark.unmeasured
 

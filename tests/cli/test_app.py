@@ -7,7 +7,7 @@ import pytest
 import embodichain
 from embodichain.cli import main
 from embodichain.cli.app import EVERYDAY_KEYS, VERBS
-from embodichain.config.schema import RootCfg
+from embodichain.config.keys.schema import RootCfg
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"], ["help"]])
@@ -33,7 +33,7 @@ def test_help_of_every_verb_shows_its_options_and_examples(
     assert text.startswith(f"Usage: embodichain {verb} ")
     assert VERBS[verb] in " ".join(text.split())
     assert "--json" in text
-    module = importlib.import_module(f"embodichain.cli.{verb.replace('-', '_')}")
+    module = importlib.import_module(f"embodichain.cli.verbs.{verb.replace('-', '_')}")
     assert module.command.examples
     for example, what in module.command.examples:
         assert f"embodichain {example}" in text

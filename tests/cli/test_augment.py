@@ -8,9 +8,9 @@ import pytest
 
 import embodichain.recording as recording
 from embodichain.cli import main
-from embodichain.recording.collection import read_collection
-from embodichain.recording.segments import read_sources
-from embodichain.recording.verification import verify
+from embodichain.recording.check.verification import verify
+from embodichain.recording.demos.collection import read_collection
+from embodichain.recording.demos.segments import read_sources
 
 
 @pytest.fixture(scope="module")

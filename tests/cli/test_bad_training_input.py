@@ -144,7 +144,7 @@ def test_a_full_disk_while_training(run, capsys):
 
 
 def test_a_full_disk_after_a_checkpoint_says_how_to_go_on(tmp_path, monkeypatch, capsys):
-    from embodichain.learning import session
+    from embodichain.learning.training import session
 
     real = session.save_checkpoint
 

@@ -13,8 +13,8 @@ import pytest
 
 import embodichain.recording as recording
 from embodichain.cli import main
-from embodichain.recording.collection import read_collection
-from embodichain.recording.verification import verify
+from embodichain.recording.check.verification import verify
+from embodichain.recording.demos.collection import read_collection
 
 REACH = ("task=reach", "policy=random", "collect.success_steps=1", "seed=1", "-q")
 GUARD = 240.0

@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
-from embodichain.cli.dashboard import Dashboard
-from embodichain.learning.episodes import TrainStatistics
+from embodichain.cli.jobs.dashboard import Dashboard
+from embodichain.learning.evaluation.episodes import TrainStatistics
 
 
 class Terminal(io.StringIO):

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from embodichain.cli import demo, main
+from embodichain.cli import main
+from embodichain.cli.verbs import demo
 from embodichain.data.pretrained import pretrained_tasks
 from tests.helpers.browser import chromium, needs_chromium
 
@@ -80,8 +81,10 @@ def test_a_browser_starts_it_and_the_last_episode_ends_it(tmp_path):
 def test_a_page_that_nobody_opens_waits_until_it_is_stopped(tmp_path, monkeypatch, capsys):
     opened = []
     monkeypatch.setattr(demo.webbrowser, "open", lambda url: opened.append(url) or False)
-    monkeypatch.setattr("embodichain.lab.sim.viewer.has_display", lambda: True)
-    monkeypatch.setattr("embodichain.cli.process.StopFlag.is_stopped", lambda self: bool(opened))
+    monkeypatch.setattr("embodichain.utils.system.display.has_display", lambda: True)
+    monkeypatch.setattr(
+        "embodichain.cli.terminal.process.StopFlag.is_stopped", lambda self: bool(opened)
+    )
     assert main(["demo", "cart_pole", f"output_dir={tmp_path}"]) == 0
     out, err = capsys.readouterr()
     assert opened[0].startswith("http://127.0.0.1:") and opened[0] in err

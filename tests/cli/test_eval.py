@@ -11,7 +11,7 @@ import yaml
 
 import embodichain.recording as recording
 from embodichain.cli import main
-from embodichain.learning.evaluation import EVAL_SEED_OFFSET
+from embodichain.learning.evaluation.evaluation import EVAL_SEED_OFFSET
 from embodichain.recording import inspect
 
 

@@ -6,9 +6,9 @@ import pytest
 import yaml
 
 from embodichain.cli import main
-from embodichain.config.factory import make_env
+from embodichain.config.environments.factory import make_env
 from embodichain.config.resolved import resolve
-from embodichain.learning.task_digest import TaskDigest
+from embodichain.learning.checkpoints.task_digest import TaskDigest
 from embodichain.utils.errors import ConfigError
 
 pytestmark = pytest.mark.unmeasured

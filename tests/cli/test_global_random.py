@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.cli.global_random import global_draws
+from embodichain.cli.results.global_random import global_draws
 
 
 class Global:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from embodichain.cli import main
-from embodichain.lab.gym.envs.managers.registry import KINDS
+from embodichain.lab.gym.envs.managers.terms.registry import KINDS
 
 HEAVY = {"torch", "tensordict", "stable_baselines3"}
 

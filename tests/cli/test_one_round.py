@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from embodichain.cli import main
-from embodichain.utils import video
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.system import video
 
 PUSH = """\
 defaults: [push_cube, _self_]

@@ -6,7 +6,7 @@ import textwrap
 
 import pytest
 
-from embodichain.cli.process import Interrupted
+from embodichain.cli.terminal.process import Interrupted
 
 ARRIVES_IN = {
     "a callback of a weak reference": "weakref.ref(target, lambda _: os.kill(os.getpid(), 15))",
@@ -19,7 +19,7 @@ ARRIVES_IN = {
 def test_a_signal_whose_exception_python_ignores_is_delivered_again(setup: str) -> None:
     script = textwrap.dedent(f"""
         import os, time, weakref
-        from embodichain.cli.process import signals_raise
+        from embodichain.cli.terminal.process import signals_raise
 
         class Target:
             pass

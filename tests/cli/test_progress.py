@@ -3,7 +3,7 @@ import sys
 
 import pytest
 
-from embodichain.cli.reporting import ProgressDisplay
+from embodichain.cli.terminal.reporting import ProgressDisplay
 
 
 class Terminal(io.StringIO):

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from embodichain.cli import process
-from embodichain.cli.process import report
-from embodichain.cli.reporting import log_to
+from embodichain.cli.terminal import process
+from embodichain.cli.terminal.process import report
+from embodichain.cli.terminal.reporting import log_to
 from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from embodichain.cli import main
-from embodichain.cli.resuming import parsed_changes, resumed_folder, resumption, with_changes
+from embodichain.cli.jobs.resuming import parsed_changes, resumed_folder, resumption, with_changes
 from embodichain.utils.errors import ConfigError
 
 

@@ -8,10 +8,11 @@ import pytest
 from PIL import Image
 
 import embodichain
-from embodichain.cli import jobs, main
-from embodichain.config.composed import compose
+from embodichain.cli import main
+from embodichain.cli.jobs import job as jobs
+from embodichain.config.composition.composed import compose
+from embodichain.config.keys.schema import VideoCfg
 from embodichain.config.resolved import resolve
-from embodichain.config.schema import VideoCfg
 from tests.recording.test_film import pictures
 
 TINY = ["task=cart_pole", "policy=zero", "num_envs=1", "max_steps=40", "seed=1", "scene_png=false"]

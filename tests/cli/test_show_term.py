@@ -9,7 +9,7 @@ import pytest
 from pydantic import AfterValidator, Field
 
 from embodichain.cli import main
-from embodichain.cli.terms import parse_doc, type_words
+from embodichain.cli.results.terms import parse_doc, type_words
 from embodichain.lab.gym.envs.cfg import TermCfg
 from embodichain.lab.gym.envs.managers.param_types import Box3, NonNegative, Positive, Range, Vec3
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity

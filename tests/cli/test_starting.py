@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from embodichain.cli import main
-from embodichain.cli.process import started, starting
+from embodichain.cli.terminal.process import started, starting
 
 seen: list[bool] = []
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from embodichain.cli.sweep_plan import Plan, plan_sweep
+from embodichain.cli.sweeps.sweep_plan import Plan, plan_sweep
 from embodichain.config import resolve
 from embodichain.utils.errors import ConfigError
 

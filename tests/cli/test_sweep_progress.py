@@ -5,7 +5,7 @@ from pathlib import Path
 
 import yaml
 
-from embodichain.cli.sweep_progress import job_label, job_rows, table_of
+from embodichain.cli.sweeps.sweep_progress import job_label, job_rows, table_of
 
 HEADER = "time/fps,time/total_timesteps,rollout/ep_rew_mean,rollout/success_rate\n"
 

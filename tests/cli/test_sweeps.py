@@ -13,7 +13,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from embodichain.cli import main
-from embodichain.cli.sweeping import points, towards_scores
+from embodichain.cli.sweeps.sweeping import points, towards_scores
 
 TINY = (
     *("task=cart_pole", "num_envs=4", "total_timesteps=64", "algo.n_steps=8", "algo.batch_size=16"),

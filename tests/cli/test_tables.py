@@ -3,7 +3,7 @@
 import pytest
 
 from embodichain.cli import main
-from embodichain.cli.output import print_facts, print_table
+from embodichain.cli.terminal.output import print_facts, print_table
 
 PATH = "outputs/2026-01-01/" + "a-long-name/" * 10 + "rollout.mcap"
 TEXT = "words " * 60

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from embodichain.cli import main
-from embodichain.cli.jobs import execute
-from embodichain.cli.train import train_job
+from embodichain.cli.jobs.job import execute
+from embodichain.cli.verbs.train import train_job
 from embodichain.config import resolve
 from embodichain.recording import inspect, verify
 
@@ -100,7 +100,7 @@ def test_what_goes_on_is_evaluated_as_it_is_asked_for(trained, capsys):
 
 
 def test_an_interrupted_evaluation_is_told_as_such(capsys, monkeypatch):
-    from embodichain.learning import evaluation
+    from embodichain.learning.evaluation import evaluation
 
     real = evaluation.evaluate
 
@@ -153,7 +153,7 @@ def test_films(trained, capsys, monkeypatch):
 
 
 def test_a_training_that_dies_leaves_a_summary(tmp_path, monkeypatch, capsys):
-    from embodichain.learning import session
+    from embodichain.learning.training import session
 
     def broken(self, *arguments):
         raise RuntimeError("the network has gone")

@@ -109,7 +109,7 @@ def test_the_model_of_the_config_is_that_of_the_file_to_the_bit(folder: Path) ->
     import torch
 
     from embodichain.config import make_env, resolve
-    from embodichain.learning.policy import load_model
+    from embodichain.learning.policies.policy import load_model
 
     file = folder / "checkpoints/final.zip"
     with closing(make_env(resolve(["task=reach", "num_envs=2"]))) as env:
@@ -277,8 +277,8 @@ def test_a_picture_starts_no_program(
 ) -> None:
     from PIL import EpsImagePlugin, Image
 
-    from embodichain.lab.sim.compiler.textures import check_textures
-    from embodichain.lab.sim.meshes.mesh_reading import MeshError, read_mesh
+    from embodichain.lab.sim.compiler.geoms.mesh_reading import MeshError, read_mesh
+    from embodichain.lab.sim.compiler.geoms.textures import check_textures
 
     program = tmp_path / "bin/gs"
     program.parent.mkdir()

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from embodichain.cli import main
-from embodichain.cli.unread_keys import refuse_unread
+from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.utils.errors import ConfigError
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from embodichain.cli import main
-from embodichain.cli.terms import SECTION_OF, all_entries
+from embodichain.cli.results.terms import SECTION_OF, all_entries
 from embodichain.config import compose, validate
 from tests.config.bad_configs import BAD
 from tests.config.conftest import WriteTask, write_task  # noqa: F401  (a fixture)

@@ -13,8 +13,8 @@ import pytest
 
 from embodichain.cli import main
 from embodichain.recording import McapRecorder
-from embodichain.recording.options import RecordOptions
-from embodichain.recording.recover import recover
+from embodichain.recording.format.options import RecordOptions
+from embodichain.recording.read.recover import recover
 from embodichain.recording.viewers import foxglove
 from embodichain.recording.viewers.foxglove import FoxgloveServer, declare_channels, stream_log
 from tests.recording.scene import SmallEnv

@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from embodichain.cli import main, run_env
+from embodichain.cli import main
 from embodichain.cli.app import VERBS
+from embodichain.cli.verbs import run_env
 from embodichain.compat.gym_config import functors, vocabulary
 from embodichain.compat.names import REASONS
-from embodichain.lab.gym.envs.managers.registry import TERMS
+from embodichain.lab.gym.envs.managers.terms.registry import TERMS
 from embodichain.lab.gym.expert.steps import STEPS
 from embodichain.lab.sim import SimulationManagerCfg, unavailable
 from tests.helpers.house import REPO

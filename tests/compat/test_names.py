@@ -89,7 +89,7 @@ def test_imports_of_the_tutorial_after_the_first() -> None:
 
 def test_a_functor_is_the_term_of_that_name_or_the_name_of_an_alias() -> None:
     from embodichain.lab.gym.envs.managers import actions, rewards  # type: ignore[attr-defined]
-    from embodichain.lab.gym.envs.managers.registry import TERMS
+    from embodichain.lab.gym.envs.managers.terms.registry import TERMS
 
     assert actions.DeltaQposTerm == "relative_joint_position"
     assert actions.DeltaQposTerm in TERMS["action"]

@@ -8,8 +8,8 @@ import pytest
 import torch
 import yaml
 
-from embodichain.cli.terms import all_entries
-from embodichain.lab.gym.envs.managers.aliases import AliasSpec
+from embodichain.cli.results.terms import all_entries
+from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
 from tests.helpers.example_scene import environment
 
 Term = dict[str, Any]

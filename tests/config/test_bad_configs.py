@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from embodichain.config import compose, list_options, resolve, validate
-from embodichain.lab.gym.envs.managers.registry import TERMS
+from embodichain.lab.gym.envs.managers.terms.registry import TERMS
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 from embodichain.utils.errors import ConfigError
 from tests.config.bad_configs import BAD, Bad

@@ -11,7 +11,7 @@ from hydra.version import getbase
 from omegaconf import OmegaConf
 
 from embodichain.config import compose, list_options, relax, validate
-from embodichain.config.hydra_loader import config_loader
+from embodichain.config.composition.hydra_loader import config_loader
 from embodichain.utils.errors import ConfigError
 from tests.config.conftest import GOOD, WriteTask
 

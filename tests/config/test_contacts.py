@@ -451,7 +451,7 @@ def test_python_classes_say_once_what_has_no_effect(caplog: pytest.LogCaptureFix
 
 def test_a_config_says_after_a_copy_whether_a_value_was_given() -> None:
     from embodichain.lab.sim.cfg import RigidBodyAttributesCfg
-    from embodichain.utils.defaults import is_given
+    from embodichain.utils.fields.defaults import is_given
 
     usual, given = RigidBodyAttributesCfg(), RigidBodyAttributesCfg(dynamic_friction=0.5)
     assert usual == given and usual.dynamic_friction == 0.5

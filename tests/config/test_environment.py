@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from embodichain.config import resolve, resolve_tree
-from embodichain.config.composed import compose
+from embodichain.config.composition.composed import compose
 from embodichain.config.resolved import dump_yaml
 from embodichain.utils.env_text import EnvText, env_texts
 from embodichain.utils.errors import ConfigError

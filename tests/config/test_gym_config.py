@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from embodichain.config import compose, dump_yaml, resolve, thaw, validate_file
+from embodichain.config.composition.gym_config import load_gym_config, override_of
 from embodichain.config.file_validation import notes_on_file
-from embodichain.config.gym_config import load_gym_config, override_of
 from embodichain.utils.errors import ConfigError
 
 CONFIGS = Path(__file__).parents[1] / "helpers" / "gym_configs"

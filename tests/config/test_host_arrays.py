@@ -8,8 +8,8 @@ import yaml
 
 import embodichain
 from embodichain.cli import main
-from embodichain.config.factory import with_warp_values
-from embodichain.config.host_arrays import why_host, why_not_device, with_arrays
+from embodichain.config.environments.factory import with_warp_values
+from embodichain.config.environments.host_arrays import why_host, why_not_device, with_arrays
 from embodichain.config.rerun import resolve_again
 from embodichain.config.resolved import dump_yaml, resolve
 from embodichain.utils.errors import ConfigError

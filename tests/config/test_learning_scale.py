@@ -3,7 +3,7 @@
 import pytest
 
 from embodichain.config import resolve, resolve_tree
-from embodichain.config.algorithms import ALGORITHMS
+from embodichain.config.keys.algorithms import ALGORITHMS
 from embodichain.config.learning_scale import doubtful_scale, scale_learning
 from embodichain.config.resolved import thaw
 

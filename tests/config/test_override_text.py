@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from embodichain.config import compose, validate
-from embodichain.config.override_text import readable
+from embodichain.config.composition.override_text import readable
 from tests.config.conftest import GOOD, WriteTask
 
 

@@ -14,7 +14,7 @@ import torch
 from embodichain import recording
 from embodichain.cli import main
 from embodichain.config import resolve
-from embodichain.learning.train import train
+from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 from tests.helpers.ray_cluster import ray_cluster
 

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from embodichain.config import adopt, claim, find_run, resolve, thaw, write_record
-from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.system.atomic import write_text
 from tests.config.conftest import WriteTask
 
 NOW = datetime(2026, 11, 21, 4, 5, 6)

@@ -3,7 +3,7 @@
 import pytest
 
 from embodichain.config import compose, validate
-from embodichain.config.ray_shards import shard_config
+from embodichain.config.environments.ray_shards import shard_config
 from embodichain.config.resolved import resolve
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.errors import ConfigError

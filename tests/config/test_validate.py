@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from embodichain.config import claim, compose, list_options, resolve, validate, validate_file
-from embodichain.config.hydra_loader import CONFIG_MODULE
+from embodichain.config.composition.hydra_loader import CONFIG_MODULE
 from embodichain.config.resolved import write_record
 from tests.config.conftest import GOOD, WriteTask
 

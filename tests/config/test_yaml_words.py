@@ -7,7 +7,7 @@ import yaml
 from omegaconf import OmegaConf
 
 from embodichain.config import compose, validate, validate_file
-from embodichain.config.yaml_words import compose_nodes
+from embodichain.config.composition.yaml_words import compose_nodes
 from tests.config.conftest import GOOD, WriteTask
 
 FILE = "conf/task/mine.yaml"

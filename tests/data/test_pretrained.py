@@ -11,7 +11,7 @@ import pytest
 from embodichain.cli import main
 from embodichain.config import make_env, resolve
 from embodichain.data.pretrained import pretrained, pretrained_tasks
-from embodichain.learning.policy import load_policy
+from embodichain.learning.policies.policy import load_policy
 from embodichain.utils.errors import ConfigError
 from scripts.make_policies import RECIPES
 

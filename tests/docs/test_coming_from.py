@@ -13,9 +13,9 @@ import yaml
 
 from embodichain.cli.app import VERBS
 from embodichain.config import resolve
-from embodichain.config.check_types import key_names, schema_at
+from embodichain.config.keys.check_types import key_names, schema_at
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.envs.managers.registry import KINDS, SHAPES, TERMS
+from embodichain.lab.gym.envs.managers.terms.registry import KINDS, SHAPES, TERMS
 from embodichain.lab.sim.objects import Robot
 from embodichain.utils.errors import ConfigError
 
@@ -94,7 +94,7 @@ def is_command(text: str) -> bool:
     _, name, *arguments = shlex.split(text)
     if name not in VERBS:
         return False
-    command = importlib.import_module(f"embodichain.cli.{name.replace('-', '_')}").command
+    command = importlib.import_module(f"embodichain.cli.verbs.{name.replace('-', '_')}").command
     values = [a for a in arguments if "=" in a and not a.startswith("-")]
     job = name in ("run", "train", "collect") and any(v.startswith("task=") for v in values)
     if job and "-m" not in arguments:

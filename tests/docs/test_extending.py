@@ -12,7 +12,7 @@ import torch
 
 import embodichain
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.envs.managers.registry import KINDS, LEADING
+from embodichain.lab.gym.envs.managers.terms.registry import KINDS, LEADING
 from embodichain.lab.gym.policies import resolve_policy
 
 pytestmark = pytest.mark.unmeasured

@@ -1,7 +1,7 @@
 """The table of what is left out of EmbodiChain's own configs is the one of the code."""
 
 from embodichain.compat.gym_config.functors import ACTIONS, LEFT_OUT
-from embodichain.lab.gym.envs.managers.registry import KINDS, TERMS
+from embodichain.lab.gym.envs.managers.terms.registry import KINDS, TERMS
 from scripts.gym_config_table import PAGE, filled
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from embodichain.recording import McapRecorder, verify
-from embodichain.recording.log_writer import LogWriter
+from embodichain.recording.write.log_writer import LogWriter
 from tests.helpers.randomizers import CASES
 from tests.helpers.ur10_task import HOME, builder
 

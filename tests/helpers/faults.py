@@ -45,12 +45,34 @@ ERRORS = (errno.EIO, errno.ENOSPC)
 SOURCE = Path(__file__).with_name("nth_call.c")
 _WARM = (
     *("mujoco", "numpy", "torch", "stable_baselines3", "mcap", "h5py", "pandas", "pyarrow.parquet"),
-    *("embodichain.cli.run", "embodichain.cli.train", "embodichain.cli.collect", "matplotlib"),
-    *("embodichain.cli.export", "embodichain.cli.report", "embodichain.cli.recover"),
+    *(
+        "embodichain.cli.verbs.run",
+        "embodichain.cli.verbs.train",
+        "embodichain.cli.verbs.collect",
+        "matplotlib",
+    ),
+    *(
+        "embodichain.cli.verbs.export",
+        "embodichain.cli.verbs.report",
+        "embodichain.cli.verbs.recover",
+    ),
     *("embodichain.recording.export.tables", "embodichain.recording.export.robomimic"),
-    *("embodichain.recording.export.lerobot", "embodichain.learning.train", "hydra", "PIL.Image"),
-    *("embodichain.config.factory", "embodichain.cli.sweeping", "rosbags.typesys"),
-    *("embodichain.cli.report_page", "embodichain.recording.export.ros2", "embodichain.tasks"),
+    *(
+        "embodichain.recording.export.lerobot",
+        "embodichain.learning.training.train",
+        "hydra",
+        "PIL.Image",
+    ),
+    *(
+        "embodichain.config.environments.factory",
+        "embodichain.cli.sweeps.sweeping",
+        "rosbags.typesys",
+    ),
+    *(
+        "embodichain.cli.results.report_page",
+        "embodichain.recording.export.ros2",
+        "embodichain.tasks",
+    ),
 )
 _TEMPORARY = " is temporary"
 _CUT = "EndOfFile"
@@ -270,8 +292,8 @@ def _picture(path: Path) -> None:
 
 
 def _log(path: Path) -> None:
-    from embodichain.recording.chunks import LogReader
-    from embodichain.recording.log_error import LogError
+    from embodichain.recording.format.log_error import LogError
+    from embodichain.recording.read.chunks import LogReader
 
     if not path.stat().st_size:
         return
@@ -587,7 +609,7 @@ def _trained(place: Path) -> object:
 
 
 def _resume_training(place: Path) -> tuple[str, ...] | None:
-    from embodichain.learning.keeper import find_resumable
+    from embodichain.learning.training.keeper import find_resumable
     from embodichain.utils.errors import EmbodichainError
 
     for folder in (path.parent for path in _folders(place, "outputs/2*/*/checkpoints")[::-1]):
@@ -600,7 +622,7 @@ def _resume_training(place: Path) -> tuple[str, ...] | None:
 
 
 def _collected(place: Path) -> object:
-    from embodichain.recording.collection import read_collection
+    from embodichain.recording.demos.collection import read_collection
 
     folder = _folders(place, "outputs/2*/*/successes.jsonl")[-1].parent
     found = [(e.attempt, e.steps, e.total_reward) for e in read_collection(folder)]
@@ -670,7 +692,7 @@ CASES: dict[str, Case] = {
 def _logs_agree(folder: Path, whole: Path) -> list[str]:
     """Compare the logs of a folder with the whole one, as far as they go."""
     from embodichain import recording
-    from embodichain.recording.log_error import LogError
+    from embodichain.recording.format.log_error import LogError
 
     wrong = []
     with recording.open(_folders(whole, "outputs/2*/*/rollout.mcap")[-1]) as log:

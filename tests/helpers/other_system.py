@@ -21,7 +21,7 @@ OS_NAMES = (
     *("O_DIRECTORY", "O_CLOEXEC", "getloadavg", "getuid", "geteuid", "killpg", "mkfifo", "setsid"),
 )
 SIGNALS = ("SIGUSR1", "SIGUSR2", "SIGHUP", "SIGALRM", "pthread_kill")
-NOT_THERE = ("embodichain.learning.rsl_rl_ppo", "embodichain.learning.skrl_ppo")
+NOT_THERE = ("embodichain.learning.tensors.rsl_rl_ppo", "embodichain.learning.tensors.skrl_ppo")
 """They import an extra, which imports modules of the other system."""
 OTHERS = (
     *("click", "rich.console", "rich.table", "rich.progress", "numpy", "torch", "mujoco.batch"),

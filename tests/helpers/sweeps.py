@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.learning.policy import load_model
+from embodichain.learning.policies.policy import load_model
 
 TINY = (
     *("task=cart_pole", "num_envs=4", "algo.n_steps=8", "algo.batch_size=16", "algo.n_epochs=2"),

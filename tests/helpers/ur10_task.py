@@ -14,8 +14,8 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.contact_cfg import ContactCfg
-from embodichain.lab.sim.scene_cfg import GroundCfg, SceneCfg
+from embodichain.lab.sim.configs.contact_cfg import ContactCfg
+from embodichain.lab.sim.configs.scene_cfg import GroundCfg, SceneCfg
 from embodichain.lab.sim.shapes import CubeCfg, SphereCfg
 
 HOME = [1.57079, -1.57079, 1.57079, -1.57079, -1.57079, -3.14159]

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.config.algorithms import AnyAlgoCfg
-from embodichain.config.check_types import check_types
-from embodichain.config.tensor_algorithms import TENSOR_ALGORITHMS
-from embodichain.learning import algorithms
-from embodichain.learning.algorithms import Algorithm, action_noise, algorithm_class
-from embodichain.learning.vec_env import SB3VecEnv
+from embodichain.config.keys.algorithms import AnyAlgoCfg
+from embodichain.config.keys.check_types import check_types
+from embodichain.config.keys.tensor_algorithms import TENSOR_ALGORITHMS
+from embodichain.learning.sb3 import algorithms
+from embodichain.learning.sb3.algorithms import Algorithm, action_noise, algorithm_class
+from embodichain.learning.sb3.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 

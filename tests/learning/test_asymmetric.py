@@ -9,12 +9,12 @@ from stable_baselines3.common.vec_env import VecNormalize
 import embodichain
 from embodichain.config import resolve
 from embodichain.learning import SB3VecEnv, evaluate, export_policy, load_policy
-from embodichain.learning.asymmetric import AsymmetricActorCriticPolicy
-from embodichain.learning.exported import load_exported
-from embodichain.learning.exporting import FORMATS
-from embodichain.learning.normalization import NormalizeStatistics, load_statistics
-from embodichain.learning.policy import load_model
-from embodichain.learning.train import train
+from embodichain.learning.policies.exported import load_exported
+from embodichain.learning.policies.exporting import FORMATS
+from embodichain.learning.policies.policy import load_model
+from embodichain.learning.sb3.asymmetric import AsymmetricActorCriticPolicy
+from embodichain.learning.sb3.normalization import NormalizeStatistics, load_statistics
+from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 
 # The actor has joints and its last action, the critic the way to the goal too.

@@ -9,10 +9,10 @@ from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
 
 from embodichain.learning import SB3VecEnv
-from embodichain.learning.chunk_policy import ChunkPolicy, MultiInputChunkPolicy
-from embodichain.learning.chunks import blend
-from embodichain.learning.cloning import BehaviorCloning
-from embodichain.learning.demonstrations import Demonstrations
+from embodichain.learning.cloning.behavior_cloning import BehaviorCloning
+from embodichain.learning.cloning.chunk_policy import ChunkPolicy, MultiInputChunkPolicy
+from embodichain.learning.cloning.chunks import blend
+from embodichain.learning.cloning.demonstrations import Demonstrations
 from tests.learning.counting import CountingEnv
 from tests.learning.recorded import Recorded
 

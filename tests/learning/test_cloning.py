@@ -9,8 +9,8 @@ import pytest
 
 from embodichain.config import make_env, resolve
 from embodichain.learning import evaluate, export_policy, load_policy
-from embodichain.learning.chunks import blend
-from embodichain.learning.train import train
+from embodichain.learning.cloning.chunks import blend
+from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 from tests.learning.recorded import record
 from tests.learning.test_resume import content, everything

@@ -9,7 +9,7 @@ from PIL import Image
 from stable_baselines3.common.logger import CSVOutputFormat
 
 from embodichain.cli import main
-from embodichain.learning.comparison import (
+from embodichain.learning.evaluation.comparison import (
     RETURN,
     SUCCESS,
     Curve,
@@ -17,7 +17,7 @@ from embodichain.learning.comparison import (
     group_runs,
     read_run,
 )
-from embodichain.learning.plots import plot_curves, set_axes
+from embodichain.learning.evaluation.plots import plot_curves, set_axes
 from embodichain.utils.errors import ConfigError
 
 

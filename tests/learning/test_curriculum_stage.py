@@ -12,9 +12,9 @@ import torch
 from embodichain.cli import main
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import CurriculumCfg, MetricCfg, RewardCfg
-from embodichain.learning.curriculum_stage import read_stage
-from embodichain.learning.evaluation import evaluate
-from embodichain.learning.vec_env import SB3VecEnv
+from embodichain.learning.checkpoints.curriculum_stage import read_stage
+from embodichain.learning.evaluation.evaluation import evaluate
+from embodichain.learning.sb3.vec_env import SB3VecEnv
 from tests.helpers.local_shards import sharded
 from tests.lab.gym.conftest import home, jumping, task
 from tests.lab.gym.mdp.test_terrain import levels
@@ -96,7 +96,7 @@ def test_without_a_stage_the_first_one_is_judged_and_said(
     alone = tmp_path / "alone.zip"
     shutil.copyfile(trained / "checkpoints" / "final.zip", alone)
     from embodichain.config import resolve
-    from embodichain.config.factory import make_batch
+    from embodichain.config.environments.factory import make_batch
 
     words = ["task=stage", "num_envs=1"]
     env = make_batch(resolve(words, config_dir=trained.parents[2]))

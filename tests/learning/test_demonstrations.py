@@ -6,9 +6,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from embodichain.config import resolve
 from embodichain.learning import SB3VecEnv
-from embodichain.learning.demonstrations import Demonstrations, fill, learn_scales
-from embodichain.learning.plain_state import read_tree
-from embodichain.learning.train import train
+from embodichain.learning.checkpoints.plain_state import read_tree
+from embodichain.learning.cloning.demonstrations import Demonstrations, fill, learn_scales
+from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 from tests.learning.recorded import Recorded, record

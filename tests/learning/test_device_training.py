@@ -9,8 +9,8 @@ import torch
 
 from embodichain.config import make_env, resolve
 from embodichain.learning import evaluate, load_policy
-from embodichain.learning.plain_state import read_tree
-from embodichain.learning.train import train
+from embodichain.learning.checkpoints.plain_state import read_tree
+from embodichain.learning.training.train import train
 
 pytest.importorskip("mujoco_warp")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.learning.evaluation import EVAL_SEED_OFFSET, evaluate, quotas
+from embodichain.learning.evaluation.evaluation import EVAL_SEED_OFFSET, evaluate, quotas
 from embodichain.utils.errors import ConfigError
 
 

@@ -11,10 +11,10 @@ import torch
 from stable_baselines3.common.vec_env import VecNormalize
 
 from embodichain.learning import LearnedPolicy, SB3VecEnv, load_policy
-from embodichain.learning.checkpoint import save_checkpoint
-from embodichain.learning.exported import METADATA, load_exported
-from embodichain.learning.exporting import FORMATS, export_policy
-from embodichain.learning.normalization import save_statistics, statistics_path
+from embodichain.learning.checkpoints.checkpoint import save_checkpoint
+from embodichain.learning.policies.exported import METADATA, load_exported
+from embodichain.learning.policies.exporting import FORMATS, export_policy
+from embodichain.learning.sb3.normalization import save_statistics, statistics_path
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 

@@ -9,9 +9,9 @@ from stable_baselines3 import PPO
 
 from embodichain.cli import main
 from embodichain.config import resolve
-from embodichain.learning.finite import NotFiniteError, check_finite, told_apart
-from embodichain.learning.policy import load_model
-from embodichain.learning.train import train
+from embodichain.learning.policies.policy import load_model
+from embodichain.learning.training.finite import NotFiniteError, check_finite, told_apart
+from embodichain.learning.training.train import train
 
 REACH = ("task=reach", "num_envs=4", "seed=1", "task.max_episode_steps=7", "eval.episodes=0")
 ALGORITHMS = {

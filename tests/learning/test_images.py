@@ -14,8 +14,8 @@ import embodichain
 from embodichain.config import resolve
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.learning import SB3VecEnv, load_policy
-from embodichain.learning.extractors import SmallCnn
-from embodichain.learning.train import train
+from embodichain.learning.sb3.extractors import SmallCnn
+from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 from tests.learning.recorded import record
 

@@ -3,7 +3,7 @@
 import gymnasium as gym
 import pytest
 
-from embodichain.learning.checkpoint import made_by, read_note
+from embodichain.learning.checkpoints.checkpoint import made_by, read_note
 
 NAMES = {
     "ppo": "stable_baselines3.PPO",

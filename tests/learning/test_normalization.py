@@ -7,13 +7,13 @@ import pytest
 from stable_baselines3.common.vec_env import VecNormalize
 
 from embodichain.learning import SB3VecEnv
-from embodichain.learning.normalization import (
+from embodichain.learning.checkpoints.plain_state import write_tree
+from embodichain.learning.sb3.normalization import (
     NormalizeStatistics,
     load_statistics,
     save_statistics,
     statistics_path,
 )
-from embodichain.learning.plain_state import write_tree
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 

@@ -12,9 +12,9 @@ import torch
 from stable_baselines3.common.vec_env import VecNormalize
 
 from embodichain.learning import SB3VecEnv, find_checkpoint, load_policy
-from embodichain.learning.algorithms import Algorithm
-from embodichain.learning.checkpoint import read_note, save_checkpoint
-from embodichain.learning.normalization import save_statistics, statistics_path
+from embodichain.learning.checkpoints.checkpoint import read_note, save_checkpoint
+from embodichain.learning.sb3.algorithms import Algorithm
+from embodichain.learning.sb3.normalization import save_statistics, statistics_path
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 

@@ -16,12 +16,12 @@ import pytest
 import torch
 
 from embodichain.config import resolve
-from embodichain.learning.checkpoint import read_note
-from embodichain.learning.keeper import find_resumable, state_path
-from embodichain.learning.normalization import load_statistics
-from embodichain.learning.plain_state import read_tree, write_tree
-from embodichain.learning.policy import load_model
-from embodichain.learning.train import train
+from embodichain.learning.checkpoints.checkpoint import read_note
+from embodichain.learning.checkpoints.plain_state import read_tree, write_tree
+from embodichain.learning.policies.policy import load_model
+from embodichain.learning.sb3.normalization import load_statistics
+from embodichain.learning.training.keeper import find_resumable, state_path
+from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 
 # Episodes of 7 steps across rollouts of 8; commands, noise and terms with a memory in the second.

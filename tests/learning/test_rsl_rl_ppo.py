@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import embodichain
-from embodichain.config.tensor_algorithms import RslRlPpoCfg, TensorAlgoCfg
-from embodichain.learning.tensor_env import TensorEnv
+from embodichain.config.keys.tensor_algorithms import RslRlPpoCfg, TensorAlgoCfg
+from embodichain.learning.tensors.tensor_env import TensorEnv
 from tests.learning.counting import CountingEnv
 
 pytest.importorskip("rsl_rl")
@@ -18,7 +18,7 @@ from rsl_rl.env import VecEnv
 from rsl_rl.runners import OnPolicyRunner
 
 from embodichain.learning import RslRlVecEnv
-from embodichain.learning.rsl_rl_ppo import RslRlPpo
+from embodichain.learning.tensors.rsl_rl_ppo import RslRlPpo
 
 STATE = ["task.observations.to_goal.group=critic", "task.max_episode_steps=5", "seed=1"]
 # What is built from other keys, or not offered.

@@ -7,8 +7,8 @@ import pytest
 
 import embodichain
 from embodichain.lab.gym.policies import resolve_policy
-from embodichain.learning import sharded_play
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
+from embodichain.learning.evaluation import sharded_play
 from tests.helpers.local_shards import sharded
 
 pytestmark = pytest.mark.unmeasured

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 import embodichain
-from embodichain.config.tensor_algorithms import SkrlPpoCfg, TensorAlgoCfg
-from embodichain.learning.tensor_env import TensorEnv
+from embodichain.config.keys.tensor_algorithms import SkrlPpoCfg, TensorAlgoCfg
+from embodichain.learning.tensors.tensor_env import TensorEnv
 from tests.learning.counting import CountingEnv
 
 pytest.importorskip("skrl")
@@ -20,7 +20,7 @@ from skrl.envs.wrappers.torch import Wrapper, wrap_env
 from skrl.trainers.torch import SequentialTrainer
 
 from embodichain.learning import SkrlEnv
-from embodichain.learning.skrl_ppo import SkrlPpo
+from embodichain.learning.tensors.skrl_ppo import SkrlPpo
 
 STATE = ["task.observations.to_goal.group=critic", "task.max_episode_steps=5", "seed=1"]
 # What is built from other keys, or not offered.

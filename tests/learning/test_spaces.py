@@ -5,10 +5,10 @@ import torch
 
 from embodichain.config import resolve
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.learning.algorithms import Algorithm
+from embodichain.learning.sb3.algorithms import Algorithm
+from embodichain.learning.sb3.vec_env import SB3VecEnv
 from embodichain.learning.spaces import UNBOUNDED, ActionScale, observation_box
-from embodichain.learning.tensor_env import to_bounds
-from embodichain.learning.vec_env import SB3VecEnv
+from embodichain.learning.tensors.tensor_env import to_bounds
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from embodichain.learning.statistics import bootstrap, estimate, iqm, over_seeds, rate
+from embodichain.learning.evaluation.statistics import bootstrap, estimate, iqm, over_seeds, rate
 
 
 def test_interquartile_mean_by_hand():

@@ -11,9 +11,9 @@ import embodichain
 from embodichain.config import resolve
 from embodichain.lab.gym.envs.cfg import SymmetryCfg
 from embodichain.learning import export_policy, load_policy
-from embodichain.learning.exported import load_exported
-from embodichain.learning.symmetry import Columns, Mirror, MirroredMeanStd
-from embodichain.learning.train import train
+from embodichain.learning.policies.exported import load_exported
+from embodichain.learning.sb3.symmetry import Columns, Mirror, MirroredMeanStd
+from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 
 TASK = ["task.enable_corruption=false", "task.max_episode_steps=20", "sim.num_threads=1"]

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from embodichain.config import list_options, make
-from embodichain.learning.task_digest import TaskDigest
+from embodichain.learning.checkpoints.task_digest import TaskDigest
 
 LEARNABLE = [task for task in list_options("task") if task != "random_reach"]
 """It declares no observations."""

@@ -10,9 +10,9 @@ from gymnasium.vector import AutoresetMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import embodichain
-from embodichain.learning.episodes import TrainStatistics
-from embodichain.learning.tensor_env import EpisodeRecorder, TensorEnv, to_bounds
-from embodichain.learning.vec_env import SB3VecEnv
+from embodichain.learning.evaluation.episodes import TrainStatistics
+from embodichain.learning.sb3.vec_env import SB3VecEnv
+from embodichain.learning.tensors.tensor_env import EpisodeRecorder, TensorEnv, to_bounds
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 
@@ -238,7 +238,7 @@ def test_a_task_without_success_has_none():
 
 def test_the_same_columns_as_of_stable_baselines3(make_reach, tmp_path):
     """Shares, metrics and sums of one task, by both adapters, with the same actions."""
-    from embodichain.learning.train_logs import log_episode, make_logger
+    from embodichain.learning.training.train_logs import log_episode, make_logger
 
     actions = np.random.default_rng(3).uniform(-1, 1, (14, 4, 6)).astype(np.float32)
     vec_env, logger = SB3VecEnv(make_reach(4)), make_logger(tmp_path)

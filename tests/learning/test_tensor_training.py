@@ -12,19 +12,19 @@ import torch
 
 import embodichain
 from embodichain.config import make_env, resolve
-from embodichain.config.check_types import check_types
-from embodichain.config.tensor_algorithms import TENSOR_ALGORITHMS
+from embodichain.config.keys.check_types import check_types
+from embodichain.config.keys.tensor_algorithms import TENSOR_ALGORITHMS
 from embodichain.learning import evaluate, export_policy, load_policy
-from embodichain.learning.checkpoint import DIGEST, read_note
-from embodichain.learning.episodes import TrainStatistics
-from embodichain.learning.exported import load_exported
-from embodichain.learning.exporting import FORMATS
-from embodichain.learning.keeper import state_path
-from embodichain.learning.plain_state import read_tree, write_tree
-from embodichain.learning.tensor_env import TensorEnv
-from embodichain.learning.tensor_training import TensorAlgorithm, TensorSession
-from embodichain.learning.train import check_algorithm, train
-from embodichain.learning.vec_env import ENDS
+from embodichain.learning.checkpoints.checkpoint import DIGEST, read_note
+from embodichain.learning.checkpoints.plain_state import read_tree, write_tree
+from embodichain.learning.evaluation.episodes import TrainStatistics
+from embodichain.learning.policies.exported import load_exported
+from embodichain.learning.policies.exporting import FORMATS
+from embodichain.learning.sb3.vec_env import ENDS
+from embodichain.learning.tensors.tensor_env import TensorEnv
+from embodichain.learning.training.keeper import state_path
+from embodichain.learning.training.tensor_training import TensorAlgorithm, TensorSession
+from embodichain.learning.training.train import check_algorithm, train
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 

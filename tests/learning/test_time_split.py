@@ -2,8 +2,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from embodichain.learning import session
-from embodichain.learning.session import TimeSplit
+from embodichain.learning.training import session
+from embodichain.learning.training.session import TimeSplit
 
 
 def test_every_second_belongs_to_one_part(monkeypatch):

@@ -12,11 +12,11 @@ from PIL import Image
 
 from embodichain.config import make_env, resolve
 from embodichain.learning import load_policy
-from embodichain.learning.checkpoint import read_note
-from embodichain.learning.normalization import load_statistics
-from embodichain.learning.plots import draw_curves
-from embodichain.learning.train import TORCH_THREADS, train
-from embodichain.learning.vec_env import ENDS
+from embodichain.learning.checkpoints.checkpoint import read_note
+from embodichain.learning.evaluation.plots import draw_curves
+from embodichain.learning.sb3.normalization import load_statistics
+from embodichain.learning.sb3.vec_env import ENDS
+from embodichain.learning.training.train import TORCH_THREADS, train
 from embodichain.utils.errors import ConfigError
 
 TINY = (

@@ -6,9 +6,9 @@ import pytest
 from stable_baselines3.common.logger import Logger
 
 from embodichain.config import resolve
-from embodichain.learning.session import PARTS
-from embodichain.learning.train import train
-from embodichain.learning.train_logs import log_episode
+from embodichain.learning.training.session import PARTS
+from embodichain.learning.training.train import train
+from embodichain.learning.training.train_logs import log_episode
 
 CART_POLE = ("task=cart_pole", "num_envs=4", "sim.num_threads=1", "seed=1", "algo.n_epochs=1")
 CURRICULUM = (

@@ -16,16 +16,16 @@ import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from embodichain.learning import SB3VecEnv, load_policy
-from embodichain.learning.algorithms import Algorithm, algorithm_class
-from embodichain.learning.checkpoint import save_checkpoint, save_script
-from embodichain.learning.curriculum_stage import stage_path
-from embodichain.learning.exported import load_exported
-from embodichain.learning.inert_pickle import read_inert
-from embodichain.learning.normalization import load_statistics, statistics_path
-from embodichain.learning.plain_state import read_tree
-from embodichain.learning.policy import load_model
-from embodichain.learning.training_state import load_parameters
-from embodichain.learning.trust import NeedsTrust
+from embodichain.learning.checkpoints.checkpoint import save_checkpoint, save_script
+from embodichain.learning.checkpoints.curriculum_stage import stage_path
+from embodichain.learning.checkpoints.inert_pickle import read_inert
+from embodichain.learning.checkpoints.plain_state import read_tree
+from embodichain.learning.checkpoints.trust import NeedsTrust
+from embodichain.learning.policies.exported import load_exported
+from embodichain.learning.policies.policy import load_model
+from embodichain.learning.sb3.algorithms import Algorithm, algorithm_class
+from embodichain.learning.sb3.normalization import load_statistics, statistics_path
+from embodichain.learning.sb3.training_state import load_parameters
 from embodichain.utils.errors import ConfigError
 from tests.helpers.planted import NAME, Payload, pickled, plant, replace, was_run
 from tests.learning.counting import CountingEnv

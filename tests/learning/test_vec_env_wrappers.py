@@ -22,7 +22,7 @@ from embodichain.config import resolve
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import ObservationCfg, RewardCfg
 from embodichain.learning import SB3VecEnv
-from embodichain.learning.normalization import NormalizeStatistics
+from embodichain.learning.sb3.normalization import NormalizeStatistics
 from tests.learning.counting import CountingEnv
 
 N = 3

@@ -6,8 +6,8 @@ import json
 import pytest
 
 from embodichain.config import resolve
-from embodichain.learning import train_logs
-from embodichain.learning.train import check_training, train
+from embodichain.learning.training import train_logs
+from embodichain.learning.training.train import check_training, train
 from embodichain.utils.errors import ConfigError, EmbodichainError
 
 wandb = pytest.importorskip("wandb")

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from embodichain.utils import platforms
+from embodichain.utils.system import platforms
 
 pytestmark = pytest.mark.unmeasured
 

@@ -13,17 +13,17 @@ FOLDERS = (ROOT, ROOT.parent / "tasks", ROOT.parent / "plugins", ROOT.parent / "
 
 ALLOWED = {
     # Reads names as stand-ins: nothing of a pickle is imported or called.
-    ("learning/inert_pickle.py", "pickle.Unpickler"),
+    ("learning/checkpoints/inert_pickle.py", "pickle.Unpickler"),
     # Only with trust=true, after the names that it would run were logged.
-    ("learning/policy.py", "algorithm.load"),
+    ("learning/policies/policy.py", "algorithm.load"),
     # Weights alone, which its `load_data=False` and torch's `weights_only` say.
-    ("learning/training_state.py", "load_from_zip_file"),
+    ("learning/sb3/training_state.py", "load_from_zip_file"),
     # After its operations were listed; see `script_check`.
-    ("learning/exported.py", "torch.jit.load"),
+    ("learning/policies/exported.py", "torch.jit.load"),
     # Only written.
     ("recording/export/hdf5_files.py", "h5py.File"),
     # What this process has pickled itself, for a process that it has started.
-    ("cli/ray_launcher.py", "pickle.loads"),
+    ("cli/sweeps/ray_launcher.py", "pickle.loads"),
     # Classes made of PyYAML's safe one.
     ("compat/gym_config/file.py", "yaml.load(_Loader)"),
 }

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from embodichain.config.factory import make_env
+from embodichain.config.environments.factory import make_env
 from embodichain.config.resolved import dump_yaml, resolve
 from embodichain.lab.gym.envs.observers import StepObserver
 from embodichain.recording import McapRecorder

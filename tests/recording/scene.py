@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepRecord
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 
 XML = """
 <mujoco model="scene">

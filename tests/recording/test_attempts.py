@@ -2,7 +2,7 @@
 
 import pytest
 
-from embodichain.recording.attempts import Attempts
+from embodichain.recording.demos.attempts import Attempts
 
 
 def begun(attempts: Attempts, count: int) -> list[int]:

@@ -5,10 +5,10 @@ import pytest
 import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-from embodichain.recording.block import ArrayKind, CallKind, pack_steps, unpack_steps
-from embodichain.recording.log_error import DamageError
-from embodichain.recording.packing import load, store
-from embodichain.recording.schema import (
+from embodichain.recording.format.block import ArrayKind, CallKind, pack_steps, unpack_steps
+from embodichain.recording.format.log_error import DamageError
+from embodichain.recording.format.packing import load, store
+from embodichain.recording.format.schema import (
     descriptor_set,
     message_class,
     scalars_class,

@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import Writer
 
 from embodichain.recording import inspect, verify
-from embodichain.recording.log_error import LogError
+from embodichain.recording.format.log_error import LogError
 from embodichain.utils.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]

@@ -15,10 +15,14 @@ from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.observers import StepObserver
 from embodichain.lab.gym.policies import resolve_policy
 from embodichain.recording import McapRecorder, RecordOptions
-from embodichain.recording.attempts import Attempts
-from embodichain.recording.collecting import Collected, Collector, EndRules, failed_in
-from embodichain.recording.collection import CollectedEpisode, CollectionWriter, read_collection
-from embodichain.recording.verification import verify
+from embodichain.recording.check.verification import verify
+from embodichain.recording.demos.attempts import Attempts
+from embodichain.recording.demos.collecting import Collected, Collector, EndRules, failed_in
+from embodichain.recording.demos.collection import (
+    CollectedEpisode,
+    CollectionWriter,
+    read_collection,
+)
 from embodichain.utils.errors import ConfigError
 
 Policy = Any

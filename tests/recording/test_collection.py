@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from embodichain.recording.attempts import Attempts
-from embodichain.recording.collection import (
+from embodichain.recording.demos.attempts import Attempts
+from embodichain.recording.demos.collection import (
     FAILURES,
     SUCCESSES,
     CollectedEpisode,

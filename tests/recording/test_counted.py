@@ -6,8 +6,8 @@ import torch
 import embodichain
 import embodichain.recording as recording
 from embodichain.recording import McapRecorder, RecordOptions
-from embodichain.recording.log_error import LogError
-from embodichain.recording.recover import recover
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.read.recover import recover
 from tests.recording.rewrite import rewrite
 
 STEPS = 20

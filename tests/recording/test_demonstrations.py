@@ -9,8 +9,8 @@ import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.config.resolved import dump_yaml, resolve
 from embodichain.recording import RecordOptions, read_episodes
-from embodichain.recording.collection import read_collection
-from embodichain.recording.log_error import LogError
+from embodichain.recording.demos.collection import read_collection
+from embodichain.recording.format.log_error import LogError
 from embodichain.utils.errors import ConfigError
 from tests.recording.live import NOISY, record_task
 

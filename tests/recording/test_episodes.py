@@ -10,8 +10,8 @@ import embodichain
 import embodichain.recording as recording
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.recording import McapRecorder, RecordOptions
-from embodichain.recording.episodes import Ends, EpisodeSums, decode_ends, encode_ends
-from embodichain.recording.log_error import DamageError
+from embodichain.recording.format.log_error import DamageError
+from embodichain.recording.read.episodes import Ends, EpisodeSums, decode_ends, encode_ends
 
 
 @pytest.fixture(scope="module", params=["all", "none"])

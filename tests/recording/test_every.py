@@ -9,7 +9,7 @@ import embodichain
 import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import McapRecorder, RecordOptions, inspect, verify
-from embodichain.recording.playback import Playback, Span
+from embodichain.recording.read.playback import Playback, Span
 from tests.recording.runs import changed, flip
 from tests.recording.scene import SmallEnv
 

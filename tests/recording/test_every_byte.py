@@ -9,10 +9,10 @@ from mcap.opcode import Opcode
 import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import verify
-from embodichain.recording.chunks import MAGIC
-from embodichain.recording.options import RecordOptions
-from embodichain.recording.recover import recover
-from embodichain.recording.seals import SEAL, check_seal, sealed
+from embodichain.recording.format.options import RecordOptions
+from embodichain.recording.format.seals import SEAL, check_seal, sealed
+from embodichain.recording.read.chunks import MAGIC
+from embodichain.recording.read.recover import recover
 from embodichain.utils.errors import ConfigError
 from scripts.flip_bits import UNCOVERED, flips
 from scripts.flip_bits import record as small_log

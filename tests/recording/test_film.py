@@ -8,11 +8,11 @@ import embodichain.recording as recording
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.views import Viewpoint
 from embodichain.recording import RecordOptions
-from embodichain.recording.film import film_log
-from embodichain.recording.frames import FilmCamera, frames
-from embodichain.recording.log_error import LogError
-from embodichain.recording.playback import Playback, Span
-from embodichain.recording.schema import STEPS_TOPIC, message_class
+from embodichain.recording.film.filming import film_log
+from embodichain.recording.film.frames import FilmCamera, frames
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.schema import STEPS_TOPIC, message_class
+from embodichain.recording.read.playback import Playback, Span
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 

@@ -7,9 +7,9 @@ import pytest
 import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import McapRecorder, RecordOptions, diff, inspect, verify
-from embodichain.recording.log_error import LogError
-from embodichain.recording.playback import Playback, Span
-from embodichain.recording.schema import START_TOPIC
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.schema import START_TOPIC
+from embodichain.recording.read.playback import Playback, Span
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 from tests.recording.runs import changed, flip

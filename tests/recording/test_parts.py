@@ -14,12 +14,12 @@ import pytest
 import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import McapRecorder, RecordOptions, diff, inspect, verify
-from embodichain.recording.attachments import MODEL as MODEL_FILE
-from embodichain.recording.attachments import load_mjb, unpack_model
 from embodichain.recording.export import FORMATS, Part, export
-from embodichain.recording.log_error import LogError
-from embodichain.recording.recover import recover
-from embodichain.recording.schema import START_TOPIC
+from embodichain.recording.format.attachments import MODEL as MODEL_FILE
+from embodichain.recording.format.attachments import load_mjb, unpack_model
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.schema import START_TOPIC
+from embodichain.recording.read.recover import recover
 from embodichain.utils.errors import ConfigError
 from tests.recording.runs import changed, flip, runs
 from tests.recording.scene import MODEL, SmallEnv
@@ -248,7 +248,7 @@ def test_nothing_is_lost_when_the_next_file_cannot_be_made(tmp_path):
 KILLED = """
 import os, signal, sys
 from embodichain.recording import McapRecorder, RecordOptions
-from embodichain.recording.log_writer import LogWriter
+from embodichain.recording.write.log_writer import LogWriter
 from tests.recording.scene import SmallEnv
 env = SmallEnv()
 recorder = McapRecorder("rollout.mcap", env, options=RecordOptions(max_mb=0.01))

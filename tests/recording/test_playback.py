@@ -6,8 +6,8 @@ import pytest
 import embodichain.recording as recording
 from embodichain.lab.gym.envs.observers import StepObserver
 from embodichain.recording import RecordOptions
-from embodichain.recording.log_error import LogError
-from embodichain.recording.playback import Playback, Span, span_of
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.read.playback import Playback, Span, span_of
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import SmallEnv
 

@@ -6,9 +6,9 @@ from mcap.reader import make_reader
 
 from embodichain.cli import main
 from embodichain.recording import inspect, verify
-from embodichain.recording.chunks import LogReader
-from embodichain.recording.options import RecordOptions
-from embodichain.recording.recover import recover
+from embodichain.recording.format.options import RecordOptions
+from embodichain.recording.read.chunks import LogReader
+from embodichain.recording.read.recover import recover
 from embodichain.utils.errors import ConfigError
 
 

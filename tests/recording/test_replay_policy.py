@@ -11,7 +11,7 @@ import yaml
 import embodichain
 import embodichain.recording as recording
 from embodichain.cli.app import call
-from embodichain.cli.jobs import policy_of
+from embodichain.cli.jobs.job import policy_of
 from embodichain.config import make_env, resolve
 from embodichain.config.resolved import dump_yaml
 from embodichain.recording import McapRecorder, verify

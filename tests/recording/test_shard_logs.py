@@ -11,8 +11,8 @@ import embodichain
 from embodichain import recording
 from embodichain.config.resolved import dump_yaml, resolve
 from embodichain.recording import McapRecorder, RecordOptions, read_episodes
-from embodichain.recording.log_error import LogError
-from embodichain.recording.shard_logs import ShardLogs, read_shards
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.shards.shard_logs import ShardLogs, read_shards
 from embodichain.utils.errors import ConfigError
 from tests.helpers.local_shards import sharded
 

@@ -19,7 +19,7 @@ import pytest
 
 from embodichain.cli import main
 from embodichain.recording import McapRecorder, inspect, verify
-from embodichain.recording.recover import recover
+from embodichain.recording.read.recover import recover
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import SmallEnv
 

@@ -9,9 +9,9 @@ import pytest
 import zstandard
 
 from embodichain.recording import inspect, verify
-from embodichain.recording.log_error import DamageError
-from embodichain.recording.seals import digest_of, sealed
-from embodichain.recording.unpacking import (
+from embodichain.recording.format.log_error import DamageError
+from embodichain.recording.format.seals import digest_of, sealed
+from embodichain.recording.format.unpacking import (
     listed,
     most_unpacked,
     unpack_zip,

@@ -11,17 +11,17 @@ import zstandard
 import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import inspect, verify
-from embodichain.recording.attachments import MODEL as MODEL_FILE
-from embodichain.recording.attachments import (
+from embodichain.recording.format.attachments import MODEL as MODEL_FILE
+from embodichain.recording.format.attachments import (
     cpu_name,
     load_mjb,
     model_bytes,
     model_digest,
     unpack_model,
 )
-from embodichain.recording.options import RecordOptions
-from embodichain.recording.playback import Playback, Span
-from embodichain.recording.schema import START_TOPIC
+from embodichain.recording.format.options import RecordOptions
+from embodichain.recording.format.schema import START_TOPIC
+from embodichain.recording.read.playback import Playback, Span
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 from tests.recording.runs import changed, flip, header_of
@@ -225,7 +225,7 @@ def test_models_that_hide_state_are_marked(record, option):
         f"<mujoco><option>{option}</option><worldbody><body><freejoint/><geom size='.1'/></body>"
         "</worldbody></mujoco>"
     )
-    from embodichain.recording.header import why_unverifiable
+    from embodichain.recording.format.header import why_unverifiable
 
     assert "sleep" in why_unverifiable(xml.compile(), "all")
     assert why_unverifiable(MODEL, "all") == ""

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from embodichain.lab.gym.envs.observers import EventRecord
-from embodichain.recording import McapRecorder, inspect, log_file, recorder, verify, writing
-from embodichain.recording.writing import LogWriteError
+from embodichain.recording import McapRecorder, inspect, verify
+from embodichain.recording.write import log_file, recorder, writing
+from embodichain.recording.write.writing import LogWriteError
 from embodichain.utils.errors import ConfigError
 from tests.recording.runs import runs
 from tests.recording.scene import SmallEnv
@@ -107,7 +108,7 @@ def test_what_cannot_be_packed_raises_at_once(tmp_path, monkeypatch):
     def refuse(spec):
         raise OSError(2, "No such file or directory", "wheel.stl")
 
-    monkeypatch.setattr("embodichain.recording.attachments.scene_archive", refuse)
+    monkeypatch.setattr("embodichain.recording.format.attachments.scene_archive", refuse)
     with pytest.raises(OSError, match=r"wheel\.stl"):
         McapRecorder(tmp_path / "log.mcap", SmallEnv())
     assert not (tmp_path / "log.mcap").exists()
@@ -261,7 +262,8 @@ def test_a_recorder_that_nothing_refers_to_ends_its_thread(tmp_path):
 
 INTERRUPTED = """
 import signal, sys, threading, os
-from embodichain.recording import McapRecorder, log_file
+from embodichain.recording import McapRecorder
+from embodichain.recording.write import log_file
 from tests.recording.scene import SmallEnv
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in background
 env = SmallEnv()

@@ -12,7 +12,7 @@ import embodichain
 from embodichain.cli import main
 from embodichain.config import list_options
 from embodichain.lab.gym.policies import resolve_policy
-from embodichain.lab.sim.physics_values import physics_values
+from embodichain.learning.checkpoints.physics_values import physics_values
 from tests.helpers.kitchen import KITCHEN
 
 pytestmark = pytest.mark.unmeasured

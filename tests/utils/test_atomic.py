@@ -8,8 +8,8 @@ from subprocess import PIPE
 
 import pytest
 
-from embodichain.utils.atomic import atomic_file, remove_abandoned, write_text
-from embodichain.utils.processes import own_process
+from embodichain.utils.system.atomic import atomic_file, remove_abandoned, write_text
+from embodichain.utils.system.processes import own_process
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_a_writer_that_writes_nothing_is_an_error(folder: Path) -> None:
 KILLED = """
 import os, sys
 from pathlib import Path
-from embodichain.utils.atomic import atomic_file, temporary_name
+from embodichain.utils.system.atomic import atomic_file, temporary_name
 
 folder = Path(sys.argv[1])
 (folder / temporary_name("data_set")).mkdir()

@@ -9,8 +9,8 @@ from embodichain.lab.sim import cfg as sim_cfg
 from embodichain.lab.sim import shapes
 from embodichain.lab.sim.cfg import RigidObjectCfg, RobotCfg, SimulationManagerCfg
 from embodichain.utils.configclass import MISSING, configclass
-from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.fields.defaults import is_given
 
 
 @configclass

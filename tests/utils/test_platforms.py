@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from embodichain.utils import platforms
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.system import platforms
 
 
 def test_linux_lacks_nothing() -> None:
@@ -37,7 +37,7 @@ def test_macos_writes_logs_and_has_no_cuda(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_lock_keeps_other_processes_out(tmp_path: Path) -> None:
     code = """
 import os, sys
-from embodichain.utils import platforms
+from embodichain.utils.system import platforms
 try:
     platforms.lock(os.open(sys.argv[1], os.O_RDWR))
 except BlockingIOError:

@@ -9,15 +9,15 @@ from subprocess import PIPE
 
 import pytest
 
-from embodichain.utils.processes import ProcessId, own_process
+from embodichain.utils.system.processes import ProcessId, own_process
 
 PARENT = """
 import subprocess, sys, threading, time
-from embodichain.utils.processes import own_process
+from embodichain.utils.system.processes import own_process
 
 code = '''
 import sys, time
-from embodichain.utils.processes import ProcessId, end_with
+from embodichain.utils.system.processes import ProcessId, end_with
 end_with(ProcessId.parse(sys.argv[1]))
 print("begun", flush=True)
 time.sleep(600)

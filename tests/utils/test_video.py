@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.video import GifFile, VideoFile, film_file, need_encoder
+from embodichain.utils.system.video import GifFile, VideoFile, film_file, need_encoder
 
 SIZE = (24, 16)
 

@@ -11,11 +11,11 @@ from typing import Any
 
 from embodichain.compat.gym_config.conversion import Conversion, convert
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.managers.registry import SECTIONS, TERMS, Kind
+from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS, TERMS, Kind
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 from embodichain.lab.sim.cfg import RenderCfg, SimulationManagerCfg
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.type_errors import from_dict
+from embodichain.utils.fields.type_errors import from_dict
 
 __all__ = ["FUNCTORS", "checked_cfg", "config_to_cfg"]
 

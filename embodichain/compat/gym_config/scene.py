@@ -8,7 +8,7 @@ from typing import Any
 from embodichain.compat.gym_config import vocabulary as known
 from embodichain.compat.gym_config.draft import Draft, Path
 from embodichain.lab.sim.cfg import RobotCfg, name_of
-from embodichain.lab.sim.urdf_cfg import URDFCfg, URDFComponentCfg
+from embodichain.lab.sim.configs.urdf_cfg import URDFCfg, URDFComponentCfg
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [

@@ -22,7 +22,7 @@ from embodichain.compat.gym_config.vocabulary import (
     REWARD,
     Vocabulary,
 )
-from embodichain.lab.gym.envs.managers.registry import TERMS, Kind, TermSpec
+from embodichain.lab.gym.envs.managers.terms.registry import TERMS, Kind, TermSpec
 
 __all__ = ["convert_actions", "convert_terms"]
 

@@ -13,7 +13,7 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = [

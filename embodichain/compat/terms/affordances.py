@@ -11,11 +11,11 @@ import numpy as np
 
 from embodichain.compat.terms._targets import asset_of, stored
 from embodichain.lab.gym.envs.cfg import EnvCfg, SceneEntityCfg
-from embodichain.lab.gym.envs.managers.aliases import alias, register_aliases
 from embodichain.lab.gym.envs.managers.param_types import Body, Whole
-from embodichain.lab.gym.envs.managers.registry import import_object, register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.aliases import alias, register_aliases
+from embodichain.lab.gym.envs.managers.terms.registry import import_object, register_term
 from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
@@ -30,7 +30,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["PrepareExtraAttr", "RegisterInfoToEnv"]

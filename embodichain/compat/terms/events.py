@@ -18,8 +18,8 @@ from embodichain.lab.gym.envs.managers.param_types import (
     Range,
     Whole,
 )
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._ground import above_ground, ground_of
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.lab.gym.envs.mdp.events.pushes import EpisodeTimer, PushBySettingVelocity
@@ -30,7 +30,7 @@ from embodichain.utils.math import euler_xyz_to_quat, pose_to_matrix, quat_multi
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [

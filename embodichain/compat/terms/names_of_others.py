@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from embodichain.lab.gym.envs.managers.other_projects import register_translations
+from embodichain.lab.gym.envs.managers.terms.other_projects import register_translations
 
 __all__ = ["translations"]
 

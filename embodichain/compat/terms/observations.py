@@ -11,8 +11,8 @@ from pydantic import Field
 from embodichain.compat.terms._targets import RigidObject, joints_of, tool_of
 from embodichain.compat.terms._targets import target_position as stored_position
 from embodichain.lab.gym.envs.managers.param_types import Body, Joints, Range, Whole
-from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.registry import quantity, register_term
 from embodichain.lab.gym.envs.mdp.quantities.bodies import pose_matrix
 from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
@@ -21,7 +21,7 @@ from embodichain.utils.math import pose_to_matrix
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = [

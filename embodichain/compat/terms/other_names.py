@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from embodichain.compat.terms._targets import Articulation, RigidObject, joints_of
-from embodichain.lab.gym.envs.managers.aliases import Alias, P, alias, register_aliases
 from embodichain.lab.gym.envs.managers.param_types import (
     Angle,
     Bounds,
@@ -23,11 +22,12 @@ from embodichain.lab.gym.envs.managers.param_types import (
     Whole,
 )
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.terms.aliases import Alias, P, alias, register_aliases
 from embodichain.lab.gym.envs.mdp._model_fields import Operation
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
 
 __all__ = ["ACTIONS", "EVENTS", "OBSERVATIONS", "VALUES"]
 

@@ -13,8 +13,8 @@ from pydantic import Field
 
 from embodichain.compat.terms._targets import joints_of, target_position, tool_of
 from embodichain.lab.gym.envs.managers.param_types import Body, NonNegative, Positive
-from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.lab.gym.envs.mdp.quantities.pairs import distance
 from embodichain.lab.gym.envs.mdp.shapes import Rate, tanh_kernel
@@ -22,7 +22,7 @@ from embodichain.utils.arrays import contiguous
 from embodichain.utils.math import quat_conjugate, quat_multiply
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = [

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg
+from embodichain.lab.sim.configs.sensor_cfg import CameraCfg, SensorCfg
 
 __all__ = ["camera_uids", "observed_images", "rgb"]
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.check import check_params
 from embodichain.lab.gym.envs.managers.param_types import NonNegative
-from embodichain.lab.gym.envs.managers.registry import describe_term, import_object
+from embodichain.lab.gym.envs.managers.terms.check import check_params
+from embodichain.lab.gym.envs.managers.terms.registry import describe_term, import_object
 from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean

@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.envs.episodes import AutoresetMode
 from embodichain.lab.gym.envs.observation import numpy_obs
-from embodichain.lab.gym.utils.policy_view import PolicyView
+from embodichain.lab.gym.envs.step.episodes import AutoresetMode
+from embodichain.lab.gym.policy_view import PolicyView
 from embodichain.lab.sim.types import EnvObs
 
 __all__ = ["SingleEnv"]

@@ -12,9 +12,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.envs.episodes import parse_mode
 from embodichain.lab.gym.envs.observation import numpy_obs
-from embodichain.lab.gym.utils.policy_view import PolicyView
+from embodichain.lab.gym.envs.step.episodes import parse_mode
+from embodichain.lab.gym.policy_view import PolicyView
 from embodichain.lab.sim.types import EnvObs
 
 __all__ = ["NumpyVectorEnv"]

@@ -14,10 +14,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from embodichain.lab.sim.contact_cfg import Coefficient, ContactCfg
-from embodichain.lab.sim.drive_cfg import JointDrivePropertiesCfg
-from embodichain.lab.sim.physics_cfg import GPUMemoryCfg, PhysicsCfg, RenderCfg
-from embodichain.lab.sim.scene_cfg import (
+from embodichain.lab.sim.configs.contact_cfg import Coefficient, ContactCfg
+from embodichain.lab.sim.configs.drive_cfg import JointDrivePropertiesCfg
+from embodichain.lab.sim.configs.physics_cfg import GPUMemoryCfg, PhysicsCfg, RenderCfg
+from embodichain.lab.sim.configs.scene_cfg import (
     Four,
     LightCfg,
     ObjectBaseCfg,
@@ -26,14 +26,14 @@ from embodichain.lab.sim.scene_cfg import (
     Vec3,
     ViewCfg,
 )
-from embodichain.lab.sim.self_collision_cfg import SelfCollisionCfg
+from embodichain.lab.sim.configs.self_collision_cfg import SelfCollisionCfg
+from embodichain.lab.sim.configs.solver_cfg import SolverCfg
+from embodichain.lab.sim.configs.urdf_cfg import URDFCfg
 from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg, VariantCfg
-from embodichain.lab.sim.solver_cfg import SolverCfg
-from embodichain.lab.sim.urdf_cfg import URDFCfg
 from embodichain.utils.configclass import configclass
-from embodichain.utils.defaults import KEEP_DEFAULT, DefaultFloat, DefaultInt
 from embodichain.utils.errors import Problem
-from embodichain.utils.no_effect import NO_EFFECT, NoEffect
+from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultFloat, DefaultInt
+from embodichain.utils.fields.no_effect import NO_EFFECT, NoEffect
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
@@ -451,7 +451,7 @@ def choose_engine(engine: EngineName | None, device: Any) -> tuple[EngineName, l
     if chosen == "mujoco":
         message = f"sim.engine=mujoco does not run on {name!r}: device=cpu, or sim.engine=warp"
         return chosen, [] if name == "cpu" else [Problem("device", message)]
-    from embodichain.lab.sim.engine.warp_support import why_missing
+    from embodichain.lab.sim.engine.warp.warp_support import why_missing
 
     reason = why_missing(name)
     path = "sim.engine" if name == "cpu" else "device"

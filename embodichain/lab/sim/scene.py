@@ -13,25 +13,25 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
-from embodichain.lab.sim.compiler.articulation import parse_articulation
-from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
-from embodichain.lab.sim.compiler.known import known_entities
-from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
-from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
-from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
-from embodichain.lab.sim.compiler.world import World, read_world
+from embodichain.lab.sim.compiler.compile_scene import CompiledScene, compile_scene
+from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveChange, physics_step
+from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
+from embodichain.lab.sim.compiler.scene.known import known_entities
+from embodichain.lab.sim.compiler.scene.world import World, read_world
+from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan, plan_sensor
+from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
 from embodichain.lab.sim.engine.api import Engine
 from embodichain.lab.sim.engine.room import bytes_of
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
-from embodichain.lab.sim.prepared_scene import PreparedScene
-from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.memory import require_memory_for
-from embodichain.utils.no_effect import changed_without_effect
+from embodichain.utils.fields.no_effect import changed_without_effect
+from embodichain.utils.system.memory import require_memory_for
 
 __all__ = ["Entity", "Scene"]
 

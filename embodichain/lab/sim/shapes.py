@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from embodichain.lab.sim.scene_cfg import Quat, Vec3
+from embodichain.lab.sim.configs.scene_cfg import Quat, Vec3
 from embodichain.utils.configclass import configclass
-from embodichain.utils.defaults import KEEP_DEFAULT, DefaultInt
-from embodichain.utils.no_effect import NO_EFFECT, NoEffect
-from embodichain.utils.type_errors import member_from_dict
+from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultInt
+from embodichain.utils.fields.no_effect import NO_EFFECT, NoEffect
+from embodichain.utils.fields.type_errors import member_from_dict
 
 __all__ = [
     "AnyShapeCfg",

@@ -24,22 +24,22 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     choose_engine,
 )
-from embodichain.lab.sim.compiler.drives import DriveChange
-from embodichain.lab.sim.compiler.scene import CompiledScene
-from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.engine.device_arrays import DeviceArrays
+from embodichain.lab.sim.compiler.compile_scene import CompiledScene
+from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveChange
+from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.lab.sim.engine.room import LEAST_BYTES, bytes_of
+from embodichain.lab.sim.engine.warp.device_arrays import DeviceArrays
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
-from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.unavailable import with_simulation_members
 from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
-from embodichain.utils.memory import require_memory_for
+from embodichain.utils.system.memory import require_memory_for
 from embodichain.utils.uncopied import Uncopied
 
 if TYPE_CHECKING:
@@ -278,8 +278,8 @@ class SimulationManager(Uncopied):
             return
         cfg, scene = self.sim_config, self._scene.compile()
         if self._engine_name == "warp":
-            from embodichain.lab.sim.engine.device import DeviceEngine
-            from embodichain.lab.sim.engine.warp import WarpEngine
+            from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
+            from embodichain.lab.sim.engine.warp.warp_engine import WarpEngine
 
             kind = DeviceEngine if self.arrays.on_device else WarpEngine
             sizes = cfg.device_name, cfg.warp.nconmax, cfg.warp.njmax

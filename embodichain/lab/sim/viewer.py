@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -11,18 +9,12 @@ import mujoco
 import numpy as np
 
 from embodichain.utils.errors import RenderError
+from embodichain.utils.system.display import has_display
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, Engine
 
-__all__ = ["NativeViewer", "has_display"]
-
-
-def has_display() -> bool:
-    """Whether a window could be opened here."""
-    if not sys.platform.startswith("linux"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+__all__ = ["NativeViewer"]
 
 
 class NativeViewer:

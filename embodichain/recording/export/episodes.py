@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.observed_images import camera_uids, observed_images, rgb
-from embodichain.recording.demonstrations import Episode, read_episodes, sources_of
+from embodichain.recording.demos.demonstrations import Episode, read_episodes, sources_of
 from embodichain.recording.export.formats import EPISODE_FORMATS, new_file
-from embodichain.recording.recorded_log import RecordedLog
+from embodichain.recording.read.recorded_log import RecordedLog
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import mujoco
 import numpy as np
 
-from embodichain.recording.api import Log
-from embodichain.recording.episodes import LogEpisode
-from embodichain.recording.playback import Playback, span_of
-from embodichain.utils.atomic import move_new, naming, remove_abandoned, temporary_name
+from embodichain.recording.read.api import Log
+from embodichain.recording.read.episodes import LogEpisode
+from embodichain.recording.read.playback import Playback, span_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.system.atomic import move_new, naming, remove_abandoned, temporary_name
 
 if TYPE_CHECKING:
-    from embodichain.recording.film import Filmed
+    from embodichain.recording.film.filming import Filmed
 
 __all__ = [
     "EPISODE_FORMATS",
@@ -166,7 +166,7 @@ def export(
             module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
             getattr(module, f"write_{format}")(log, part, partial)
         else:
-            from embodichain.recording.film import film_log
+            from embodichain.recording.film.filming import film_log
 
             if part.cameras is not None and len(part.cameras) != 1:
                 raise ConfigError(f"a film has one camera, not {', '.join(part.cameras) or 'none'}")

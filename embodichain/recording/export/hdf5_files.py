@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from embodichain.config.robomimic_env import ENV_NAME
-from embodichain.recording.attachments import SCENE, scene_files
 from embodichain.recording.export.formats import required
 from embodichain.recording.export.meaning import action_names, describe_action, instruction_of
-from embodichain.recording.log_error import LogError
-from embodichain.recording.recorded_log import RecordedLog
+from embodichain.recording.format.attachments import SCENE, scene_files
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.read.recorded_log import RecordedLog
 
 __all__ = ["ModelFiles", "describe_root", "new_hdf5", "say_action", "say_task"]
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.lerobot_env import image_key
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
-from embodichain.recording.api import Log
-from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.export.formats import Part, demonstrations
 from embodichain.recording.export.lerobot_writer import Feature, LeRobotWriter, whole_fps
 from embodichain.recording.export.meaning import (
@@ -28,9 +26,11 @@ from embodichain.recording.export.meaning import (
     require_unique,
     robot_of,
 )
-from embodichain.recording.frames import FilmCamera, cameras_of, frames
-from embodichain.recording.log_error import LogError
-from embodichain.recording.playback import Playback, Span
+from embodichain.recording.film.frames import FilmCamera, cameras_of, frames
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.read.api import Log
+from embodichain.recording.read.episodes import LogEpisode
+from embodichain.recording.read.playback import Playback, Span
 from embodichain.recording.views.channels import scalar_joints
 
 __all__ = ["write_lerobot"]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.lerobot_env import image_key, lerobot_parts
-from embodichain.recording.demonstrations import Episode
+from embodichain.recording.demos.demonstrations import Episode
 from embodichain.recording.export.episodes import DataSet
 from embodichain.recording.export.lerobot_writer import Feature, LeRobotWriter, whole_fps
 from embodichain.recording.export.meaning import (
@@ -26,7 +26,7 @@ from embodichain.recording.export.meaning import (
     require_unique,
     robot_of,
 )
-from embodichain.recording.recorded_log import RecordedLog
+from embodichain.recording.read.recorded_log import RecordedLog
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["write_episodes"]

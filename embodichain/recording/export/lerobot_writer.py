@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from embodichain.recording.export.formats import required
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.video import VideoFile, need_encoder
+from embodichain.utils.system.video import VideoFile, need_encoder
 
 __all__ = ["Feature", "LeRobotWriter", "levels_of", "of_levels", "of_values", "whole_fps"]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import PurePath
 from typing import Any
 
-from embodichain.recording.recorded_log import RecordedLog
+from embodichain.recording.read.recorded_log import RecordedLog
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["action_names", "describe_action", "instruction_of", "require_unique", "robot_of"]

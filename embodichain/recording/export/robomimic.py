@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording.columns import state_columns
-from embodichain.recording.demonstrations import Episode
+from embodichain.recording.demos.demonstrations import Episode
 from embodichain.recording.export.episodes import DataSet
 from embodichain.recording.export.hdf5_files import (
     ModelFiles,
@@ -25,7 +24,8 @@ from embodichain.recording.export.hdf5_files import (
     say_task,
 )
 from embodichain.recording.export.meaning import require_unique
-from embodichain.recording.recorded_log import RecordedLog
+from embodichain.recording.format.columns import state_columns
+from embodichain.recording.read.recorded_log import RecordedLog
 
 __all__ = ["write_episodes"]
 

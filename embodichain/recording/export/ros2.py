@@ -15,9 +15,9 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.api import F64
-from embodichain.recording.api import Log
 from embodichain.recording.export.formats import Part, poses, required
-from embodichain.recording.mcap_writer import McapWriter
+from embodichain.recording.format.mcap_writer import McapWriter
+from embodichain.recording.read.api import Log
 from embodichain.recording.views.channels import frame_names, scalar_joints
 from embodichain.recording.views.shapes import Shape, shapes
 from embodichain.utils.math import quat_multiply, quat_rotate, quat_to_rpy

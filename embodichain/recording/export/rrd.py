@@ -20,11 +20,11 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
-from embodichain.recording.api import Log
-from embodichain.recording.arrays import LogArrays
 from embodichain.recording.export.formats import Part, about, poses, required
-from embodichain.recording.frames import FilmCamera, Placed, cameras_of, frames
-from embodichain.recording.playback import Playback, span_of
+from embodichain.recording.film.frames import FilmCamera, Placed, cameras_of, frames
+from embodichain.recording.read.api import Log
+from embodichain.recording.read.arrays import LogArrays
+from embodichain.recording.read.playback import Playback, span_of
 from embodichain.recording.views.channels import event_text, scalar_joints
 from embodichain.recording.views.encoders import jpeg
 from embodichain.recording.views.shapes import Shape, corner_normals, mesh_of, shapes

@@ -14,9 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
-from embodichain.recording.api import Log
-from embodichain.recording.arrays import LogArrays
-from embodichain.recording.columns import Column
 from embodichain.recording.export.formats import (
     Part,
     about,
@@ -31,9 +28,12 @@ from embodichain.recording.export.hdf5_files import (
     say_task,
 )
 from embodichain.recording.export.meaning import require_unique
-from embodichain.recording.frames import FilmCamera, cameras_of, frames
-from embodichain.recording.log_error import LogError
-from embodichain.recording.playback import Playback, Span
+from embodichain.recording.film.frames import FilmCamera, cameras_of, frames
+from embodichain.recording.format.columns import Column
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.read.api import Log
+from embodichain.recording.read.arrays import LogArrays
+from embodichain.recording.read.playback import Playback, Span
 
 __all__ = ["write_csv", "write_hdf5", "write_npz", "write_parquet"]
 

@@ -19,9 +19,9 @@ from urllib.parse import quote, unquote, urlsplit
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from embodichain.utils.access import AUTO, NONE, WITHHELD, Access
-from embodichain.utils.addresses import is_loopback
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.system.access import AUTO, NONE, WITHHELD, Access
+from embodichain.utils.system.addresses import is_loopback
 
 __all__ = ["Door", "forbidden", "harden"]
 

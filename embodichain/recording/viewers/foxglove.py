@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.api import EnvIndex, Write
-from embodichain.recording.chunks import LogReader
-from embodichain.recording.options import ImageOptions, RecordOptions, check_options
-from embodichain.recording.pictures import camera_sensors
+from embodichain.recording.format.options import ImageOptions, RecordOptions, check_options
+from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.viewers.foxglove_server import FoxgloveServer
 from embodichain.recording.views.images import Images
+from embodichain.recording.views.pictures import camera_sensors
 from embodichain.recording.views.views import Views
-from embodichain.utils.access import Access
 from embodichain.utils.errors import RenderError
+from embodichain.utils.system.access import Access
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv

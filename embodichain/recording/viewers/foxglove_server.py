@@ -25,12 +25,12 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
-from embodichain.recording.schema import descriptor_set
+from embodichain.recording.format.schema import descriptor_set
 from embodichain.recording.viewers.door import Door
 from embodichain.recording.viewers.outbox import Outbox
-from embodichain.utils.access import Access
-from embodichain.utils.addresses import reachable
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.system.access import Access
+from embodichain.utils.system.addresses import reachable
 
 __all__ = ["APPS", "FoxgloveServer"]
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from embodichain.lab.sim.viewer import NativeViewer
-from embodichain.recording.api import Log
-from embodichain.recording.playback import Playback, Span, span_of
-from embodichain.recording.viewers.web_page import Facts
+from embodichain.recording.read.api import Log
+from embodichain.recording.read.playback import Playback, Span, span_of
+from embodichain.recording.viewers.page.web_page import Facts
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:

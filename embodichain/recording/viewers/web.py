@@ -14,8 +14,8 @@ import numpy as np
 
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
 from embodichain.lab.sim.engine.api import EnvIndex, Write
-from embodichain.recording.viewers.teleop_status import PageOperator, TeleopStatus
-from embodichain.recording.viewers.web_page import LOOKS, Facts, PageOptions, WebPage
+from embodichain.recording.viewers.page.teleop_status import PageOperator, TeleopStatus
+from embodichain.recording.viewers.page.web_page import LOOKS, Facts, PageOptions, WebPage
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv

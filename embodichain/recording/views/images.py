@@ -16,12 +16,12 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from numpy.typing import NDArray
 
-from embodichain.config.recorded_images import check_images
+from embodichain.config.checks.recorded_images import check_images
 from embodichain.lab.sim.drawing.views import Pictures, View, camera_size
 from embodichain.lab.sim.engine.api import F64, EnvIndex
-from embodichain.recording.options import ImageOptions
-from embodichain.recording.pictures import RowRenderer, Shot, camera_sensors, shots_of
+from embodichain.recording.format.options import ImageOptions
 from embodichain.recording.views.encoders import Encoder, encoder_of
+from embodichain.recording.views.pictures import RowRenderer, Shot, camera_sensors, shots_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import matrix_to_quat
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, Write
 from embodichain.lab.sim.engine.fields import row_layout
-from embodichain.recording.options import RecordOptions
+from embodichain.recording.format.options import RecordOptions
 from embodichain.recording.views.channels import (
     METRICS,
     Frames,

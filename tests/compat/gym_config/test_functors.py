@@ -7,7 +7,7 @@ import yaml
 
 from embodichain.compat.gym_config.conversion import convert
 from embodichain.compat.gym_config.functors import OF_CAMERA
-from embodichain.lab.gym.envs.managers.registry import TERMS
+from embodichain.lab.gym.envs.managers.terms.registry import TERMS
 
 FUNCTORS = yaml.safe_load(Path(__file__).with_name("functors.yaml").read_text())
 

@@ -21,7 +21,7 @@ from embodichain.lab.sim.cfg import (
     RigidObjectCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.sensors.cfg import ContactSensorCfg, LinksCfg
+from embodichain.lab.sim.configs.sensor_cfg import ContactSensorCfg, LinksCfg
 from embodichain.lab.sim.shapes import SphereCfg
 from embodichain.utils.errors import ConfigError
 

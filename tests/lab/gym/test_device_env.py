@@ -9,14 +9,14 @@ from gymnasium.vector import AutoresetMode
 
 import embodichain
 from embodichain.lab.gym.envs import BaseEnv, StepObserver
-from embodichain.lab.gym.envs.snapshot import Snapshot
+from embodichain.lab.gym.envs.restoring.snapshot import Snapshot
 from embodichain.lab.gym.policies import resolve_policy
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.vector import NumpyVectorEnv
-from embodichain.lab.sim.engine import device_values
-from embodichain.lab.sim.engine.device_array import DeviceArray
-from embodichain.lab.sim.engine.device_arrays import DeviceArrays
-from embodichain.learning.plain_state import read_tree, write_tree
+from embodichain.lab.sim.engine.device import device_values
+from embodichain.lab.sim.engine.device.device_array import DeviceArray
+from embodichain.lab.sim.engine.warp.device_arrays import DeviceArrays
+from embodichain.learning.checkpoints.plain_state import read_tree, write_tree
 from embodichain.utils.errors import ConfigError
 from tests.helpers.warp_scene import DEVICE
 

@@ -29,11 +29,11 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SolverCfg,
 )
-from embodichain.lab.sim.compiler import articulation
-from embodichain.lab.sim.physics_values import physics_values
-from embodichain.lab.sim.prepared_scene import PreparedScene
+from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
+from embodichain.lab.sim.compiler.robot import articulation
 from embodichain.lab.sim.shapes import CubeCfg, MeshCfg, PlaneCfg, SphereCfg
 from embodichain.lab.sim.sim_manager import SimulationManager
+from embodichain.learning.checkpoints.physics_values import physics_values
 from tests.lab.sim.compiler.helpers import GRIPPER_URDF, HOME, UR10, write
 
 JOINTS = "Joint1, Joint2, Joint3, Joint4, Joint5, Joint6"

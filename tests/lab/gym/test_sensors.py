@@ -10,7 +10,8 @@ import torch
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import EnvCfg, EventCfg, ObservationCfg
 from embodichain.lab.sim.cfg import RigidBodyAttributesCfg, RigidObjectCfg, SimulationManagerCfg
-from embodichain.lab.sim.scene_cfg import SceneCfg
+from embodichain.lab.sim.configs.scene_cfg import SceneCfg
+from embodichain.lab.sim.configs.sensor_cfg import readings as readings_of
 from embodichain.lab.sim.sensors import (
     ContactSensorCfg,
     ForceTorqueSensorCfg,
@@ -25,10 +26,9 @@ from embodichain.lab.sim.sensors import (
     RayPatternCfg,
     RaySensorCfg,
 )
-from embodichain.lab.sim.sensors.cfg import readings as readings_of
 from embodichain.lab.sim.shapes import CubeCfg
 from embodichain.recording import verify
-from embodichain.recording.recorder import McapRecorder
+from embodichain.recording.write.recorder import McapRecorder
 from embodichain.utils.errors import ConfigError
 from tests.helpers.ur10_task import HOME, task
 

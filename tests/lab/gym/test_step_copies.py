@@ -6,7 +6,7 @@ import torch
 
 import embodichain
 from embodichain.lab.gym.envs import StepObserver
-from embodichain.lab.sim.engine.device_array import HostTransferError
+from embodichain.lab.sim.engine.device.device_array import HostTransferError
 from embodichain.utils.errors import ConfigError
 from tests.helpers.warp_scene import RANDOMIZED
 

@@ -13,11 +13,11 @@ import torch
 
 import embodichain
 import embodichain.recording as recording
-from embodichain.lab.gym.envs import kept_arrays as walk
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.step_graph import StepGraph
-from embodichain.lab.sim.engine.device_array import DeviceArray
-from embodichain.lab.sim.engine.packed_arrays import ArrayPacker, HostBuffers
+from embodichain.lab.gym.envs.on_device import kept_arrays as walk
+from embodichain.lab.gym.envs.on_device.step_graph import StepGraph
+from embodichain.lab.sim.engine.device.device_array import DeviceArray
+from embodichain.lab.sim.engine.device.packed_arrays import ArrayPacker, HostBuffers
 from embodichain.recording import McapRecorder
 from tests.helpers.warp_scene import DEVICE
 

@@ -9,8 +9,8 @@ import embodichain
 import embodichain.recording as recording
 from embodichain.lab.gym.envs import BaseEnv
 from embodichain.lab.gym.envs.cfg import MetricCfg, RewardCfg, TerminationCfg
-from embodichain.learning.evaluation import evaluate
-from embodichain.learning.vec_env import SB3VecEnv
+from embodichain.learning.evaluation.evaluation import evaluate
+from embodichain.learning.sb3.vec_env import SB3VecEnv
 from embodichain.recording import McapRecorder
 from tests.lab.gym.conftest import home, jumping
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import embodichain
-from embodichain.lab.gym.envs.managers.term_errors import TermError
+from embodichain.lab.gym.envs.managers.terms.term_errors import TermError
 from embodichain.utils.errors import ConfigError
 
 MODULE = """

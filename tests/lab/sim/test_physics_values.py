@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.physics_values import DESCRIBED, physics_values
+from embodichain.learning.checkpoints.physics_values import DESCRIBED, physics_values
 
 XML = """
 <mujoco>

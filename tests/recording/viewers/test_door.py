@@ -9,9 +9,9 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from embodichain.recording.viewers.foxglove_server import FoxgloveServer
-from embodichain.recording.viewers.web_page import PageOptions, WebPage
-from embodichain.utils.access import Access
+from embodichain.recording.viewers.page.web_page import PageOptions, WebPage
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.system.access import Access
 from tests.helpers import doors
 from tests.recording.scene import MODEL
 

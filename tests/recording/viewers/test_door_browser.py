@@ -7,8 +7,8 @@ import threading
 import pytest
 
 from embodichain.recording.viewers.foxglove_server import FoxgloveServer
-from embodichain.recording.viewers.web_page import WebPage
-from embodichain.utils.access import Access
+from embodichain.recording.viewers.page.web_page import WebPage
+from embodichain.utils.system.access import Access
 from tests.helpers import doors
 from tests.helpers.browser import CHROMIUM, needs_chromium
 from tests.recording.scene import MODEL

@@ -26,10 +26,11 @@ from websockets.sync.client import connect
 
 import embodichain
 from embodichain.lab.sim.drawing.offscreen import VARIABLE
-from embodichain.recording import ImageOptions, McapRecorder, pictures
-from embodichain.recording.options import RecordOptions
+from embodichain.recording import ImageOptions, McapRecorder
+from embodichain.recording.format.options import RecordOptions
 from embodichain.recording.viewers.foxglove import FoxgloveView
 from embodichain.recording.viewers.foxglove_server import FoxgloveServer
+from embodichain.recording.views import pictures
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import SmallEnv
 from tests.recording.views.test_images import SCENE, WALL_PIXEL, nal_types, recorded

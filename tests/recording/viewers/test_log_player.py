@@ -13,7 +13,7 @@ from embodichain.cli.app import call
 from embodichain.recording import McapRecorder
 from embodichain.recording.viewers import log_player
 from embodichain.recording.viewers.log_player import NativeScreen, play_log
-from embodichain.recording.viewers.web_page import PageOptions, WebPage
+from embodichain.recording.viewers.page.web_page import PageOptions, WebPage
 from embodichain.utils.errors import ConfigError
 from tests.helpers.browser import chromium, needs_chromium, picture, share_of
 from tests.recording.scene import SmallEnv

@@ -5,7 +5,7 @@ import pytest
 
 import embodichain
 from embodichain.lab.gym.teleop import Teleop
-from embodichain.recording.viewers.native_operator import NativeOperator
+from embodichain.recording.viewers.operators.native_operator import NativeOperator
 from embodichain.utils.errors import ConfigError, EmbodichainError
 
 UP, RIGHT, SPACE, ENTER, TURN, AXES = 265, 262, 32, 257, 324, 325
@@ -59,7 +59,9 @@ class Quick:
 
 @pytest.fixture
 def run(env, monkeypatch):
-    monkeypatch.setattr("embodichain.recording.viewers.native_operator.time.sleep", lambda s: None)
+    monkeypatch.setattr(
+        "embodichain.recording.viewers.operators.native_operator.time.sleep", lambda s: None
+    )
     return Session(env)
 
 
@@ -125,7 +127,7 @@ def test_an_episode_begins_with_the_first_key(run, monkeypatch):
         if len(naps) == 3:
             run.window.on_key(UP)
 
-    monkeypatch.setattr("embodichain.recording.viewers.native_operator.time.sleep", nap)
+    monkeypatch.setattr("embodichain.recording.viewers.operators.native_operator.time.sleep", nap)
     run.window.on_key(RIGHT)  # before it begins: forgotten
     command = run.operator.command(True)
     assert len(naps) >= 3 and command.linear == (1.0, 0.0, 0.0)

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from websockets.sync.client import connect
 
-from embodichain.recording.viewers.own_socket import OwnSocket, is_own
-from embodichain.recording.viewers.web_page import WebPage
+from embodichain.recording.viewers.page.own_socket import OwnSocket, is_own
+from embodichain.recording.viewers.page.web_page import WebPage
 from tests.helpers import doors
 from tests.recording.scene import MODEL
 

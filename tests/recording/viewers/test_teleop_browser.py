@@ -12,11 +12,11 @@ import pytest
 import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.lab.gym.teleop import DISCARDED
-from embodichain.recording.chunks import LogReader
-from embodichain.recording.collection import read_collection
-from embodichain.recording.verification import verify
-from embodichain.recording.viewers.teleop_input import OperatorInput
-from embodichain.recording.viewers.web_page import WebPage
+from embodichain.recording.check.verification import verify
+from embodichain.recording.demos.collection import read_collection
+from embodichain.recording.read.chunks import LogReader
+from embodichain.recording.viewers.operators.teleop_input import OperatorInput
+from embodichain.recording.viewers.page.web_page import WebPage
 from tests.helpers.browser import chromium, needs_chromium
 
 pytestmark = [needs_chromium, pytest.mark.unmeasured]

@@ -12,8 +12,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from embodichain.lab.gym.teleop import ToolCommand
-from embodichain.recording.viewers.operator_pages import OperatorPages, look_like, view_of
-from embodichain.recording.viewers.web_page import PageOptions, WebPage
+from embodichain.recording.viewers.operators.operator_pages import OperatorPages, look_like, view_of
+from embodichain.recording.viewers.page.web_page import PageOptions, WebPage
 from embodichain.utils.errors import EmbodichainError
 from tests.helpers import doors
 from tests.recording.scene import MODEL

@@ -12,7 +12,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from embodichain.recording.viewers.web_page import Controls, Facts, PageOptions, WebPage
+from embodichain.recording.viewers.page.web_page import Controls, Facts, PageOptions, WebPage
 from embodichain.utils.errors import ConfigError
 from tests.helpers import doors
 from tests.recording.scene import MODEL, SmallEnv
@@ -262,7 +262,7 @@ web_server.WebServer = Other
 def test_a_studio_that_cannot_be_confined_serves_nothing(break_it, why):
     """A later MuJoCo may go another way: then there is an error, and no open port."""
     code = (
-        "import mujoco, embodichain.recording.viewers.web_process as s\n"
+        "import mujoco, embodichain.recording.viewers.page.web_process as s\n"
         f"s._START_SECONDS = 2.0\n{break_it}\n"
         "s.Studio(mujoco.MjSpec().compile(), s.PageOptions())\n"
     )

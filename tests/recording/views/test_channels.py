@@ -14,7 +14,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 import embodichain.recording as recording
 from embodichain.recording import McapRecorder, inspect
-from embodichain.recording.options import RecordOptions
+from embodichain.recording.format.options import RecordOptions
 from embodichain.recording.views.layout import foxglove_layout
 from embodichain.recording.views.shapes import glb, mesh_of
 from tests.recording.scene import MODEL, SmallEnv

@@ -11,7 +11,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
 from embodichain.recording import McapRecorder, inspect
-from embodichain.recording.options import RecordOptions
+from embodichain.recording.format.options import RecordOptions
 from embodichain.recording.views.scene import ABOVE, AXIS_LENGTH, METRES_PER_SPEED
 from tests.recording.scene import MODEL, SmallEnv
 

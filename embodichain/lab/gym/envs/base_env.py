@@ -19,20 +19,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs import restoring, scene_setup
+from embodichain.lab.gym.envs import scene_setup
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.envs.env_reads import EnvReads
-from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals
 from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks, set_extensions
-from embodichain.lab.gym.envs.judging import (
-    StateDump,
-    StepJudge,
-    as_mask,
-    none_set,
-    reset_ids,
-    zeroed,
-)
 from embodichain.lab.gym.envs.managers.action_manager import (
     ActionCheck,
     ActionManager,
@@ -50,12 +41,22 @@ from embodichain.lab.gym.envs.managers.value_managers import (
     TerminationManager,
 )
 from embodichain.lab.gym.envs.observation import Observation, observation_space
-from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
-from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
-from embodichain.lab.gym.envs.startup import StartupChanges
-from embodichain.lab.gym.envs.step_graph import StepGraph
-from embodichain.lab.gym.envs.step_observation import StepObservation, observe
+from embodichain.lab.gym.envs.on_device.step_graph import StepGraph
+from embodichain.lab.gym.envs.restoring import restored as restoring
+from embodichain.lab.gym.envs.restoring.snapshot import Snapshot, SnapshotSource
+from embodichain.lab.gym.envs.restoring.startup import StartupChanges
+from embodichain.lab.gym.envs.step.episodes import Episodes, add_finals, parse_mode, seed_globals
+from embodichain.lab.gym.envs.step.judging import (
+    StateDump,
+    StepJudge,
+    as_mask,
+    none_set,
+    reset_ids,
+    zeroed,
+)
+from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
+from embodichain.lab.gym.envs.step.step_observation import StepObservation, observe
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.arrays import as_env_ids, tensor_of

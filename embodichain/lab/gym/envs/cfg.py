@@ -21,11 +21,11 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     Vec3,
 )
-from embodichain.lab.sim.physics_cfg import OptionsCfg
-from embodichain.lab.sim.scene_cfg import SceneCfg, ViewCfg
-from embodichain.lab.sim.sensors.cfg import AnySensorCfg
+from embodichain.lab.sim.configs.physics_cfg import OptionsCfg
+from embodichain.lab.sim.configs.scene_cfg import SceneCfg, ViewCfg
+from embodichain.lab.sim.configs.sensor_cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
-from embodichain.utils.defaults import KEEP_DEFAULT, DefaultInt
+from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultInt
 
 __all__ = [
     "NO_LIMIT",

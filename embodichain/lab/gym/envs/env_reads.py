@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg
 from embodichain.lab.gym.envs.closed import require_open
-from embodichain.lab.gym.envs.episodes import Episodes
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.observation import flat_space
 from embodichain.lab.gym.envs.observers import EngineRelay, EventRecord, StepObserver
+from embodichain.lab.gym.envs.step.episodes import Episodes
 from embodichain.utils.arrays import as_env_ids, tensor_of, to_tensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
         RewardManager,
         TerminationManager,
     )
-    from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
     from embodichain.lab.gym.envs.observers import ObservedEnv
-    from embodichain.lab.gym.envs.step_copies import StepCopies
+    from embodichain.lab.gym.envs.on_device.step_copies import StepCopies
+    from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.utils.arrays import Arrays
@@ -328,7 +328,7 @@ class EnvReads:
 
     def _copied(self) -> Any:
         if self.copies is None:
-            from embodichain.lab.gym.envs.step_copies import StepCopies
+            from embodichain.lab.gym.envs.on_device.step_copies import StepCopies
 
             self.copies = StepCopies(self)
             self._attach(self.copies)

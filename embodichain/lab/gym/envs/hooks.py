@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING, Any
 import torch
 from gymnasium.vector import AutoresetMode
 
-from embodichain.lab.gym.envs.judging import task_state
 from embodichain.lab.gym.envs.managers.action_manager import drive_robot
 from embodichain.lab.gym.envs.scene_setup import (
     add_declared_robots,
     add_declared_scene,
     add_declared_sensors,
 )
+from embodichain.lab.gym.envs.step.judging import task_state
 from embodichain.utils.arrays import tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
-    from embodichain.lab.gym.envs.episodes import Episodes
-    from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
+    from embodichain.lab.gym.envs.step.episodes import Episodes
+    from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvAction, EnvObs

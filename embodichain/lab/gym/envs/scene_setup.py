@@ -15,11 +15,11 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg, EventCfg
-from embodichain.lab.gym.envs.managers.aliases import AliasSpec
-from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.param_types import NamedEntity
-from embodichain.lab.gym.envs.managers.registry import SECTIONS, TERMS
 from embodichain.lab.gym.envs.managers.scene_entity import references_in
+from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
+from embodichain.lab.gym.envs.managers.terms.check import check_terms
+from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS, TERMS
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     LightCfg,
@@ -28,31 +28,32 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
-from embodichain.lab.sim.compiler.appearance import check_ground, check_light
-from embodichain.lab.sim.compiler.articulation import parse_with_problems
-from embodichain.lab.sim.compiler.drives import (
+from embodichain.lab.sim.compiler.compile_scene import compile_scene
+from embodichain.lab.sim.compiler.geoms.poses import check_pose, initial_pose
+from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
+from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
+from embodichain.lab.sim.compiler.robot.articulation import parse_with_problems
+from embodichain.lab.sim.compiler.robot.drives.pd_drives import (
     DriveChange,
     DriveOperation,
     PhysicsStep,
     physics_step,
 )
-from embodichain.lab.sim.compiler.furniture import check_furniture, furniture_of
-from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.known import known_entities
-from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
-from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
-from embodichain.lab.sim.compiler.physics_options import check_options
-from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
-from embodichain.lab.sim.compiler.scene import compile_scene
-from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
-from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
-from embodichain.lab.sim.compiler.views import check_views, places_of_views
-from embodichain.lab.sim.compiler.world import WORLD, read_world
-from embodichain.lab.sim.prepared_scene import PreparedScene
-from embodichain.lab.sim.scene_cfg import SceneCfg
-from embodichain.lab.sim.viewer import has_display
+from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
+from embodichain.lab.sim.compiler.scene.appearance import check_ground, check_light
+from embodichain.lab.sim.compiler.scene.furniture import check_furniture, furniture_of
+from embodichain.lab.sim.compiler.scene.known import known_entities
+from embodichain.lab.sim.compiler.scene.physics_options import check_options
+from embodichain.lab.sim.compiler.scene.rigid_objects import check_object
+from embodichain.lab.sim.compiler.scene.world import WORLD, read_world
+from embodichain.lab.sim.compiler.sensing.scene_sensors import plan_sensors
+from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan
+from embodichain.lab.sim.compiler.sensing.views import check_views, places_of_views
+from embodichain.lab.sim.configs.scene_cfg import SceneCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
+from embodichain.utils.system.display import has_display
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.objects.robot import Robot

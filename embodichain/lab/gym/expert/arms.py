@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.aliases import AliasSpec
-from embodichain.lab.gym.envs.managers.registry import resolve_term
+from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
+from embodichain.lab.gym.envs.managers.terms.registry import resolve_term
 from embodichain.lab.gym.envs.mdp.actions.eef_action import EefTerm
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointAction
 from embodichain.lab.gym.envs.mdp.actions.operational_space import OperationalSpace
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.mdp._tools import MovesTool, Orientation
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
     from embodichain.lab.sim.objects.robot import Robot
-    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
 __all__ = ["Arm", "arms_of", "declared_arms", "find_arm"]
 

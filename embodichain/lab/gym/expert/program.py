@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
-from embodichain.lab.gym.envs.managers.check import check_params
-from embodichain.lab.gym.envs.managers.registry import describe_term, import_object
+from embodichain.lab.gym.envs.managers.terms.check import check_params
+from embodichain.lab.gym.envs.managers.terms.registry import describe_term, import_object
 from embodichain.lab.gym.expert.arms import DeclaredArm, declared_arms, find_arm
 from embodichain.lab.gym.expert.instructions import Goal, Grip, Instruction, Move
 from embodichain.lab.gym.expert.reading import ReadStep, read_steps

@@ -13,14 +13,14 @@ from functools import cache
 from itertools import groupby
 from typing import Any
 
-from embodichain.lab.gym.envs.managers.check import check_params
 from embodichain.lab.gym.envs.managers.param_types import Fraction
-from embodichain.lab.gym.envs.managers.registry import TermSpec, describe_term
+from embodichain.lab.gym.envs.managers.terms.check import check_params
+from embodichain.lab.gym.envs.managers.terms.registry import TermSpec, describe_term
 from embodichain.lab.gym.expert.instructions import Grip, Phase, Target
 from embodichain.lab.gym.expert.steps import STEPS, Maker
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.fields.type_errors import show_value
 from embodichain.utils.suggest import did_you_mean
-from embodichain.utils.type_errors import show_value
 
 __all__ = ["ReadStep", "read_steps"]
 

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.episodes import FINAL_KEYS
 from embodichain.lab.gym.envs.observation import as_array
+from embodichain.lab.gym.envs.step.episodes import FINAL_KEYS
 from embodichain.lab.gym.shards.step_tables import StepTable
 
 if TYPE_CHECKING:

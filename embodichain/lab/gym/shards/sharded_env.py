@@ -20,10 +20,10 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.closed import require_open
-from embodichain.lab.gym.envs.episodes import add_finals, seed_globals
-from embodichain.lab.gym.envs.judging import reset_ids
 from embodichain.lab.gym.envs.managers.action_manager import ActionCheck
 from embodichain.lab.gym.envs.observation import Observation
+from embodichain.lab.gym.envs.step.episodes import add_finals, seed_globals
+from embodichain.lab.gym.envs.step.judging import reset_ids
 from embodichain.lab.gym.shards.shard_pool import ShardPool
 from embodichain.lab.gym.shards.step_tables import Path as Entry
 from embodichain.lab.gym.shards.step_tables import StepTable, join_rows

@@ -16,8 +16,8 @@ import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.utils.defaults import is_given
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.fields.defaults import is_given
 from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def make_vec(
         flatten: Whether observations are those of a policy; see `NumpyVectorEnv`.
         **kwargs: As for `make`.
     """
-    from embodichain.lab.gym.envs.episodes import parse_mode
+    from embodichain.lab.gym.envs.step.episodes import parse_mode
     from embodichain.lab.gym.vector import NumpyVectorEnv
 
     mode = parse_mode(autoreset_mode)  # an unknown mode is an error before the build

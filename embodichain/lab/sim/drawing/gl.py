@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.viewer import has_display
 from embodichain.utils.errors import RenderError
+from embodichain.utils.system.display import has_display
 
 __all__ = [
     *("VARIABLE", "Context", "NumberTexture", "Program", "VertexBuffers"),

@@ -154,7 +154,7 @@ Opened = tuple[str, str, Renderer]
 
 
 def _layered(model: mujoco.MjModel) -> Opened:
-    from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
+    from embodichain.lab.sim.drawing.layered.batch_renderer import BatchRenderer
 
     renderer = BatchRenderer(model)
     context = renderer.context

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -14,13 +14,25 @@ from embodichain.lab.sim.drawing.looks import opaque_geoms
 from embodichain.lab.sim.drawing.views import DrawnState, Pictures, View
 from embodichain.utils.errors import RenderError
 
-if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import F64, EnvIndex, RayHits
-
 __all__ = ["CastingState", "RayRenderer"]
 
 _RAYS_AT_ONCE = 2**20
 """About 100 MB of origins, directions and hits."""
+
+
+F64 = NDArray[np.float64]
+
+
+class Hits(Protocol):
+    """What R rays hit in n environments."""
+
+    @property
+    def distance(self) -> F64:
+        """(n, R) in lengths of the ray's direction; -1 where nothing is hit."""
+
+    @property
+    def geom(self) -> NDArray[np.int32]:
+        """(n, R) geom ids; -1 where nothing is hit."""
 
 
 @runtime_checkable
@@ -32,10 +44,10 @@ class CastingState(Protocol):
         origins: F64,
         directions: F64,
         geoms: NDArray[np.bool_],
-        env_ids: EnvIndex | None = None,
+        env_ids: NDArray[np.int64] | None = None,
         *,
         normal: bool = False,
-    ) -> RayHits:
+    ) -> Hits:
         """See `Engine.cast_rays`."""
 
 

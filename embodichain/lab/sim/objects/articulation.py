@@ -20,9 +20,9 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ArticulationCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
-    from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
+    from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
     from embodichain.lab.sim.engine.api import F64, Columns, Engine, EnvIndex
-    from embodichain.lab.sim.host import Host
+    from embodichain.lab.sim.objects.host import Host
 
 __all__ = ["Articulation"]
 

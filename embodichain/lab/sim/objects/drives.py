@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.drive_cfg import NO_LIMIT
+from embodichain.lab.sim.configs.drive_cfg import NO_LIMIT
 from embodichain.utils.arrays import columns_of, field_values, is_host
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import EntityIndex
-    from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
+    from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
     from embodichain.lab.sim.engine.api import F64, Columns, EnvIndex
     from embodichain.lab.sim.objects.entity import Handle
     from embodichain.utils.arrays import Arrays

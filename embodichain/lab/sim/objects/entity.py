@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 import numpy as np
 import torch
 
-from embodichain.lab.sim.body_motion import BodyMotion
-from embodichain.lab.sim.frames import BodyFrames, link_frame
+from embodichain.lab.sim.reads.body_motion import BodyMotion
+from embodichain.lab.sim.reads.frames import BodyFrames, link_frame
 from embodichain.utils.arrays import as_env_ids, as_rows, is_host, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ObjectBaseCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
-    from embodichain.lab.sim.host import Host
+    from embodichain.lab.sim.objects.host import Host
 
 __all__ = ["BatchEntity", "Handle", "TensorRead", "TensorReads"]
 

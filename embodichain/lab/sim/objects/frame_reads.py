@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from embodichain.lab.sim.frames import BodyFrames, frame_named
 from embodichain.lab.sim.objects.entity import BatchEntity
+from embodichain.lab.sim.reads.frames import BodyFrames, frame_named
 from embodichain.utils.arrays import to_tensor
 from embodichain.utils.math import pose_to_matrix
 from embodichain.utils.suggest import did_you_mean, listing
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.sim.compiler.index import Ids
-    from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
+    from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["FrameReads"]

@@ -13,7 +13,7 @@ from embodichain.utils.arrays import to_tensor
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import LightCfg
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.host import Host
+    from embodichain.lab.sim.objects.host import Host
 
 __all__ = ["Light"]
 

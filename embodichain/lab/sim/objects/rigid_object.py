@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.rigid_objects import inertia_about_axes
+from embodichain.lab.sim.compiler.geoms.shape_geoms import inertia_about_axes
 from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
 from embodichain.lab.sim.objects.solid import Solid
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
-    from embodichain.lab.sim.host import Host
+    from embodichain.lab.sim.objects.host import Host
 
 __all__ = ["RigidObject"]
 

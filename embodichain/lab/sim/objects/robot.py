@@ -17,7 +17,7 @@ from embodichain.utils.tensor_mapping import TensorMapping
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RobotCfg, SolverCfg
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
+    from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
 
 __all__ = ["Robot"]
 
@@ -65,7 +65,7 @@ class Robot(Articulation):
         """
         found = self._arms.get(name)
         if found is None:
-            from embodichain.lab.sim.solvers.arm_solver import ArmSolver, tool_bodies
+            from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver, tool_bodies
 
             joints = self.get_joint_ids(name, remove_mimic=True)
             self.index  # noqa: B018  (compiles)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import lazy_loader
 
-from embodichain.lab.sim.sensors.cfg import (
+from embodichain.lab.sim.configs.sensor_cfg import (
     AnySensorCfg,
     CameraCfg,
     ContactSensorCfg,

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.cameras import pair_offset
+from embodichain.lab.sim.compiler.sensing.cameras import pair_offset
+from embodichain.lab.sim.configs.sensor_cfg import CameraCfg, StereoCameraCfg
 from embodichain.lab.sim.drawing.views import Optics, Output, View, lens_of, view_of
-from embodichain.lab.sim.sensors.cfg import CameraCfg, StereoCameraCfg
 from embodichain.lab.sim.sensors.depth_images import (
     disparities,
     distances,
@@ -44,11 +44,11 @@ from embodichain.utils.math import (
 )
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.scene_sensors import CameraIndex
-    from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
+    from embodichain.lab.sim.compiler.sensing.scene_sensors import CameraIndex
+    from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.engine.device import DeviceEngine
-    from embodichain.lab.sim.host import Host
+    from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
+    from embodichain.lab.sim.objects.host import Host
     from embodichain.lab.sim.sensors.sampling import Readings
 
 __all__ = ["Camera", "StereoCamera"]

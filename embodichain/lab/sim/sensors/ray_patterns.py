@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from embodichain.lab.sim.configs.sensor_cfg import RayFanCfg, RayGridCfg, RayPatternCfg
     from embodichain.lab.sim.engine.api import F64
-    from embodichain.lab.sim.sensors.cfg import RayFanCfg, RayGridCfg, RayPatternCfg
 
 __all__ = ["pattern_rays"]
 

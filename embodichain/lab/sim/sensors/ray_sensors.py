@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.frames import BodyFrames, frame_named, link_frame
-from embodichain.lab.sim.sensors.cfg import HeightScanSensorCfg, RayCastCfg, RaySensorCfg
+from embodichain.lab.sim.configs.sensor_cfg import HeightScanSensorCfg, RayCastCfg, RaySensorCfg
+from embodichain.lab.sim.reads.frames import BodyFrames, frame_named, link_frame
 from embodichain.lab.sim.sensors.ray_patterns import pattern_rays
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.utils.math import quat_to_matrix, rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.height_field import GroundHeights
+    from embodichain.lab.sim.reads.height_field import GroundHeights
     from embodichain.lab.sim.sensors.sampling import Readings
 
 __all__ = ["HeightScanSensor", "RayCaster", "RaySensor"]
@@ -162,7 +162,9 @@ class HeightScanSensor(RayCaster):
         vertical = np.array_equal(self._rays[1], np.broadcast_to(_DOWN, self._rays[1].shape))
         if not vertical or self.cfg.alignment == "base":
             return None
-        from embodichain.lab.sim.height_field import GroundHeights  # few scenes have a terrain
+        from embodichain.lab.sim.reads.height_field import (
+            GroundHeights,  # few scenes have a terrain
+        )
 
         return GroundHeights.hit_alone(self.engine, self.index.geoms)
 

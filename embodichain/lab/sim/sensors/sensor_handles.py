@@ -9,20 +9,20 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.frames import BodyFrames, frames_named
-from embodichain.lab.sim.gravity import gravity_direction
+from embodichain.lab.sim.configs.sensor_cfg import readings
 from embodichain.lab.sim.objects.entity import Handle
-from embodichain.lab.sim.sensors.cfg import readings
+from embodichain.lab.sim.reads.frames import BodyFrames, frames_named
+from embodichain.lab.sim.reads.gravity import gravity_direction
 from embodichain.lab.sim.sensors.sampling import Readings, Sampler
 from embodichain.utils.arrays import as_env_ids, to_tensor
 from embodichain.utils.math import quat_conjugate, quat_rotate
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.scene_sensors import SensorIndex
-    from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
+    from embodichain.lab.sim.compiler.sensing.scene_sensors import SensorIndex
+    from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan
+    from embodichain.lab.sim.configs.sensor_cfg import ContactSensorCfg, SensorCfg
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
-    from embodichain.lab.sim.host import Host
-    from embodichain.lab.sim.sensors.cfg import ContactSensorCfg, SensorCfg
+    from embodichain.lab.sim.objects.host import Host
 
 __all__ = [
     "BaseSensor",

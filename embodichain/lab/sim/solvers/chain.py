@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import lazy_loader
 import numpy as np
 
-from embodichain.lab.sim.frames import link_frame
+from embodichain.lab.sim.reads.frames import link_frame
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_to_matrix
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
-    from embodichain.lab.sim.frames import BodyFrames
+    from embodichain.lab.sim.reads.frames import BodyFrames
 else:
     mujoco = lazy_loader.load("mujoco")
 

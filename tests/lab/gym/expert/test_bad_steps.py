@@ -8,7 +8,7 @@ import yaml
 
 import embodichain
 from embodichain.config import validate
-from embodichain.config.composed import compose
+from embodichain.config.composition.composed import compose
 from embodichain.lab.gym.expert.policy import Expert
 from embodichain.utils.errors import ConfigError
 

@@ -18,8 +18,8 @@ from embodichain.lab.gym.envs.cfg import (
     SceneEntityCfg,
     TerminationCfg,
 )
-from embodichain.lab.gym.envs.managers.check import SECTIONS, check_params, check_terms
-from embodichain.lab.gym.envs.managers.registry import TERMS, describe_term
+from embodichain.lab.gym.envs.managers.terms.check import SECTIONS, check_params, check_terms
+from embodichain.lab.gym.envs.managers.terms.registry import TERMS, describe_term
 
 CUBE = {"entity_cfg": {"uid": "cube"}}
 PAIR = {"source_entity_cfg": {"uid": "a"}, "target_entity_cfg": {"uid": "b"}}

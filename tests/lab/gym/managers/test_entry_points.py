@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 TERMS = '''
-from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 
 @register_term("event")
 def shake_everything(env, env_ids, strength: float = 1.0):

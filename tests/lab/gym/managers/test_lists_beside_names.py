@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.cfg import (
 )
 from embodichain.lab.sim.cfg import RobotCfg
 from embodichain.lab.sim.compiler.alternatives import unmatched_alternatives
-from embodichain.lab.sim.drive_cfg import JointDrivePropertiesCfg
+from embodichain.lab.sim.configs.drive_cfg import JointDrivePropertiesCfg
 from embodichain.lab.sim.sensors import ContactSensorCfg, LinksCfg
 from embodichain.utils.errors import ConfigError
 from tests.helpers.ur10_task import UR10

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from embodichain.lab.gym.envs.managers.registry import (
+from embodichain.lab.gym.envs.managers.terms.registry import (
     KINDS,
     LEADING,
     TERMS,

@@ -11,9 +11,9 @@ import pytest
 import torch
 import yaml
 
-from embodichain.cli.terms import SECTION_OF, TermEntry, all_entries
+from embodichain.cli.results.terms import SECTION_OF, TermEntry, all_entries
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.managers.aliases import AliasSpec
+from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
 from tests.helpers.example_scene import TERRAIN, environment
 
 pytestmark = pytest.mark.unmeasured

@@ -15,8 +15,8 @@ from embodichain.lab.gym.envs.cfg import (
     TerminationCfg,
 )
 from embodichain.lab.gym.envs.managers import TERMS
-from embodichain.lab.gym.envs.managers.aliases import AliasSpec
-from embodichain.lab.gym.envs.managers.registry import VALUE_KINDS
+from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
+from embodichain.lab.gym.envs.managers.terms.registry import VALUE_KINDS
 from tests.helpers import acting_terms, judge_terms, randomizers, sensor_terms, spatial_events
 from tests.helpers.acting_terms import ACTIONS
 

@@ -28,8 +28,8 @@ import yaml
 
 import embodichain
 from embodichain.compat.terms.names_of_others import translations
-from embodichain.lab.gym.envs.managers.aliases import AliasSpec
-from embodichain.lab.gym.envs.managers.registry import KINDS, SHAPES, TERMS, resolve_term
+from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
+from embodichain.lab.gym.envs.managers.terms.registry import KINDS, SHAPES, TERMS, resolve_term
 from embodichain.utils.errors import ConfigError
 from tests.helpers.names_of_projects import ISAAC_LAB, MJLAB
 

@@ -7,7 +7,7 @@ import yaml
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 import embodichain
-from embodichain.lab.sim.physics_values import physics_values
+from embodichain.learning.checkpoints.physics_values import physics_values
 from embodichain.recording import McapRecorder, verify
 from embodichain.recording import open as open_log
 from embodichain.recording.views.scene import Scenes

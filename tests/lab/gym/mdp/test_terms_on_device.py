@@ -14,9 +14,9 @@ import torch
 
 from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.manager import Manager
-from embodichain.lab.gym.envs.managers.registry import SHAPES, VALUE_KINDS
+from embodichain.lab.gym.envs.managers.terms.registry import SHAPES, VALUE_KINDS
 from embodichain.lab.gym.envs.mdp.shapes import Sigmoid
-from embodichain.lab.sim.engine.device_array import DeviceArray
+from embodichain.lab.sim.engine.device.device_array import DeviceArray
 from embodichain.utils.errors import ConfigError
 from tests.helpers.example_scene import environment
 from tests.lab.gym.mdp.test_examples import ENTRIES, HINTS, SECTION_OF, example_of

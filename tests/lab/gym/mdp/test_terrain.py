@@ -19,7 +19,7 @@ from embodichain.lab.gym.envs.cfg import (
     TerminationCfg,
 )
 from embodichain.lab.sim.cfg import RigidObjectCfg
-from embodichain.lab.sim.scene_cfg import (
+from embodichain.lab.sim.configs.scene_cfg import (
     RoughPatchCfg,
     SceneCfg,
     SlopePatchCfg,
@@ -35,7 +35,7 @@ from embodichain.lab.sim.sensors import (
 )
 from embodichain.lab.sim.shapes import SphereCfg
 from embodichain.recording import verify
-from embodichain.recording.recorder import McapRecorder
+from embodichain.recording.write.recorder import McapRecorder
 from embodichain.utils.errors import ConfigError
 
 BALL = {"of": {"uid": "ball"}}

@@ -19,7 +19,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     WarpCfg,
 )
-from embodichain.lab.sim.scene_cfg import GroundCfg, SceneCfg
+from embodichain.lab.sim.configs.scene_cfg import GroundCfg, SceneCfg
 from embodichain.lab.sim.shapes import CubeCfg
 from embodichain.utils.errors import ConfigError
 from tests.helpers.framed_robots import ARM, LEGS, WORLD, quadruped

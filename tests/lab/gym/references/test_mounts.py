@@ -4,13 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.cli.new_robot import describe_robot
+from embodichain.cli.new_task.new_robot import describe_robot
 from embodichain.lab.gym.envs.cfg import ObservationCfg, RewardCfg
 from embodichain.lab.gym.expert.targets import TargetPoses, check_target
 from embodichain.lab.sim.cfg import AttachedFileCfg, AttachmentCfg, RobotCfg, SolverCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation, parse_with_problems
-from embodichain.lab.sim.scene_cfg import ViewCfg
-from embodichain.lab.sim.sensors.cfg import (
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation, parse_with_problems
+from embodichain.lab.sim.configs.scene_cfg import ViewCfg
+from embodichain.lab.sim.configs.sensor_cfg import (
     CameraCfg,
     ContactSensorCfg,
     ExtrinsicsCfg,

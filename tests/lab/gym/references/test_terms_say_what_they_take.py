@@ -3,8 +3,8 @@
 import typing
 
 from embodichain.lab.gym.envs.managers.param_types import references
-from embodichain.lab.gym.envs.managers.registry import TERMS
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.terms.registry import TERMS
 
 BY_FIELD = {
     "randomize",  # each field says it: a link has a mass, a geom has friction

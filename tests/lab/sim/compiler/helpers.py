@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import RobotCfg, SimulationManagerCfg
-from embodichain.lab.sim.compiler.scene import CompiledScene
+from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 from embodichain.lab.sim.sim_manager import SimulationManager
 
 UR10 = "UniversalRobots/UR10/UR10.urdf"

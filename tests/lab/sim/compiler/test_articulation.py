@@ -12,8 +12,8 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler.articulation import parse_articulation
-from embodichain.lab.sim.compiler.scene import compile_scene
+from embodichain.lab.sim.compiler.compile_scene import compile_scene
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import (
     GRIPPER_URDF,

@@ -13,10 +13,10 @@ from embodichain.compat.gym_config.env_cfg import config_to_cfg
 from embodichain.lab.gym.envs import EmbodiedEnv, EnvCfg
 from embodichain.lab.sim import SimulationManager, SimulationManagerCfg
 from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg, URDFCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation
-from embodichain.lab.sim.compiler.robot_assembly import attach
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.robot_assembly import attach
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.type_errors import from_dict
+from embodichain.utils.fields.type_errors import from_dict
 
 UR10 = "UniversalRobots/UR10/UR10.urdf"
 ARM = ["base_link", "shoulder_link", "upper_arm_link", "forearm_link"]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.cfg import AttachedFileCfg, JointDrivePropertiesCfg, RobotCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
 from tests.helpers.mjcf_robots import HAND, UR5E, UR5E_HOME
 from tests.lab.sim.compiler.helpers import GRIPPER_URDF, HOPPER_MJCF, UR10, scene_of, write

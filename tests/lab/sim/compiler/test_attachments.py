@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.cfg import AttachmentCfg, RobotCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.lab.sim.shapes import CylinderCfg, PlaneCfg
 from embodichain.utils.errors import ConfigError
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.cfg import RobotCfg, SimulationManagerCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation
-from embodichain.lab.sim.compiler.rigid_objects import VISUAL_GROUP
-from embodichain.lab.sim.compiler.scene import compile_scene
+from embodichain.lab.sim.compiler.compile_scene import compile_scene
+from embodichain.lab.sim.compiler.geoms.shape_geoms import VISUAL_GROUP
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
 from tests.data.robot_catalog import LOADABLE, NOT_LOADABLE, REPAIRED
 from tests.lab.sim.compiler.helpers import start

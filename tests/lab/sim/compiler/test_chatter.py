@@ -10,8 +10,8 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler.articulation import parse_articulation
-from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveChange, PhysicsStep
 from tests.lab.sim.compiler.helpers import UR10, scene_of, write
 
 PANDA = "panda_description/urdf/panda.urdf"

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.cfg import CollisionShapeCfg, RigidBodyAttributesCfg, RobotCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.lab.sim.shapes import CapsuleCfg, MeshCfg, PlaneCfg, SphereCfg
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import scene_of, start, touching, write

@@ -13,7 +13,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.lab.sim.sim_manager import SimulationManager
 from tests.lab.sim.compiler.helpers import UR10, scene_of, write
 

@@ -8,7 +8,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import GRIPPER_URDF, HOME, UR10, scene_of, start, write
 

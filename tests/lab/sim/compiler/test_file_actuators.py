@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.cfg import ArticulationCfg, JointDrivePropertiesCfg, RobotCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
 from tests.helpers.mjcf_robots import HAND, ROBOTS, UR5E, UR5E_HOME, ZOO
 from tests.lab.sim.compiler.helpers import HOPPER_MJCF, scene_of, write

@@ -20,7 +20,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.lab.sim.shapes import MeshCfg
 from embodichain.utils.errors import ConfigError
 from tests.helpers.kept_files import Twin, in_scene

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.cfg import RobotCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import GRIPPER_URDF, HOME, HOPPER_MJCF, UR10, write
 

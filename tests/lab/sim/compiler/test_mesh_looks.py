@@ -7,8 +7,8 @@ import trimesh
 from PIL import Image
 
 from embodichain.lab.sim.cfg import AttachmentCfg, RigidObjectCfg, RobotCfg, SimulationManagerCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation
-from embodichain.lab.sim.compiler.scene import compile_scene
+from embodichain.lab.sim.compiler.compile_scene import compile_scene
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.lab.sim.drawing.views import Viewpoint
 from embodichain.lab.sim.shapes import MeshCfg, VisualMaterialCfg
 from embodichain.lab.sim.sim_manager import SimulationManager

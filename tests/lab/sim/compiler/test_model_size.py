@@ -7,10 +7,10 @@ import pytest
 
 from embodichain.lab.sim.cfg import RobotCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler import model_size
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.lab.sim.sim_manager import SimulationManager
-from embodichain.utils import memory
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.system import memory
 from tests.lab.sim.compiler.helpers import INERTIAL, UR10, write
 
 

@@ -9,7 +9,7 @@ from embodichain.lab.sim.cfg import (
     RigidObjectCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler.scene import compile_scene
+from embodichain.lab.sim.compiler.compile_scene import compile_scene
 from embodichain.lab.sim.shapes import (
     CapsuleCfg,
     CubeCfg,

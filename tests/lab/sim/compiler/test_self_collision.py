@@ -13,9 +13,9 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SelfCollisionCfg,
 )
-from embodichain.lab.sim.compiler.articulation import parse_articulation
-from embodichain.lab.sim.compiler.link_siblings import sibling_pairs
-from embodichain.lab.sim.compiler.overlaps import overlapping_links
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.contacts.link_siblings import sibling_pairs
+from embodichain.lab.sim.compiler.robot.overlaps import overlapping_links
 from embodichain.lab.sim.shapes import CubeCfg, SphereCfg
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import INERTIAL, scene_of, start, touching, write

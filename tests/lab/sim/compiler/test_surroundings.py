@@ -6,8 +6,8 @@ import pytest
 
 from embodichain.lab.gym.envs import BaseEnv, EnvCfg
 from embodichain.lab.sim.cfg import RigidObjectCfg, RobotCfg, SimulationManagerCfg
-from embodichain.lab.sim.compiler.appearance import wood
-from embodichain.lab.sim.scene_cfg import (
+from embodichain.lab.sim.compiler.scene.appearance import wood
+from embodichain.lab.sim.configs.scene_cfg import (
     GroundCfg,
     LightCfg,
     PedestalCfg,
@@ -18,7 +18,7 @@ from embodichain.lab.sim.scene_cfg import (
 )
 from embodichain.lab.sim.shapes import CubeCfg, SphereCfg
 from embodichain.lab.sim.sim_manager import SimulationManager
-from embodichain.recording.archive import load_mjz, scene_archive
+from embodichain.recording.format.archive import load_mjz, scene_archive
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import HOME, UR10
 

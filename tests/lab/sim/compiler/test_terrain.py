@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.cfg import SimulationManagerCfg
-from embodichain.lab.sim.compiler.scene import compile_scene
-from embodichain.lab.sim.compiler.terrain import Terrain, terrain_heights
-from embodichain.lab.sim.scene_cfg import (
+from embodichain.lab.sim.compiler.compile_scene import compile_scene
+from embodichain.lab.sim.compiler.scene.terrain import Terrain, terrain_heights
+from embodichain.lab.sim.configs.scene_cfg import (
     BlocksPatchCfg,
     FlatPatchCfg,
     GapsPatchCfg,

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.cfg import RobotCfg, SolverCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.type_errors import from_dict
+from embodichain.utils.fields.type_errors import from_dict
 from tests.lab.sim.compiler.helpers import HOME, UR10
 
 TCP = np.array([[0, -1, 0, 0.1], [1, 0, 0, 0.0], [0, 0, 1, 0.16], [0, 0, 0, 1]], float)

@@ -3,9 +3,9 @@
 import pytest
 
 from embodichain.lab.sim.cfg import AttachedFileCfg, JointDrivePropertiesCfg, RobotCfg
-from embodichain.lab.sim.compiler.articulation import parse_articulation
-from embodichain.lab.sim.compiler.parsed_articulation import ParsedArticulation
-from embodichain.lab.sim.urdf_cfg import URDFCfg
+from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
+from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
+from embodichain.lab.sim.configs.urdf_cfg import URDFCfg
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import INERTIAL, UR10, write
 

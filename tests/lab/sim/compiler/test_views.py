@@ -10,7 +10,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.scene_cfg import ViewCfg
+from embodichain.lab.sim.configs.scene_cfg import ViewCfg
 from embodichain.lab.sim.shapes import CubeCfg, PlaneCfg
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.utils.errors import ConfigError

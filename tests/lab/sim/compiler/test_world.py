@@ -8,7 +8,7 @@ import pytest
 
 from embodichain.lab.gym.envs import BaseEnv, EnvCfg
 from embodichain.lab.sim.cfg import RigidObjectCfg, RobotCfg, SimulationManagerCfg
-from embodichain.lab.sim.scene_cfg import GroundCfg, LightCfg, SceneCfg, SkyCfg
+from embodichain.lab.sim.configs.scene_cfg import GroundCfg, LightCfg, SceneCfg, SkyCfg
 from embodichain.lab.sim.shapes import CubeCfg
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.utils.errors import ConfigError

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
+from embodichain.lab.sim.drawing.layered.batch_renderer import BatchRenderer
 from embodichain.lab.sim.drawing.views import Optics, View
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.utils.errors import RenderError
 
 SCENE = """

@@ -4,8 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.drawing.lighting import casters, light_table, positional, shadow_views
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.drawing.layered.lighting import (
+    casters,
+    light_table,
+    positional,
+    shadow_views,
+)
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 
 SCENE = """
 <mujoco>

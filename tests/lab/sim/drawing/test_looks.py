@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.drawing.looks import SurfaceTable, Unchanged
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 
 SCENE = """
 <mujoco>

@@ -15,7 +15,7 @@ from embodichain.lab.sim.drawing.gl import VARIABLE
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState, StoredStates
 from embodichain.lab.sim.drawing.views import Optics, View, Viewpoint, view_of
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.utils.errors import ConfigError, RenderError
 
 SCENE = """
@@ -241,7 +241,7 @@ def test_without_a_driver_one_error_names_the_packages(tmp_path, kind):
 import mujoco
 from embodichain.lab.sim.drawing.gl import VARIABLE
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 engine = CpuEngine(mujoco.MjModel.from_xml_string({SCENE!r}), 1)
 renderer = OffscreenRenderer(engine.model)
 print(renderer.kind)

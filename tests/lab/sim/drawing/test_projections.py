@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.drawing.projections import view_table
+from embodichain.lab.sim.drawing.layered.projections import view_table
 from embodichain.lab.sim.drawing.views import Optics, View
 
 # At (1, 2, 3), looking along +y: right is +x, up is +z, backwards is -y.

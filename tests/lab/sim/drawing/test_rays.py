@@ -7,7 +7,7 @@ import pytest
 from embodichain.lab.sim.drawing.rays import RayRenderer
 from embodichain.lab.sim.drawing.states import StoredStates
 from embodichain.lab.sim.drawing.views import Optics, View, Viewpoint
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.utils.errors import RenderError
 
 SCENE = """

@@ -5,11 +5,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
 from embodichain.lab.sim.drawing.classic import ClassicRenderer
+from embodichain.lab.sim.drawing.layered.batch_renderer import BatchRenderer
 from embodichain.lab.sim.drawing.rays import RayRenderer
 from embodichain.lab.sim.drawing.views import View, Viewpoint, view_of
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 
 SIZE = 64
 ABOVE = Viewpoint.look_at((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 60.0)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.drawing.views import Viewpoint, view_of
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 
 SCENE = """
 <mujoco>

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 
 XML = """
 <mujoco>

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.engine.api import PhysicsEvent, Write
-from embodichain.lab.sim.engine.cpu import KINEMATIC_STAGES, CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import KINEMATIC_STAGES, CpuEngine
 from embodichain.lab.sim.engine.fields import row_layout
 
 XML = """

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.lab.sim.engine import device_values
-from embodichain.lab.sim.engine.device_array import (
+from embodichain.lab.sim.engine.device import device_values
+from embodichain.lab.sim.engine.device.device_array import (
     DeviceArray,
     EnvMask,
     HostTransferError,
     constant,
     on_device,
 )
-from embodichain.lab.sim.engine.device_arrays import DeviceArrays
-from embodichain.lab.sim.engine.device_functions import BINARY, FUNCTIONS, REDUCTIONS, UNARY
+from embodichain.lab.sim.engine.device.device_functions import BINARY, FUNCTIONS, REDUCTIONS, UNARY
+from embodichain.lab.sim.engine.warp.device_arrays import DeviceArrays
 
 DEVICE = torch.device("cuda:0" if torch.cuda.is_available() else "cpu")
 rng = np.random.default_rng(0)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.lab.sim.engine.device import DeviceEngine
-from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask, HostTransferError
-from embodichain.lab.sim.engine.warp import WarpEngine
+from embodichain.lab.sim.engine.device.device_array import DeviceArray, EnvMask, HostTransferError
+from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
+from embodichain.lab.sim.engine.warp.warp_engine import WarpEngine
 from embodichain.utils.errors import ConfigError
 from tests.helpers.warp_scene import DEVICE, SCENE, N, close, scatter
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from embodichain.lab.sim.engine.device import DeviceEngine
-from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask
+from embodichain.lab.sim.engine.device.device_array import DeviceArray, EnvMask
+from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.engine.test_warp_engine import DEVICE, SCENE, N, warp_engine
 

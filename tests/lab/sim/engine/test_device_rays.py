@@ -6,9 +6,9 @@ import pytest
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
-from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.engine.device import DeviceEngine
-from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
+from embodichain.lab.sim.engine.device.device_array import DeviceArray, EnvMask
+from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
 from tests.lab.sim.engine.test_warp_engine import DEVICE, SCENE, N
 
 pytestmark = pytest.mark.unmeasured

@@ -5,8 +5,8 @@ import pytest
 import torch
 import warp as wp
 
-from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask
-from embodichain.lab.sim.engine.device_streams import DeviceStreams
+from embodichain.lab.sim.engine.device.device_array import DeviceArray, EnvMask
+from embodichain.lab.sim.engine.warp.device_streams import DeviceStreams
 from embodichain.utils.random import RandomStreams, constant
 
 N = 5

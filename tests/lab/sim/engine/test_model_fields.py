@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from mujoco import batch as mjbatch
 
-from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS
 from embodichain.utils.errors import ConfigError
 

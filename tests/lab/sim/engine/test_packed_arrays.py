@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.lab.sim.engine.packed_arrays import ArrayPacker, HostBuffers
+from embodichain.lab.sim.engine.device.packed_arrays import ArrayPacker, HostBuffers
 from tests.helpers.warp_scene import DEVICE
 
 HERE = torch.device(DEVICE)

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.engine.device import DeviceEngine
-from embodichain.lab.sim.engine.device_array import EnvMask
-from embodichain.lab.sim.engine.warp import WarpEngine
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
+from embodichain.lab.sim.engine.device.device_array import EnvMask
+from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
+from embodichain.lab.sim.engine.warp.warp_engine import WarpEngine
 from tests.helpers.warp_scene import DEVICE, SCENE, N, close, scatter
 
 ENGINES = {

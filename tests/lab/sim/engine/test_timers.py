@@ -3,8 +3,8 @@
 import mujoco
 import pytest
 
-from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.engine.mujoco_process import stop_timers
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
+from embodichain.lab.sim.engine.cpu.mujoco_process import stop_timers
 
 MODEL = mujoco.MjModel.from_xml_string("<mujoco/>")
 STEP = int(mujoco.mjtTimer.mjTIMER_STEP)

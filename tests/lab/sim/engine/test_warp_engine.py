@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.engine import warp_support
-from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.engine.warp import WarpEngine
-from embodichain.lab.sim.engine.warp_worlds import measured_sizes
+from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
+from embodichain.lab.sim.engine.warp import warp_support
+from embodichain.lab.sim.engine.warp.warp_engine import WarpEngine
+from embodichain.lab.sim.engine.warp.warp_worlds import measured_sizes
 from embodichain.utils.errors import ConfigError
 from tests.helpers.warp_scene import DEVICE, SCENE, N, close, scatter
 

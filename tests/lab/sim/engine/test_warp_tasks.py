@@ -15,12 +15,13 @@ import yaml
 import embodichain
 import embodichain.recording as recording
 from embodichain.cli import main
-from embodichain.config.composed import list_options
-from embodichain.config.factory import with_warp_sizes
+from embodichain.config.composition.composed import list_options
+from embodichain.config.environments.factory import with_warp_sizes
 from embodichain.config.resolved import resolve
-from embodichain.lab.sim.engine import warp_worlds
-from embodichain.recording import simulation, verify
-from embodichain.recording.reenactment import Reenactment
+from embodichain.lab.sim.engine.warp import warp_worlds
+from embodichain.recording import verify
+from embodichain.recording.demos.reenactment import Reenactment
+from embodichain.recording.read import simulation
 from embodichain.utils.errors import ConfigError
 
 pytestmark = pytest.mark.unmeasured

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from embodichain.lab.sim.meshes.mesh_reading import MeshError, read_mesh
+from embodichain.lab.sim.compiler.geoms.mesh_reading import MeshError, read_mesh
 from tests.lab.sim.meshes.files import collada
 
 RED, BLUE = (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from embodichain.lab.sim.meshes.mesh_conversion import (
+from embodichain.lab.sim.compiler.geoms.mesh_conversion import (
     cache_folder,
     convert_collision,
     convert_visual,
@@ -17,7 +17,7 @@ from embodichain.lab.sim.meshes.mesh_conversion import (
     entry,
     reads,
 )
-from embodichain.lab.sim.meshes.mesh_reading import MeshError
+from embodichain.lab.sim.compiler.geoms.mesh_reading import MeshError
 from tests.lab.sim.meshes.files import collada
 
 
@@ -123,7 +123,7 @@ def test_a_concave_mesh_becomes_convex_parts_the_same_ones_each_time(tmp_path, m
 
 SPLIT_AND_MOVE = """
 from pathlib import Path
-from embodichain.lab.sim.meshes.mesh_conversion import decompose
+from embodichain.lab.sim.compiler.geoms.mesh_conversion import decompose
 assert decompose(Path("box.ply"))
 import ruckig
 given = ruckig.InputParameter(1)

@@ -19,8 +19,8 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.drawing.rays import RayRenderer
 from embodichain.lab.sim.drawing.views import view_of
-from embodichain.lab.sim.engine.device_array import DeviceArray, EnvMask
-from embodichain.lab.sim.engine.device_cameras import _say_once
+from embodichain.lab.sim.engine.device.device_array import DeviceArray, EnvMask
+from embodichain.lab.sim.engine.warp.device_cameras import _say_once
 from embodichain.lab.sim.sensors import CameraCfg, ExtrinsicsCfg, LinksCfg, StereoCameraCfg
 from embodichain.lab.sim.shapes import CubeCfg, SphereCfg, VisualMaterialCfg
 from embodichain.lab.sim.sim_manager import SimulationManager
@@ -203,7 +203,7 @@ def test_pictures_are_close_to_those_of_opengl(made: dict[str, SimulationManager
 def test_what_is_drawn_otherwise_is_said_once(
     made: dict[str, SimulationManager], caplog: pytest.LogCaptureFixture
 ) -> None:
-    from embodichain.lab.sim.engine.device_cameras import DeviceCameras
+    from embodichain.lab.sim.engine.warp.device_cameras import DeviceCameras
 
     engine: Any = made["device"].engine
     _say_once.cache_clear()

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from embodichain.lab.sim.configs.sensor_cfg import JointsCfg, JointTorqueSensorCfg
 from embodichain.lab.sim.sensors import (
     ContactSensorCfg,
     ForceTorqueSensorCfg,
@@ -15,7 +16,6 @@ from embodichain.lab.sim.sensors import (
     RaySensorCfg,
     SensorCfg,
 )
-from embodichain.lab.sim.sensors.cfg import JointsCfg, JointTorqueSensorCfg
 from embodichain.utils.errors import ConfigError
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.lab.sim.engine.device_array import DeviceArray
-from embodichain.lab.sim.engine.device_arrays import DeviceArrays
+from embodichain.lab.sim.engine.device.device_array import DeviceArray
+from embodichain.lab.sim.engine.warp.device_arrays import DeviceArrays
 from embodichain.lab.sim.sensors.sampling import Sampler
 
 pytestmark = pytest.mark.unmeasured

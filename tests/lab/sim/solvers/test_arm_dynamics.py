@@ -5,7 +5,7 @@ import numpy as np
 
 from embodichain.lab.sim import SimulationManager, SimulationManagerCfg
 from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg
-from embodichain.lab.sim.solvers.arm_dynamics import ArmDynamics
+from embodichain.lab.sim.objects.arms.arm_dynamics import ArmDynamics
 
 READY = [0.3, -0.57, 0.2, -2.0, 0.4, 2.3, 0.74, 0.02, 0.03]
 

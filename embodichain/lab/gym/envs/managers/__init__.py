@@ -6,11 +6,11 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "action_manager": ["ActionManager"],
-        "check": ["check_terms"],
+        "terms.check": ["check_terms"],
         "drawing": ["CommandManager", "EventManager"],
         "manager": ["CurriculumManager"],
         "observation_manager": ["ObservationManager"],
-        "registry": ["TERMS", "TermSpec", "register_term", "resolve_term"],
+        "terms.registry": ["TERMS", "TermSpec", "register_term", "resolve_term"],
         "scene_entity": ["ResolvedEntity", "resolve_entity"],
         "term": ["ActionTerm", "CommandTerm", "Term"],
         "value_managers": ["MetricManager", "RewardManager", "TerminationManager", "check_shapes"],

@@ -18,14 +18,14 @@ from embodichain.lab.gym.envs.cfg import ActionTermCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import ActionPipeline
 from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
-from embodichain.lab.gym.envs.managers.term_columns import TermColumns
-from embodichain.lab.gym.envs.managers.term_errors import FAILURES
+from embodichain.lab.gym.envs.managers.terms.term_columns import TermColumns
+from embodichain.lab.gym.envs.managers.terms.term_errors import FAILURES
 from embodichain.utils.arrays import all_finite, is_host, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.tensor_mapping import leaves_of
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.types import EnvAction

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import CommandCfg, EventCfg, TermCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.term import CommandTerm
-from embodichain.lab.gym.envs.managers.term_errors import FAILURES, kind_of_values
+from embodichain.lab.gym.envs.managers.terms.term_errors import FAILURES, kind_of_values
 from embodichain.utils.arrays import may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
@@ -24,8 +24,8 @@ from embodichain.utils.suggest import did_you_mean, listing
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.gym.envs.managers.registry import Kind
+    from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.gym.envs.managers.terms.registry import Kind
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.utils.arrays import Arrays
 

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import CurriculumCfg, SceneEntityCfg, TermCfg
-from embodichain.lab.gym.envs.managers.aliases import AliasSpec
-from embodichain.lab.gym.envs.managers.check import CheckedTerm, check_in_task, check_term
 from embodichain.lab.gym.envs.managers.param_types import references
-from embodichain.lab.gym.envs.managers.per_name import ranges_in_columns
-from embodichain.lab.gym.envs.managers.registry import REDUCERS, Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
-from embodichain.lab.gym.envs.managers.term_columns import TermColumns, columns_of_term
-from embodichain.lab.gym.envs.managers.term_errors import (
+from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
+from embodichain.lab.gym.envs.managers.terms.check import CheckedTerm, check_in_task, check_term
+from embodichain.lab.gym.envs.managers.terms.per_name import ranges_in_columns
+from embodichain.lab.gym.envs.managers.terms.registry import REDUCERS, Kind, TermSpec
+from embodichain.lab.gym.envs.managers.terms.term_columns import TermColumns, columns_of_term
+from embodichain.lab.gym.envs.managers.terms.term_errors import (
     FAILURES,
     TermError,
     counted,
@@ -42,7 +42,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.utils.arrays import Arrays
 

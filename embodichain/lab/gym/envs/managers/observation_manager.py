@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import Delay, Noise, Past, Rows
-from embodichain.lab.gym.envs.managers.term_columns import TermColumns
-from embodichain.lab.gym.envs.managers.term_errors import FAILURES, kind_of_values
+from embodichain.lab.gym.envs.managers.terms.term_columns import TermColumns
+from embodichain.lab.gym.envs.managers.terms.term_errors import FAILURES, kind_of_values
 from embodichain.lab.gym.envs.observation import Observation, new_tensor
 from embodichain.utils.arrays import contiguous, may_be_set, tensor_of
 from embodichain.utils.errors import ConfigError, Problem
@@ -24,7 +24,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.gym.envs.observation import ObservationLayout
     from embodichain.lab.sim.engine.api import EnvIndex
 

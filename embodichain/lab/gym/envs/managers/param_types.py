@@ -22,7 +22,7 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sensors.camera import Camera
     from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensor

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.managers.term_columns import TermColumns
+    from embodichain.lab.gym.envs.managers.terms.term_columns import TermColumns
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams

@@ -18,12 +18,12 @@ import numpy as np
 from pydantic import GetCoreSchemaHandler
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
-from embodichain.lab.sim.body_motion import BodyMotion, Frame
-from embodichain.lab.sim.frames import BodyFrames, frame_named, frames_named, link_frame
+from embodichain.lab.sim.reads.body_motion import BodyMotion, Frame
+from embodichain.lab.sim.reads.frames import BodyFrames, frame_named, frames_named, link_frame
 from embodichain.utils.arrays import is_host
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.fields.type_errors import from_dict
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
-from embodichain.utils.type_errors import from_dict
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

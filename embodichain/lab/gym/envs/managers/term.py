@@ -14,7 +14,7 @@ from embodichain.utils.random import constant
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.context import Draws
+    from embodichain.lab.gym.envs.managers.context import Draws
     from embodichain.lab.sim.compiler.names import NamedBy
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.objects.articulation import Articulation

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import MetricCfg, RewardCfg, TerminationCfg
-from embodichain.lab.gym.envs.context import TermContext
-from embodichain.lab.gym.envs.managers.check import check_weight
+from embodichain.lab.gym.envs.managers.context import TermContext
 from embodichain.lab.gym.envs.managers.manager import Manager, checked_rows
-from embodichain.lab.gym.envs.managers.term_errors import FAILURES, kind_of_values
+from embodichain.lab.gym.envs.managers.terms.check import check_weight
+from embodichain.lab.gym.envs.managers.terms.term_errors import FAILURES, kind_of_values
 from embodichain.utils.arrays import is_host, tensor_of
 from embodichain.utils.errors import ConfigError
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.aliases import AliasSpec
-from embodichain.lab.gym.envs.managers.registry import TERMS
+from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
+from embodichain.lab.gym.envs.managers.terms.registry import TERMS
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["check_friction_acts"]
@@ -49,7 +49,7 @@ def check_friction_acts(
     Raises:
         ConfigError: If a friction cannot act; says why.
     """
-    from embodichain.lab.sim.compiler.contact_partners import FrictionEffect  # imports MuJoCo
+    from embodichain.lab.sim.compiler.scene.contact_partners import FrictionEffect  # imports MuJoCo
 
     model = env.sim.engine.model
     least = model.geom_friction[:, axis].copy()

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.height_field import GroundHeights
+    from embodichain.lab.sim.reads.height_field import GroundHeights
 
 __all__ = ["above_ground", "ground_of"]
 
@@ -25,7 +25,7 @@ def ground_of(env: TermContext) -> GroundHeights | None:
     """
     if env.sim.scene.terrain is None:
         return None
-    from embodichain.lab.sim.height_field import GroundHeights  # few scenes have a terrain
+    from embodichain.lab.sim.reads.height_field import GroundHeights  # few scenes have a terrain
 
     return GroundHeights.of(env.sim.engine)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.scene_entity import UNLIMITED
-from embodichain.lab.sim.frames import link_frame
+from embodichain.lab.sim.reads.frames import link_frame
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.engine.api import F64
-    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
+    from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
 
 __all__ = [
     "MovesTool",
@@ -81,7 +81,7 @@ def tool_links(entity: ResolvedEntity) -> list[str]:
     It is the tool point in the robot's `solver_cfg` for the picked control part (or the whole
     robot), else the farthest link that all picked joints move.
     """
-    from embodichain.lab.sim.solvers.arm_solver import tool_bodies
+    from embodichain.lab.sim.objects.arms.arm_solver import tool_bodies
 
     asset, parts = entity.asset, entity.control_parts or ("default",)
     if len(parts) == 1 and parts[0] in asset.parsed.tools:
@@ -103,7 +103,7 @@ def arm_solver(entity: ResolvedEntity, path: str = "entity_cfg") -> ArmSolver:
         ConfigError: If there is no tool or more than one, or no picked joint moves it.
     """
     from embodichain.lab.sim.cfg import SolverCfg
-    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
+    from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
 
     asset = entity.asset
     if not entity.joint_ids:

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field
 
 from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
-from embodichain.lab.gym.envs.managers.check import check_params, check_shape, check_weight
 from embodichain.lab.gym.envs.managers.param_types import Finite
-from embodichain.lab.gym.envs.managers.registry import (
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.check import check_params, check_shape, check_weight
+from embodichain.lab.gym.envs.managers.terms.registry import (
     SECTIONS,
     TermSpec,
     register_term,
     resolve_term,
 )
-from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = [

@@ -15,9 +15,9 @@ from embodichain.lab.gym.envs.managers.param_types import (
     UnitInterval,
     Whole,
 )
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm, Uniform
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
 from embodichain.lab.gym.envs.mdp.quantities.bodies import heading, unique_quat
 from embodichain.lab.sim.compiler.names import match_every
@@ -28,7 +28,7 @@ from embodichain.utils.math import quat_multiply, quat_rotate, rpy_to_quat, wrap
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [

@@ -20,8 +20,8 @@ from embodichain.lab.gym.envs.managers.param_types import (
     NonNegative,
     Positive,
 )
-from embodichain.lab.gym.envs.managers.registry import register_shape
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.registry import register_shape
 from embodichain.lab.gym.envs.mdp._rows import mean, norm, squares, total
 from embodichain.utils.arrays import contiguous, may_be_set
 from embodichain.utils.errors import ConfigError, Problem
@@ -29,7 +29,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
     Mask = NDArray[np.bool_]

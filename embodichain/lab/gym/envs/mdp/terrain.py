@@ -13,8 +13,8 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.param_types import Body, PlanarCommand, Positive
-from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.managers.terms.registry import quantity, register_term
 from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.cfg import EnvCfg
-    from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.compiler.terrain import Terrain
+    from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.sim.compiler.scene.terrain import Terrain
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.height_field import GroundHeights
+    from embodichain.lab.sim.reads.height_field import GroundHeights
 
 __all__ = [
     "HeightAboveGround",
@@ -50,7 +50,7 @@ def _terrain(env: TermContext) -> Terrain:
 
 
 def _heights(env: TermContext) -> GroundHeights:
-    from embodichain.lab.sim.height_field import GroundHeights
+    from embodichain.lab.sim.reads.height_field import GroundHeights
 
     _terrain(env)
     return GroundHeights.of(env.sim.engine)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint
 from embodichain.lab.gym.envs.managers.term import ActionMeaning
+from embodichain.lab.gym.envs.managers.terms.per_name import JointClip, PerJoint
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
 from embodichain.utils.arrays import contiguous, may_be_set
 from embodichain.utils.math import (
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.gym.envs.managers.param_types import Box3
     from embodichain.lab.sim.engine.api import F64
-    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
+    from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
 
 __all__ = [
     "AbsolutePose",

@@ -9,9 +9,9 @@ import numpy as np
 
 from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.param_types import Whole
-from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import ActionMeaning, ActionTerm, finite_limits
+from embodichain.lab.gym.envs.managers.terms.per_name import JointClip, PerJoint
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine
 from embodichain.lab.sim.compiler.names import NamedBy, match_every
 from embodichain.utils.errors import ConfigError, Problem
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["ActuatorCtrl", "picked_controls"]

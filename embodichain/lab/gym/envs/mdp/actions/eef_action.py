@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Arm, Box3, UnitInterval
-from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint, per_joint
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import ActionMeaning
+from embodichain.lab.gym.envs.managers.terms.per_name import JointClip, PerJoint, per_joint
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._tools import (
     arm_solver,
     moving_joints,
@@ -44,9 +44,9 @@ from embodichain.utils.math import (
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
-    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
+    from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
     from embodichain.lab.sim.solvers.chain import Frames
 
 __all__ = ["EefDeltaPose", "EefPose", "EefTerm"]

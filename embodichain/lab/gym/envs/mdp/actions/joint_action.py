@@ -14,13 +14,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Arm, Range
-from embodichain.lab.gym.envs.managers.per_name import (
-    JointClip,
-    PerJoint,
-    joint_clip,
-    per_joint,
-)
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import (
     ActionMeaning,
@@ -28,6 +21,13 @@ from embodichain.lab.gym.envs.managers.term import (
     finite_limits,
     joint_units,
 )
+from embodichain.lab.gym.envs.managers.terms.per_name import (
+    JointClip,
+    PerJoint,
+    joint_clip,
+    per_joint,
+)
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._tools import arm_solver, usual_speeds
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.mdp._tools import Orientation
     from embodichain.lab.sim.compiler.names import NamedBy
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
     from embodichain.lab.sim.objects.articulation import Articulation
-    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
 
 __all__ = [
     "Affine",

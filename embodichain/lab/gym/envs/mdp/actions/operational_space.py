@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Arm, Box3, NonNegative, Positive
-from embodichain.lab.gym.envs.managers.per_name import JointClip, PerJoint, per_joint
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import ActionMeaning
+from embodichain.lab.gym.envs.managers.terms.per_name import JointClip, PerJoint, per_joint
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._tools import (
     arm_solver,
     moving_joints,
@@ -25,17 +25,17 @@ from embodichain.lab.gym.envs.mdp.actions._tool_poses import (
     motion_between,
 )
 from embodichain.lab.gym.envs.mdp.actions.joint_action import Efforts, JointTerm
-from embodichain.lab.sim.solvers.arm_dynamics import ArmDynamics
-from embodichain.lab.sim.solvers.impedance import Impedance
+from embodichain.lab.sim.objects.arms.arm_dynamics import ArmDynamics
+from embodichain.lab.sim.objects.arms.impedance import Impedance
 from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.solvers.arm_solver import ArmSolver
+    from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
 
 __all__ = ["OperationalSpace"]
 

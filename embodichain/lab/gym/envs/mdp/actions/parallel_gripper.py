@@ -11,9 +11,9 @@ import numpy as np
 
 from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.param_types import Positive, Range, Vec3, Whole
-from embodichain.lab.gym.envs.managers.per_name import PerJoint, per_joint
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import ActionMeaning, finite_limits, joint_units
+from embodichain.lab.gym.envs.managers.terms.per_name import PerJoint, per_joint
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp.actions.actuator_ctrl import picked_controls
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm
 from embodichain.utils.errors import ConfigError, Problem
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 else:
     mujoco = lazy_loader.load("mujoco")

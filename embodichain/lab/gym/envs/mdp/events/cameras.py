@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Box3, CameraOf, Range
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import EventDraws, TermContext
+    from embodichain.lab.gym.envs.managers.context import EventDraws, TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["RandomizeCameraFovy", "RandomizeCameraIntrinsics", "RandomizeCameraPose"]

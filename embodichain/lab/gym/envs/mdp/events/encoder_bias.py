@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Range, Whole
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["EncoderBias"]

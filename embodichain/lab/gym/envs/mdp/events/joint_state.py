@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.param_types import JointRange, Range, Whole
-from embodichain.lab.gym.envs.managers.per_name import ranges_in_columns
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.managers.terms.per_name import ranges_in_columns
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._model_fields import Operation
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["ResetJoints"]

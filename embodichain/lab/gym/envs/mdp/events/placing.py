@@ -13,9 +13,9 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.param_types import Arm, Axes6, Body, Box3, Range, Whole
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._ground import above_ground, ground_of
 from embodichain.lab.gym.envs.mdp._tools import arm_solver
 from embodichain.utils.arrays import contiguous, is_host
@@ -29,7 +29,7 @@ from embodichain.utils.math import (
 )
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [

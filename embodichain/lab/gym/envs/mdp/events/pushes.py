@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.drawing import Timer
 from embodichain.lab.gym.envs.managers.param_types import Axes6, Frames, Range, Whole
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp.events.placing import (
     need_free_root,
     read_root_velocity,
@@ -21,7 +21,7 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import cross
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["ApplyBodyImpulse", "ApplyExternalForceTorque", "EpisodeTimer", "PushBySettingVelocity"]

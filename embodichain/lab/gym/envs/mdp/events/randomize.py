@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.param_types import Box3, Positive, Ranges, ScaleRange
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._friction_effect import check_friction_acts
 from embodichain.lab.gym.envs.mdp._model_fields import (
     FIELDS,
@@ -30,7 +30,7 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import constant
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["Randomize"]

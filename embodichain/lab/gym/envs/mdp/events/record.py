@@ -11,14 +11,14 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.param_types import Finite, Positive, Vec3
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.video import VideoFile, need_encoder
+from embodichain.utils.system.video import VideoFile, need_encoder
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.drawing.views import View
     from embodichain.lab.sim.engine.api import EnvIndex
 

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.param_types import Positive, Whole
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.lab.gym.envs.mdp.events.placing import read_root_velocity
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["NotAtRestError", "WaitForDynamicObjectsToSettle", "set_detached_uids_for_env_reset"]

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import NonNegative, Whole
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.sim.compiler.names import no_such
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import constant
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["RandomizeShape"]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.param_types import Box3, Frames, NamedEntity, Range, Whole
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.lab.sim.shapes import VisualMaterialCfg
 from embodichain.utils.arrays import rows_at
@@ -19,7 +19,7 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [
@@ -108,7 +108,7 @@ class RandomizeTexture(Term):
     """
 
     def __init__(self, env: TermContext, entity_cfg: Whole) -> None:
-        from embodichain.lab.sim.compiler.textures import declared_textures  # imports MuJoCo
+        from embodichain.lab.sim.compiler.geoms.textures import declared_textures  # imports MuJoCo
 
         uid, self._engine = entity_cfg.uid, env.sim.engine
         ids, self._column = declared_textures(self._engine.model, uid)

@@ -11,12 +11,12 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.param_types import Body, Frames, Positive, Vec3, Whole
-from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, squares, total
 from embodichain.lab.gym.envs.mdp.shapes import Rate, gaussian_kernel
-from embodichain.lab.sim.body_motion import Frame
-from embodichain.lab.sim.gravity import gravity_direction
+from embodichain.lab.sim.reads.body_motion import Frame
+from embodichain.lab.sim.reads.gravity import gravity_direction
 from embodichain.utils.arrays import contiguous, rows_at, zeros
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_to_matrix, rotate_back
@@ -24,7 +24,7 @@ from embodichain.utils.math import quat_to_matrix, rotate_back
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [

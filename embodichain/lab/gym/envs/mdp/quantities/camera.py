@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.param_types import CameraOf, Positive, Whole
-from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.utils.arrays import contiguous
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sensors.camera import Camera
 

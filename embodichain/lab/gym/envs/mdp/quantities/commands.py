@@ -19,15 +19,15 @@ from embodichain.lab.gym.envs.managers.param_types import (
     Positive,
     VelocityCommand,
 )
-from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
-from embodichain.lab.sim.body_motion import Frame
+from embodichain.lab.sim.reads.body_motion import Frame
 from embodichain.utils.math import quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = [

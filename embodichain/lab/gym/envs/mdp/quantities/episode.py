@@ -14,8 +14,8 @@ from pydantic import Field
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT
 from embodichain.lab.gym.envs.managers.param_types import Finite, Positive
-from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import action_rows
 from embodichain.utils.arrays import may_be_set
 from embodichain.utils.errors import ConfigError, Problem
@@ -24,7 +24,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
     Mask = NDArray[np.bool_]

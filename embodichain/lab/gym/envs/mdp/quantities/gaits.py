@@ -15,13 +15,13 @@ from embodichain.lab.gym.envs.managers.param_types import (
     Positive,
     VelocityCommand,
 )
-from embodichain.lab.gym.envs.managers.per_name import PerJoint, per_joint
-from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.terms.per_name import PerJoint, per_joint
+from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import mean, norm, squares
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["feet_gait"]
@@ -80,7 +80,9 @@ def feet_gait(
     origins = sensor.frames.positions(env.sim.engine)
     above = origins[..., 2]
     if env.sim.scene.terrain is not None:
-        from embodichain.lab.sim.height_field import GroundHeights  # few scenes have a terrain
+        from embodichain.lab.sim.reads.height_field import (
+            GroundHeights,  # few scenes have a terrain
+        )
 
         ground = GroundHeights.of(env.sim.engine)
         above = above - ground.read(origins[..., 0], origins[..., 1])[0]

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Body, ContactOf, NonNegative
-from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["grasped", "gripper_opening"]

@@ -16,14 +16,14 @@ from pydantic import AfterValidator, Field
 
 from embodichain.lab.gym.envs.cfg import SummandCfg, ValueCfg
 from embodichain.lab.gym.envs.managers.manager import Manager
-from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf", "SumOf"]
@@ -31,7 +31,7 @@ __all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf", "SumOf"]
 
 def _registered(term: ValueCfg) -> ValueCfg:
     """Check an inner term like a term of a manager, before it is built."""
-    from embodichain.lab.gym.envs.managers.check import check_term
+    from embodichain.lab.gym.envs.managers.terms.check import check_term
 
     if isinstance(term.func, str) and ":" in term.func:
         raise ValueError("a term within a term must be a registered one, not an import path")

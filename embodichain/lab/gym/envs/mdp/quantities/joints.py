@@ -17,13 +17,13 @@ from embodichain.lab.gym.envs.managers.param_types import (
     NonNegative,
     Positive,
 )
-from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.utils.arrays import contiguous
 from embodichain.utils.math import wrapped
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = [

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Angle, Body, Positive
-from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
 from embodichain.lab.gym.envs.mdp.quantities.bodies import Rotation, as_rotation, pose_matrix, tilt
 from embodichain.utils.math import quat_conjugate, quat_multiply, rotate_back
@@ -15,7 +15,7 @@ from embodichain.utils.math import quat_conjugate, quat_multiply, rotate_back
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = [

@@ -23,18 +23,18 @@ from embodichain.lab.gym.envs.managers.param_types import (
     PlanarCommand,
     SensorOf,
 )
-from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
-from embodichain.lab.sim.sensors.cfg import CameraCfg, readings
+from embodichain.lab.sim.configs.sensor_cfg import CameraCfg, readings
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
-    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.context import TermContext
+    from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
     from embodichain.lab.sim.engine.api import F64, EnvIndex
-    from embodichain.lab.sim.sensors.cfg import SensorCfg
 
 __all__ = [
     "FeetAirTime",

@@ -1,0 +1,553 @@
+"""A job: one run or training, from the command line to its folder, log, policy and viewer.
+
+A single job is composed with Hydra's compose API and executed here. Sweeps, ``--cfg`` and
+``--info`` go through Hydra's own `main`, see `embodichain.cli.sweeps.sweeping`.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from embodichain.cli.app import command_line, split_overrides
+from embodichain.cli.jobs.unread_keys import unread_keys
+from embodichain.cli.terminal.last import take_last, with_paths
+from embodichain.cli.terminal.process import Interrupted, StopFlag, started
+from embodichain.cli.terminal.reporting import ProgressDisplay, log_to, warn_if_public
+from embodichain.config.run_folder import LOG
+from embodichain.lab.gym.policies import Policy, resolve_policy
+from embodichain.utils.errors import ConfigError, Problem, RenderError
+from embodichain.utils.system import platforms
+from embodichain.utils.system.platforms import LIMITED
+
+if TYPE_CHECKING:
+    from embodichain.config.composition.composed import Composed
+    from embodichain.config.keys.schema import RootCfg, Verb
+    from embodichain.config.resolved import Checked, Resolved
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.recording import ImageOptions, McapRecorder
+    from embodichain.recording.film.filming import Filmed
+    from embodichain.recording.shards.shard_logs import ShardLogs
+    from embodichain.recording.viewers.web import WebView
+
+__all__ = [
+    "FRESH",
+    "Body",
+    "Job",
+    "check_extras",
+    "checked_job",
+    "ended_early",
+    "execute",
+    "film_progress",
+    "job_options",
+    "pinned",
+    "policy_name",
+    "policy_of",
+    "resolved_job",
+    "start",
+]
+
+LOG_FILE = "run.log"
+VIDEO = "rollout"
+"""Name of the film in a run folder, without its suffix."""
+"""File name of a run's video in its folder."""
+_SAY_AFTER = 1.0
+"""Seconds after which a film says how long it takes."""
+FRESH: dict[str, Any] = {
+    **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
+    **{
+        "trust": False,
+        "max_steps": None,
+        "video": None,
+        "total_timesteps": None,
+        "algo": None,
+        "dataset": None,
+    },
+    **{"output_dir": "outputs"},
+}
+"""Root keys of a run's config that do not carry over to another run of it."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run or training.
+
+    Attributes:
+        resolved: The config.
+        folder: The run folder, not shared with other runs.
+        stop: Set by a signal; the job then ends after the current control step.
+        began: Set by `begin`.
+    """
+
+    resolved: Resolved
+    folder: Path
+    stop: StopFlag
+    began: threading.Event = field(default_factory=threading.Event)
+
+    def begin(self) -> None:
+        """Note that all is built: from now on the folder stays, whatever happens."""
+        self.began.set()
+        started()
+
+    @property
+    def root(self) -> RootCfg:
+        """The config as data classes."""
+        return self.resolved.root
+
+    @property
+    def quiet(self) -> bool:
+        """Whether only the result is printed."""
+        return self.root.quiet or self.root.json
+
+    @property
+    def images(self) -> ImageOptions | None:
+        """The pictures of `record.images`."""
+        from embodichain.recording import ImageOptions
+
+        images = self.root.record.images
+        return None if images is None else ImageOptions(**vars(images))
+
+    def attach_log(
+        self, env: BaseEnv, name: str = LOG, *, quota: Sequence[int] | None = None
+    ) -> McapRecorder | ShardLogs | None:
+        """Attach the log unless `record.format` is ``none``; closing the environment closes it.
+
+        Args:
+            env: The environment; a batch in shards has a log for each shard.
+            name: File name in the folder.
+            quota: (N,) how many episodes of each environment count; None if they are listed.
+        """
+        if self.root.record.format == "none":
+            return None
+        from embodichain.config.resolved import dump_yaml
+        from embodichain.recording import McapRecorder, RecordOptions
+        from embodichain.recording.write.kept import kept_in_model
+
+        one: BaseEnv = getattr(env, "template", env)  # of a batch in shards
+        for sentence in kept_in_model(self.resolved.tree, one.sim.engine.model):
+            _log.warning("%s", sentence)
+        record = self.root.record
+        options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
+        options["images"] = self.images
+        about: dict[str, Any] = {
+            "overrides": dump_yaml(list(self.resolved.overrides)),
+            "options": RecordOptions(**options),
+            "task": self.resolved.task_name,
+            "policy": self.resolved.record({"policy": policy_name(self.root)})["policy"],
+            "quota": quota,
+        }
+        if self.root.sim.backend == "ray":
+            from embodichain.cli.jobs.sharding import attach_logs
+
+            return attach_logs(self.resolved, env, self.folder / name, about)
+        config = dump_yaml(self.resolved.tree)
+        about["lists_counted"] = quota is None
+        recorder = McapRecorder(self.folder / name, env, config=config, **about)
+        env.add_observer(recorder)
+        return recorder
+
+    def attach_viewer(
+        self,
+        env: BaseEnv,
+        policy: Policy | None = None,
+        *,
+        realtime: bool = True,
+        resets: bool = True,
+    ) -> WebView | None:
+        """Attach the viewer that the config names; closing the environment closes it.
+
+        Args:
+            env: The environment.
+            policy: The policy that acts in it; a person who teleoperates does it at the viewer.
+            realtime: Whether the run starts in real time while a viewer is connected.
+            resets: Whether the viewer may end an episode.
+
+        Returns:
+            The page, if it is one.
+        """
+        cfg = self.root.viewer
+        teleop, page_view = None, None
+        if policy_name(self.root) == "teleop":
+            from embodichain.lab.gym.teleop import Teleop
+
+            if isinstance(policy, Teleop):
+                teleop = policy
+                teleop.bind(env)
+                realtime = True
+        if cfg.name == "foxglove":
+            from embodichain.recording.viewers.foxglove import FoxgloveView
+
+            record = self.root.record
+            shown = sorted({cfg.env, *record.view_envs})
+            if (images := self.images) is not None:
+                images = replace(images, envs=sorted({cfg.env, *images.envs}))
+            live = FoxgloveView(
+                *(env, cfg.host, cfg.port, shown),
+                realtime=realtime,
+                images=images,
+                access=self.resolved.access,
+            )
+            env.add_observer(live)
+            url, address = live.server.url, live.server.address
+            what = " (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
+        elif cfg.name == "web":
+            from embodichain.recording.viewers.web import PageOptions, WebView
+
+            page = PageOptions(
+                *(cfg.host, cfg.port, cfg.env, realtime, resets), access=self.resolved.access
+            )
+            page_view = WebView(env, page, stopped=self.stop.is_stopped, teleop=teleop)
+            env.add_observer(page_view)
+            url, address, what = page_view.url, page_view.address, ""
+        else:
+            if teleop is not None and cfg.name == "native":
+                from embodichain.recording.viewers.operators.native_operator import NativeOperator
+
+                teleop.operator = NativeOperator(env, teleop, self.stop.is_stopped)
+            return None
+        _log.info("viewer: %s%s", address, what)  # a log has no token
+        if not self.quiet or url != address:  # a token that is not printed opens nothing
+            sys.stderr.write(f"viewer: {url}{what}\n")
+        warn_if_public(cfg.host, url, controls=cfg.name == "web")
+        return page_view
+
+    def film(self, log: str | Path | None) -> dict[str, str]:
+        """Render the log to a video if `video` is set; call it after everything else is written.
+
+        Args:
+            log: The closed log, or None.
+
+        Returns:
+            ``{"video": PATH}``, or an empty dict without a video. A signal ends the video after
+            the current picture, with a warning.
+
+        Raises:
+            RenderError: This machine cannot render.
+        """
+        if not self.root.video or log is None:
+            return {}
+        from embodichain.config.keys.schema import VideoCfg
+        from embodichain.recording.film.filming import film_log
+
+        cfg = self.root.video if isinstance(self.root.video, VideoCfg) else VideoCfg()
+        out = self.folder / f"{VIDEO}.{cfg.format}"
+        with ProgressDisplay("film", None, "pictures", quiet=self.quiet) as display:
+            filmed = film_log(
+                log,
+                out,
+                size=(cfg.size[0], cfg.size[1]),
+                progress=film_progress(display),
+                stop=self.stop.is_stopped,
+                every=cfg.every,
+                max_seconds=cfg.max_seconds,
+            )
+        if filmed.whole:
+            _log.info("%s: %d pictures", out, filmed.pictures)
+        else:
+            _log.warning("%s", ended_early(self.stop, filmed, out))
+        return {"video": str(out)} if filmed.pictures else {}
+
+
+Body = Callable[[Job], float | None]
+"""The work of a job; returns the objective for a sweeper, or None."""
+
+
+def start(verb: Verb, body: Body, options: Any) -> None:
+    """Run one job, or pass the command line to Hydra's `main`.
+
+    The config of every job is checked before the first starts.
+
+    Args:
+        verb: The verb with the root config of its name.
+        body: The work of a job.
+        options: Options of the command line.
+
+    Raises:
+        ConfigError: Wrong flags, or mistakes in the config of any job; no job was started.
+    """
+    from embodichain.config.composition.composed import compose
+    from embodichain.config.composition.override_text import readable
+
+    overrides = [*map(readable, split_overrides(options.words)), *job_options(options)]
+    if options.gym_config is not None:
+        from embodichain.config.composition.gym_config import override_of
+
+        overrides.append(override_of(options.gym_config))
+    line = command_line()
+
+    def check(lines: Sequence[str]) -> Resolved:
+        return resolved_job(compose(lines, verb), verb)
+
+    def do(
+        resolved: Resolved,
+        folder: Path | None = None,
+        goes_on: bool = False,
+        take_back: Callable[[], None] | None = None,
+    ) -> float | None:
+        return execute(
+            resolved, body, line, folder, verb=verb, goes_on=goes_on, take_back=take_back
+        )
+
+    hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
+    prints = options.cfg is not None or options.info is not None
+    if prints or options.multirun or hydras:
+        from embodichain.cli.sweeps.sweeping import call_hydra
+
+        call_hydra(verb, check, do, options, overrides)
+    else:
+        do(check(overrides))
+
+
+def job_options(options: Any) -> list[str]:
+    """Return `--quiet`, `--json` and `--traceback` as overrides.
+
+    The workers of a sweep receive overrides only.
+    """
+    found = [f"{name}=true" for name in ("quiet", "json") if getattr(options, name)]
+    return [*found, *(["traceback=true"] if "--traceback" in command_line() else [])]
+
+
+def checked_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Checked:
+    """Check the whole config of a job, and that the verb reads each key of its command line.
+
+    Args:
+        composed: The config.
+        verb: The verb of the job.
+        any_key: Whether keys that the verb does not read are taken, too.
+    """
+    from embodichain.config.resolved import checked
+
+    config = checked(composed, verb)
+    unread = [] if any_key else unread_keys(verb, composed.overrides)
+    paths = {problem.path for problem in unread}
+    others = [problem for problem in config.found.problems if problem.path not in paths]
+    return replace(config, found=replace(config.found, problems=[*unread, *others]))
+
+
+def resolved_job(composed: Composed, verb: Verb) -> Resolved:
+    """Check the whole config of a job; for a training, the algorithm's arguments too.
+
+    Raises:
+        ConfigError: Lists every mistake with its file and line.
+    """
+    resolved = checked_job(composed, verb).resolved()
+    if verb == "train":
+        from embodichain.learning.training.train import check_training
+
+        with resolved.locating():
+            check_training(resolved)
+    return resolved
+
+
+def execute(
+    resolved: Resolved,
+    body: Body,
+    command: Sequence[str],
+    folder: Path | None = None,
+    *,
+    verb: Verb = "run",
+    goes_on: bool = False,
+    take_back: Callable[[], None] | None = None,
+) -> float | None:
+    """Run a job in its folder, with a log file.
+
+    Args:
+        resolved: The config.
+        body: The work of the job.
+        command: The command line, as typed.
+        folder: The run folder; None claims a new one, which a refused job does not leave.
+        verb: The verb of the job.
+        goes_on: Whether the folder belongs to this job already; its config stays.
+        take_back: Called where the job is refused before it began, with a folder that is given.
+
+    Raises:
+        ConfigError: The folder cannot be made.
+        Interrupted: A signal came; the files are complete up to that step.
+        Exception: Any exception of `body`.
+    """
+    from embodichain.config.run_folder import abandon, claim, latest_of, missing_folders
+
+    resolved = pinned(resolved)
+    if resolved.tree["sim"]["engine"] == "warp":
+        from embodichain.config.environments.factory import with_warp_values
+
+        with resolved.locating():
+            resolved = with_warp_values(resolved, verb)
+    root = resolved.root.output_dir
+    if folder is None:
+        try:
+            before, made = latest_of(root), missing_folders(root)
+        except OSError as error:  # a name that is too long
+            message = f"output_dir: cannot make a run folder in {root}: {error}"
+            raise ConfigError(message) from error
+        folder = claim(root, resolved.task_name)
+        take_back = partial(abandon, folder, root, before, made)
+    began = threading.Event()
+    try:
+        return _execute(resolved, body, command, folder, began, goes_on=goes_on)
+    except (ConfigError, RenderError):  # the input is wrong: code 2, nothing was started
+        if not began.is_set() and take_back is not None:
+            take_back()
+        raise
+
+
+def pinned(resolved: Resolved) -> Resolved:
+    """Return the config with paths instead of the word ``last``; says which training it is.
+
+    Raises:
+        ConfigError: There is no such training any more.
+    """
+    named, found = resolved.tree["policy"], resolved.pinned()
+    if named == "last":
+        take_last(Path(str(found.tree["policy"])))
+    return found
+
+
+def _execute(
+    resolved: Resolved,
+    body: Body,
+    command: Sequence[str],
+    folder: Path,
+    began: threading.Event,
+    *,
+    goes_on: bool,
+) -> float | None:
+    """Run a job in its folder; see `execute`."""
+    from embodichain.config.checks.viewer_access import without_token
+    from embodichain.config.resolved import write_record
+
+    command = without_token(with_paths(command))
+    if not goes_on:
+        write_record(folder, resolved, command)
+    with log_to(folder / LOG_FILE) as log, StopFlag() as stop:
+        log.info("command: %s", shlex.join(command))
+        for note in resolved.notes:
+            log.warning("%s", note)
+        job = Job(resolved, folder, stop, began)
+        if not job.quiet:
+            sys.stderr.write(f"{resolved.task_name}: {folder}\n")
+        with resolved.locating():
+            check_extras(job.root)
+            value = body(job)
+        if stop.stopped is not None:
+            message = f"interrupted ({stop.stopped}); {folder} is complete up to there"
+            raise Interrupted.by(stop.stopped, message)
+        log.info("done")
+        return value
+
+
+def check_extras(root: RootCfg) -> None:
+    """Check that the video, the pictures of the log and the viewer can be made here.
+
+    Raises:
+        ConfigError: Packages are missing, with the names of the extras, or something of Linux.
+        RenderError: Pictures cannot be drawn here, and nothing else is missing; names what to
+            install.
+    """
+    problems: list[Problem] = []
+    drawing: RenderError | None = None
+    for need in _needs(root):
+        try:
+            need()
+        except ConfigError as error:
+            problems += error.problems
+        except RenderError as error:
+            drawing = error
+    if drawing is not None:
+        if not problems:
+            raise drawing
+        problems.append(Problem("", str(drawing)))
+    if problems:
+        raise ConfigError(problems)
+
+
+def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
+    """The checks of what a job needs besides the plain package; each raises what is missing."""
+    logged = root.record.format != "none"
+    if sys.platform in LIMITED:
+        features = [*["record=mcap"] * logged, f"viewer={root.viewer.name}"]
+        yield partial(platforms.need, *features)
+    images = root.record.images if logged or root.viewer.name == "foxglove" else None
+    drawn = ["video"] * bool(root.video) + ["record.images"] * (images is not None)
+    if root.video:
+        from embodichain.utils.system.video import need_encoder
+
+        yield partial(need_encoder, f".{getattr(root.video, 'format', 'mp4')}")
+    if images is not None and images.format == "h264":
+        from embodichain.recording.views.encoders import need_h264
+
+        yield need_h264
+    if drawn or "EMBODICHAIN_RENDERER" in os.environ:
+        from embodichain.lab.sim.drawing.offscreen import need_colors
+
+        yield partial(need_colors, *drawn)
+
+
+def policy_name(root: RootCfg) -> str:
+    """Return the name, import path or path of the policy that a config chooses."""
+    chosen = root.policy or "random"
+    return chosen if isinstance(chosen, str) else chosen.func
+
+
+def policy_of(
+    root: RootCfg, env: BaseEnv, policy: str | None = None, *, deterministic: bool = True
+) -> Policy:
+    """Return the policy from its name, its import path, or a training's folder or file.
+
+    Args:
+        root: The config.
+        env: The environment that it will act in.
+        policy: Replaces the policy of the config.
+        deterministic: Whether a trained policy returns its mean action.
+
+    Raises:
+        ConfigError: There is no such policy, its parameters are wrong, it was trained in another
+            task and ``allow_changed`` is not set, or its file can only be read by running code of
+            it and ``trust`` is not set.
+    """
+
+    def load(path: Path) -> Policy:
+        from embodichain.learning.policies.policy import load_policy
+
+        how = {"allow_changed": root.allow_changed, "trust": root.trust}
+        return load_policy(path, env, deterministic=deterministic, **how)
+
+    chosen = policy or root.policy or "random"
+    if not isinstance(chosen, str):
+        return resolve_policy({"func": chosen.func, "params": chosen.params}, load_file=load)
+    return resolve_policy(chosen, load_file=load)
+
+
+def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
+    """Return a callback that shows how many pictures are made, and how long the rest takes."""
+    begun, said = 0.0, False
+
+    def show(filmed: Filmed) -> None:
+        nonlocal begun, said
+        now = time.perf_counter()
+        if filmed.pictures == 1:  # the first one takes longer: OpenGL starts
+            begun = now
+        elif display.due or not (said or now - begun < _SAY_AFTER):
+            said, display.total = True, filmed.total
+            left = (now - begun) / (filmed.pictures - 1) * (filmed.total - filmed.pictures)
+            display.show(filmed.pictures, {"step": f"{filmed.step}", "left": f"{left:.0f} s"})
+
+    return show
+
+
+def ended_early(stop: StopFlag, filmed: Filmed, out: Path) -> str:
+    """Return a message about a video that a signal ended early."""
+    if not filmed.pictures:
+        return f"interrupted ({stop.stopped}); {out} was not begun"
+    till = f"{filmed.pictures} pictures, up to control step {filmed.step}"
+    return f"interrupted ({stop.stopped}); {out} is a whole film of the first {till}"

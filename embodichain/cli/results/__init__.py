@@ -1,0 +1,1 @@
+"""What verbs show: tables of tasks, terms and runs, and the page of a run."""

@@ -1,0 +1,490 @@
+"""Tables of `show` about a built environment: timing, model, spaces, terms, flat vectors."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+
+import numpy as np
+
+from embodichain.cli.results.terms import SECTION_OF
+
+if TYPE_CHECKING:
+    from embodichain.config.resolved import Resolved
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["task_tables", "without_defaults"]
+
+Rows = list[dict[str, Any]]
+_SECTIONS = tuple(SECTION_OF.values())
+_ALWAYS = ("term", "func", "shape", "weight", "kind", "reduce", "group", "params")
+
+
+def task_tables(resolved: Resolved) -> dict[str, Any]:
+    """Build and close a task's environment; return title -> table."""
+    from embodichain.config.environments.factory import make_env
+
+    env = make_env(resolved.changed(num_envs=1))
+    try:
+        model = env.sim.scene.model
+        return {
+            "timing": {**_timing(env), "environments": resolved.tree["num_envs"]},
+            "bodies": _bodies(model),
+            "joints": _joints(model),
+            "actuators": _actuators(model),
+            "drives": list(_drives(env)),
+            "attached files": _attached(env),
+            "self-collision": _self_collision(env),
+            "surroundings": _surroundings(env),
+            "lights": _lights(model),
+            "cameras": _cameras(model, env.sim.sim_config.views),
+            "notes on files": _notes(env),
+            "initial poses": _poses(env),
+            "initial qpos": _qpos(env),
+            "spaces": _spaces(env),
+            "sensors": _sensors(env),
+            **{section: _terms(env, section) for section in _SECTIONS},
+            "expert": _steps(env),
+            "training": _training(resolved),
+            "action vector": _action_vector(env),
+            "observation vector": _observation_vector(env),
+        }
+    finally:
+        env.close()
+
+
+def _training(resolved: Resolved) -> dict[str, Any]:
+    """What `train` does without further keys: the task's suggestions, and what follows from them.
+
+    Empty for a task that suggests no training.
+    """
+    from embodichain.config.keys.algorithms import DEFAULT_ALGORITHM
+    from embodichain.config.learning_scale import scale_learning
+
+    suggested = resolved.tree["task"].get("suggested") or {}
+    given = suggested.get("train")
+    if not given:
+        return {}
+    num_envs, total = given.get("num_envs") or 1, given.get("total_timesteps")
+    algo = {"name": DEFAULT_ALGORITHM, **(given.get("algo") or {})}
+    scale = scale_learning(algo, num_envs, total)
+    facts = {"algo": algo["name"], "num_envs": num_envs, "total_timesteps": total}
+    facts |= {f"algo.{key}": value for key, value in scale.chosen.items()}
+    return facts | ({"because": scale.reason} if scale.reason else {})
+
+
+def without_defaults(section: str, rows: Rows) -> Rows:
+    """Return rows of terms without the columns in which every value is the default.
+
+    Args:
+        section: The table's title.
+        rows: Its rows.
+    """
+    if section not in _SECTIONS:
+        return rows
+    from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
+
+    term = get_args(get_type_hints(EnvCfg)[section])[1]
+    defaults = vars(term()) if issubclass(term, TermCfg) else {}
+    names = dict.fromkeys(name for row in rows for name in row)
+    shown = [
+        name
+        for name in names
+        if name in _ALWAYS
+        or (section, name) == ("events", "mode")
+        or any(row.get(name) != defaults.get(name) for row in rows)
+    ]
+    shown.sort(key=lambda name: name == "params")  # the longest last
+    return [{name: row.get(name) for name in shown} for row in rows]
+
+
+def _steps(env: BaseEnv) -> Rows:
+    """The steps of the expert, and how many motions and other instructions each is made of."""
+    from embodichain.lab.gym.expert.program import step_rows
+
+    return step_rows(env.cfg.expert)
+
+
+def _timing(env: BaseEnv) -> dict[str, Any]:
+    limit = env.max_episode_steps
+    endless = limit >= 2**31 - 1
+    return {
+        "physics step": f"{env.physics_dt:g} s",
+        "control step": f"{env.step_dt:g} s ({env.sim_steps_per_control} physics steps)",
+        "episode": "no limit" if endless else f"{limit} control steps = {limit * env.step_dt:g} s",
+        "seed": env.seed_value,
+    }
+
+
+# -- the model -------------------------------------------------------------------------------------
+
+
+def _bodies(model: Any) -> Rows:
+    return [
+        {
+            "body": body.name,
+            "parent": model.body(int(model.body_parentid[body.id])).name,
+            "mass kg": float(model.body_mass[body.id]),
+            "geoms": int(model.body_geomnum[body.id]),
+            "moved by": _mover(model, body.id),
+        }
+        for body in map(model.body, range(1, model.nbody))
+    ]
+
+
+def _mover(model: Any, body: int) -> str:
+    if model.body_mocapid[body] >= 0:
+        return "code (mocap)"
+    names = [model.joint(i).name for i in np.flatnonzero(model.jnt_bodyid == body)]
+    return ", ".join(names) or "its parent"
+
+
+def _joints(model: Any) -> Rows:
+    import mujoco
+
+    return [
+        {
+            "joint": joint.name,
+            "type": mujoco.mjtJoint(int(joint.type[0])).name.removeprefix("mjJNT_"),
+            "range": joint.range.tolist() if joint.limited[0] else "no limit",
+            "damping": float(joint.damping[0]),
+            "armature": float(joint.armature[0]),
+            "friction": float(joint.frictionloss[0]),
+        }
+        for joint in map(model.joint, range(model.njnt))
+    ]
+
+
+def _actuators(model: Any) -> Rows:
+    from embodichain.lab.sim.compiler.robot.actuator_summary import describe_actuators
+
+    return [
+        {
+            "actuator": actuator.name,
+            "kind": actuator.kind,
+            "on": actuator.target,
+            "gear": actuator.gear,
+            "gain": actuator.gain,
+            "stiffness": actuator.stiffness,
+            "damping": actuator.damping,
+            "ctrl range": _ranges(actuator.ctrlrange),
+            "force range": _range(actuator.forcerange),
+        }
+        for actuator in describe_actuators(model)
+    ]
+
+
+def _range(limits: Any) -> Any:
+    return "no limit" if limits is None else [float(limit) for limit in limits]
+
+
+def _ranges(limits: Any) -> Any:
+    """One range, or one for each input of an actuator that has several."""
+    if len(limits) == 1 or not any(limits):
+        return _range(limits[0])
+    return [_range(one) for one in limits]
+
+
+def _articulations(env: BaseEnv) -> dict[str, Any]:
+    """Uid -> parsed file."""
+    assets = {**env.sim.robots, **env.sim.articulations}
+    return {uid: asset.parsed for uid, asset in assets.items()}
+
+
+def _drives(env: BaseEnv) -> Iterator[dict[str, Any]]:
+    """Gains and time constants of the drives; `max_velocity` bounds targets, not the joint."""
+    from embodichain.lab.sim.compiler.robot.actuator_summary import (
+        joint_inertia,
+        time_constants,
+        top_speeds,
+    )
+
+    for uid, parsed in _articulations(env).items():
+        inertia, speeds, times = joint_inertia(parsed), top_speeds(parsed), time_constants(parsed)
+        for i, name in enumerate(parsed.joint_names):
+            if not math.isnan(times[i]):
+                yield {
+                    "joint": f"{uid}/{name}",
+                    "stiffness": float(parsed.stiffness[i]),
+                    "damping": float(parsed.damping[i]),
+                    "max_effort": _limit(parsed.max_effort[i]),
+                    "inertia": _limit(float(f"{inertia[i]:.3g}")),
+                    "time constant s": _limit(float(f"{times[i]:.3g}")),
+                    "top speed by effort": _limit(float(f"{speeds[i]:.3g}")),
+                    "max_velocity of targets": _limit(parsed.max_velocity[i]),
+                }
+
+
+def _limit(value: float) -> float | str:
+    return float(value) if value < 1e9 else "no limit"
+
+
+def _surroundings(env: BaseEnv) -> Rows:
+    """Ground, sky, furniture and file of the section ``scene``."""
+    cfg = env.sim.sim_config
+    parts = {
+        name: getattr(cfg.scene, name) for name in ("fpath", "sky", "pedestal", "table", "terrain")
+    }
+    ground = cfg.scene.ground
+    parts["ground"] = (ground or {"type": "checker"}) if cfg.has_ground else "none"
+    return [
+        {"what": name, "params": _flow(value)} for name, value in parts.items() if value is not None
+    ]
+
+
+def _lights(model: Any) -> Rows:
+    import mujoco
+
+    return [
+        {
+            "light": light.name,
+            "type": mujoco.mjtLightType(int(light.type[0])).name.removeprefix("mjLIGHT_").lower(),
+            "position m": light.pos.tolist(),
+            "direction": light.dir.tolist(),
+            "colour": light.diffuse.tolist(),
+            "shadow": bool(light.castshadow[0]),
+        }
+        for light in map(model.light, range(model.nlight))
+    ]
+
+
+def _cameras(model: Any, views: Mapping[str, Any]) -> Rows:
+    """The cameras for pictures and videos; those of an entity are named ``uid/NAME``."""
+    return [
+        {
+            "camera": camera.name,
+            "on body": model.body(int(camera.bodyid[0])).name,
+            "field of view deg": float(camera.fovy[0]),
+            "view": _flow(views[camera.name]) if camera.name in views else "",
+        }
+        for camera in map(model.camera, range(model.ncam))
+    ]
+
+
+def _attached(env: BaseEnv) -> Rows:
+    """Files fixed on links of robots, and the names of their joints."""
+    return [
+        {
+            "attached": f"{uid}/{name}",
+            "on": f"{uid}/{cfg.to}",
+            "file": cfg.fpath,
+            "joints": ", ".join(n for n in parsed.joint_names if n.startswith(f"{name}/")),
+            "controls": ", ".join(n for n in parsed.control_names if n.startswith(f"{name}/")),
+        }
+        for uid, parsed in _articulations(env).items()
+        for name, cfg in getattr(parsed.cfg, "attach", {}).items()
+    ]
+
+
+def _self_collision(env: BaseEnv) -> Rows:
+    """Which links of each robot and articulation collide with each other."""
+    found = {uid: parsed.self_collision for uid, parsed in _articulations(env).items()}
+    return [
+        {
+            "entity": uid,
+            "links collide": one.rule,
+            "overlap at the start": _pairs((*one.overlapping, *one.siblings)),
+            "excluded": _pairs(one.excluded),
+            "included": _pairs(one.included),
+        }
+        for uid, one in found.items()
+    ]
+
+
+def _pairs(pairs: Iterable[tuple[str, str]]) -> str:
+    return ", ".join(f"{a} - {b}" for a, b in pairs)
+
+
+def _notes(env: BaseEnv) -> Rows:
+    """Changes to robots' files in compilation, and what was left out of them."""
+    parsed = _articulations(env).items()
+    notes = [{"entity": uid, "note": note} for uid, file in parsed for note in file.all_notes]
+    notes += [{"entity": uid, "note": hull.text} for uid, file in parsed for hull in file.hulls]
+    return notes + [{"entity": "", "note": note} for note in env.sim.scene.notes]
+
+
+def _poses(env: BaseEnv) -> Rows:
+    """The pose of each entity's root at a reset, before reset events, and its number in masks."""
+    return [
+        {
+            "entity": uid,
+            "number in masks": index.root_body_id,
+            "position m": index.pos0.tolist(),
+            "quaternion wxyz": index.quat0.tolist(),
+        }
+        for uid, index in env.sim.scene.entities.items()
+    ]
+
+
+def _qpos(env: BaseEnv) -> Rows:
+    """The position of each joint at a reset, before reset events."""
+    return [
+        {"entity": uid, "joint": name, "qpos": float(qpos), "lower": float(low), "upper": float(up)}
+        for uid, parsed in _articulations(env).items()
+        for name, qpos, (low, up) in zip(
+            parsed.joint_names, parsed.init_qpos, parsed.qpos_limits, strict=True
+        )
+    ]
+
+
+# -- spaces and terms ------------------------------------------------------------------------------
+
+
+def _spaces(env: BaseEnv) -> Rows:
+    observations = _leaves(env.single_observation_space)
+    spaces = [("action", env.single_action_space)]
+    spaces += [(f"observation/{path}", space) for path, space in observations.items()]
+    return [
+        {
+            "space": name,
+            "shape": str(tuple(space.shape or ())),
+            "type": str(space.dtype),
+            "low": _bound(getattr(space, "low", None)),
+            "high": _bound(getattr(space, "high", None)),
+        }
+        for name, space in spaces
+    ]
+
+
+def _bound(values: Any) -> Any:
+    """One number if all are the same, else all."""
+    if values is None or not np.size(values):
+        return None
+    first = float(np.ravel(values)[0])
+    if not math.isfinite(first):
+        return str(first)
+    return first if np.all(values == first) else [float(value) for value in np.ravel(values)]
+
+
+def _leaves(space: Any, path: str = "") -> dict[str, Any]:
+    """Path -> space of the leaves of a dictionary of spaces."""
+    if not hasattr(space, "spaces"):
+        return {path: space}
+    found: dict[str, Any] = {}
+    for key, child in space.spaces.items():
+        found |= _leaves(child, f"{path}/{key}" if path else key)
+    return found
+
+
+def _sensors(env: BaseEnv) -> Rows:
+    from embodichain.lab.sim.configs.sensor_cfg import readings
+
+    rows = []
+    for uid, cfg in env.cfg.sensors.items():
+        values = _set_fields(cfg)
+        values.pop("uid", None)
+        kind, reads = values.pop("sensor_type", ""), ", ".join(readings(cfg))
+        rows.append({"sensor": uid, "type": kind, "reads": reads, "params": _flow(values)})
+    return rows
+
+
+def _terms(env: BaseEnv, section: str) -> Rows:
+    """The declared terms of one manager in order, with the fields that are set."""
+    shapes = _shapes(env, section)
+    rows = []
+    for name, cfg in getattr(env.cfg, section).items():
+        values = {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
+        if section == "terminations":
+            values["kind"] = cfg.ends_by
+        func, params = values.pop("func"), values.pop("params")
+        row = {"term": name}
+        row["func"] = func if isinstance(func, str) else f"{func.__module__}:{func.__qualname__}"
+        row |= {"shape": shapes[name]} if name in shapes else {}
+        for key, value in values.items():
+            if value is not None:
+                row[key] = _flow(value) if dataclasses.is_dataclass(value) else value
+        if row.get("mode", "interval") != "interval":
+            row.pop("interval_step", None)
+        if section == "commands":
+            row["columns"] = list(env.command_manager.names(name))
+        rows.append({**row, "params": _flow(params) if params else ""})
+    return rows
+
+
+def _shapes(env: BaseEnv, section: str) -> dict[str, str]:
+    """The shape of each term's entry in one environment, or of its slice."""
+    if section == "actions":
+        slices = env.action_manager.slices
+        return {name: f"({columns.stop - columns.start},)" for name, columns in slices.items()}
+    if section == "observations":
+        spaces = _leaves(env.single_observation_space)
+        terms = env.cfg.observations.items()
+        return {name: str(spaces[cfg.name or name].shape) for name, cfg in terms}
+    if section == "commands" and env.cfg.commands:
+        return {name: f"({len(env.command_manager.names(name))},)" for name in env.cfg.commands}
+    return {}
+
+
+def _set_fields(cfg: Any) -> dict[str, Any]:
+    """The fields of a config that were set."""
+    if isinstance(cfg, dict):
+        return dict(cfg)
+    values = {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
+    return {key: item for key, item in values.items() if item not in (None, False, "")}
+
+
+def _flow(value: Any) -> str:
+    """A value as YAML on one line."""
+    if dataclasses.is_dataclass(value):
+        return _flow(_set_fields(value))
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_flow(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    return value if isinstance(value, str) else json.dumps(value, default=str)
+
+
+def _action_vector(env: BaseEnv) -> Rows:
+    """Each column of the action: what it moves, and the line from action to value."""
+    from embodichain.lab.gym.envs.action_columns import action_columns
+
+    return [
+        {
+            "column": index,
+            "joint": column.name,
+            "centre": column.about,
+            "scale": column.scale,
+            "clip": [column.low, column.high],
+        }
+        for index, column in enumerate(action_columns(env))
+    ]
+
+
+_LONGEST = 64
+"""Columns of an entry that are listed one by one; more of the same kind are one row."""
+
+
+def _observation_vector(env: BaseEnv) -> Rows:
+    """Each column of a group's flattened vector: its entry, what it belongs to, and its factor."""
+    spaces = _leaves(env.single_observation_space)
+    manager = env.observation_manager
+    rows: Rows = []
+    for group in manager.groups:
+        start = 0
+        for entry in manager.group_terms(group):
+            count = math.prod(spaces[entry].shape)
+            columns = manager.column_table(entry, count)
+            stop = start + count
+            if count > _LONGEST and len(set(columns)) == 1:
+                label, scale = columns[0]
+                rows.append(_column_of(group, f"{start}:{stop}", entry, label, scale))
+            else:
+                rows += [
+                    _column_of(group, str(start + i), entry, label, scale)
+                    for i, (label, scale) in enumerate(columns)
+                ]
+            start = stop
+    return rows
+
+
+def _column_of(group: str, columns: str, entry: str, label: str, scale: float) -> dict[str, Any]:
+    return {
+        "group": group,
+        "columns": columns,
+        "term": entry,
+        "link or joint": label,
+        "scale": scale,
+    }

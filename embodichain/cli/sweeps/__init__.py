@@ -1,0 +1,1 @@
+"""Sweeps: planned, launched here or on a cluster, followed, compared."""

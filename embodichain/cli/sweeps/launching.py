@@ -1,0 +1,174 @@
+"""Launchers of Hydra that run the jobs of a sweep on a cluster, `slurm` and `ray`.
+
+The machines share the sweep's folder. Whether a job is finished, and its objective, is read from
+its folder, not from what the cluster returns: jobs may outlive the process that started them.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.singleton import Singleton
+from hydra.core.utils import JobReturn, JobStatus, run_job, setup_globals
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from embodichain.cli.sweeps.sweep_jobs import is_finished, objective_in
+from embodichain.config.keys.schema import Verb
+from embodichain.utils.errors import EmbodichainError
+
+__all__ = ["ClusterJob", "ClusterLauncher", "JobError"]
+
+
+class JobError(EmbodichainError):
+    """A job of a sweep did not finish."""
+
+
+@dataclass(frozen=True)
+class ClusterJob:
+    """A job of a sweep, which another process can call.
+
+    Attributes:
+        number: Its number in the sweep.
+        overrides: Its overrides.
+        folder: Its folder, absolute.
+        config: The sweep's config.
+        context: Hydra's loader and callbacks.
+        task: Runs the composed job.
+        state: Hydra's singletons.
+        directory: The working directory.
+        paths: `sys.path`.
+    """
+
+    number: int
+    overrides: tuple[str, ...]
+    folder: Path
+    config: DictConfig
+    context: HydraContext
+    task: TaskFunction
+    state: dict[Any, Any]
+    directory: str
+    paths: tuple[str, ...]
+
+    def __call__(self, identity: str = "") -> JobReturn:
+        """Run the job in this process.
+
+        Args:
+            identity: The cluster's name of the job.
+
+        Raises:
+            Exception: Any exception of the job.
+        """
+        os.chdir(self.directory)
+        sys.path += [path for path in self.paths if path not in sys.path]
+        setup_globals()
+        Singleton.set_state(self.state)
+        found = self.run(identity)
+        _ = found.return_value  # raises the job's exception
+        return found
+
+    def run(self, identity: str = "") -> JobReturn:
+        """Run the job in a process that has Hydra's state; its exception is in the result."""
+        config = _composed(self.context, self.config, self.overrides, self.number, identity)
+        HydraConfig.instance().set_config(config)
+        return run_job(
+            hydra_context=self.context,
+            task_function=self.task,
+            config=config,
+            job_dir_key="hydra.sweep.dir",
+            job_subdir_key="hydra.sweep.subdir",
+        )
+
+
+class ClusterLauncher(Launcher):
+    """Starts the jobs that are not finished on a cluster, and waits for them."""
+
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
+        """Called by Hydra before `launch`."""
+        self.context, self.task, self.config = hydra_context, task_function, config
+
+    @property
+    def verb(self) -> Verb:
+        """The verb of the jobs."""
+        found: Verb = self.config.hydra.job.config_name
+        return found
+
+    @abstractmethod
+    def run_jobs(self, jobs: Sequence[ClusterJob], sweep: Path) -> Mapping[int, str]:
+        """Run jobs to their end.
+
+        Args:
+            jobs: At least one.
+            sweep: The sweep's folder, absolute. `process_log` is where a job's output is.
+
+        Returns:
+            Number of each job that did not finish -> what the cluster says about it.
+        """
+
+    def launch(
+        self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
+    ) -> Sequence[JobReturn]:
+        """Called by Hydra's sweepers.
+
+        Args:
+            job_overrides: The overrides of each job.
+            initial_job_idx: Number of the first.
+        """
+        setup_globals()
+        sweep = Path(str(self.config.hydra.sweep.dir)).resolve()
+        sweep.mkdir(parents=True, exist_ok=True)
+        state = Singleton.get_state()
+        jobs = []
+        for number, overrides in enumerate(job_overrides, initial_job_idx):
+            composed = _composed(self.context, self.config, overrides, number, str(number))
+            jobs.append(
+                ClusterJob(
+                    number=number,
+                    overrides=tuple(overrides),
+                    folder=sweep / str(composed.hydra.sweep.subdir),
+                    config=self.config,
+                    context=self.context,
+                    task=self.task,
+                    state=state,
+                    directory=os.getcwd(),
+                    paths=tuple(sys.path),
+                )
+            )
+        done = {job.number: job.run() for job in jobs if is_finished(job.folder, self.verb)}
+        left = [job for job in jobs if job.number not in done]
+        said = self.run_jobs(left, sweep) if left else {}
+        for job in left:
+            done[job.number] = _returned(job, self.verb, said.get(job.number, ""))
+        return [done[job.number] for job in jobs]
+
+
+def _composed(
+    context: HydraContext, config: DictConfig, overrides: Sequence[str], number: int, identity: str
+) -> DictConfig:
+    """The config of a job."""
+    found = context.config_loader.load_sweep_config(config, list(overrides))
+    with open_dict(found):
+        found.hydra.job.id = identity or str(number)
+        found.hydra.job.num = number
+    return found
+
+
+def _returned(job: ClusterJob, verb: Verb, reason: str) -> JobReturn:
+    """What Hydra's sweepers get for a job that has ended."""
+    found = JobReturn(list(job.overrides), OmegaConf.create(), status=JobStatus.FAILED)
+    if is_finished(job.folder, verb):
+        found.status, found.return_value = JobStatus.COMPLETED, objective_in(job.folder)
+    else:
+        message = f"job {job.number} did not finish" + (f": {reason}" if reason else "")
+        found.return_value = JobError(f"{message}; {job.folder}")
+    return found

@@ -1,0 +1,289 @@
+"""The jobs of a sweep by their folders: finished ones are skipped, interrupted ones are resumed.
+
+A sweep that is started again with the same `hydra.sweep.dir`, and a job that a cluster starts again
+after a preemption or the death of a node, find the job's folder. Its files alone say what is left:
+
+* finished: nothing; the objective is in `summary.json`;
+* a training with a checkpoint to resume from: it continues in the same folder;
+* a training that has learned, but was not evaluated to the end: the evaluation, anew;
+* anything else: all of it; the folder is kept under another name.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import platform
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TextIO
+
+import yaml
+
+from embodichain.config.keys.schema import Verb
+from embodichain.config.rerun import read_config
+from embodichain.config.resolved import Resolved, dump_yaml
+from embodichain.config.run_folder import CONFIG, SUMMARY, adopt
+from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
+from embodichain.utils.system import platforms
+
+__all__ = [
+    "Entered",
+    "JobStoppedError",
+    "enter",
+    "is_finished",
+    "objective_in",
+    "process_log",
+    "read_summary",
+    "state_in",
+    "stop_mark",
+]
+
+State = Literal["new", "finished", "resumable", "learned", "stopped"]
+_DIFFERS = (
+    *("quiet", "json", "traceback", "output_dir", "resume", "sim", "viewer", "wandb"),
+    "trust",
+)
+"""Keys that may differ when a job is started again: they change no result."""
+_MOST_NAMED = 4
+_LOGS = ".logs"
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Entered:
+    """A job in its folder.
+
+    Attributes:
+        resolved: Its config, changed so that it continues.
+        goes_on: Whether the folder has the job's config already.
+        objective: Of a finished job.
+        finished: Whether nothing is left to do.
+    """
+
+    resolved: Resolved
+    goes_on: bool = False
+    finished: bool = False
+    objective: float | None = None
+
+
+class JobStoppedError(EmbodichainError):
+    """A signal ended a sweep before this job was finished.
+
+    Unlike `Interrupted` it ends no other jobs.
+    """
+
+
+class JobRunsError(EmbodichainError):
+    """Another process runs the job."""
+
+
+@contextmanager
+def enter(
+    folder: Path, resolved: Resolved, verb: Verb, *, seed_is_drawn: bool = False
+) -> Iterator[Entered]:
+    """Enter the folder of a job, which no other process can enter until the context is left.
+
+    Args:
+        folder: The folder, which may exist.
+        resolved: The job's config.
+        verb: The verb of the job.
+        seed_is_drawn: Whether the config has no seed of its own; an earlier start's is then used.
+
+    Raises:
+        ConfigError: The folder has another job, or cannot be made.
+        JobRunsError: Another process runs the job.
+    """
+    resolved = resolved.pinned()
+    with _locked(folder):
+        state = state_in(folder, verb)
+        if state == "new":
+            if not (folder / CONFIG).is_file():
+                adopt(folder)
+            yield Entered(resolved)
+            return
+        earlier = read_config(folder / CONFIG)
+        if seed_is_drawn:
+            resolved = resolved.changed(seed=earlier.get("seed"))
+        _check_same(folder, earlier, resolved)
+        if state == "finished":
+            yield Entered(resolved, True, True, objective_in(folder))
+            return
+        if state == "stopped":
+            kept = _unused(folder.with_name(f"{folder.name}.earlier"))
+            folder.rename(kept)
+            _log.warning("%s was not finished and has no checkpoint: kept as %s", folder, kept)
+            adopt(folder)
+            yield Entered(resolved)
+            return
+        if state == "resumable":
+            resolved = resolved.changed(resume=str(folder.resolve()))
+        _set_aside(folder)
+        yield Entered(resolved, True)
+
+
+def state_in(folder: Path, verb: Verb) -> State:
+    """Return what a job's folder says about the job.
+
+    Raises:
+        ConfigError: `summary.json` is damaged.
+    """
+    with suppress(OSError):
+        if not (folder / CONFIG).stat().st_size:
+            return "new"  # killed before the config was written
+    if not (folder / CONFIG).is_file():
+        return "new"
+    if is_finished(folder, verb):
+        return "finished"
+    if verb != "train":
+        return "stopped"
+    if read_summary(folder).get("status") == "finished":
+        return "learned"
+    from embodichain.learning.training.keeper import find_resumable
+
+    try:
+        find_resumable(folder)
+    except EmbodichainError:
+        return "stopped"
+    return "resumable"
+
+
+def is_finished(folder: Path, verb: Verb) -> bool:
+    """Whether nothing is left to do for the job of a folder."""
+    summary = read_summary(folder)
+    status = summary.get("status")
+    if verb != "train":
+        return status in ("finished", "max_steps")
+    if status != "finished":
+        return False
+    evaluated = (summary.get("eval") or {}).get("complete")
+    return bool(evaluated) or not (read_config(folder / CONFIG).get("eval") or {}).get("episodes")
+
+
+def objective_in(folder: Path) -> float | None:
+    """Return the objective of a finished job, from its `summary.json`."""
+    summary = read_summary(folder)
+    value = summary.get("objective", (summary.get("return") or {}).get("mean"))
+    return None if value is None else float(value)
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """Return the content of `summary.json`; empty without the file.
+
+    Raises:
+        ConfigError: The file is damaged.
+    """
+    path = folder / SUMMARY
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cannot read {path}: {error}") from error
+    return found if isinstance(found, dict) else {}
+
+
+def process_log(sweep: Path, name: str) -> Path:
+    """Return the path of what a job's process wrote, where a launcher keeps that.
+
+    Args:
+        sweep: The sweep's folder.
+        name: The name of the job's folder.
+    """
+    return sweep / _LOGS / f"{name}.log"
+
+
+def stop_mark(sweep: Path) -> Path:
+    """Return the file that exists while a sweep is ending because of a signal.
+
+    Args:
+        sweep: The sweep's folder.
+    """
+    return sweep / ".stopped"
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Lock the folder's name; the lock ends with the process that has it (flock(2))."""
+    path = folder.with_name(f".{folder.name}.lock")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        stream = path.open("a+", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"cannot make the run folder {folder}: {error}") from error
+    with stream:
+        try:
+            import fcntl
+
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            message = f"{folder}: another process runs this job now{_owner(stream)}"
+            raise JobRunsError(message) from error
+        except (ImportError, OSError) as error:  # Windows, and some network file systems
+            _log.warning("%s cannot be locked (%s): start no job of it twice", folder, error)
+        _note_owner(stream)
+        yield
+
+
+def _owner(stream: TextIO) -> str:
+    """Whose a lock is, in brackets; empty where that is not known."""
+    pid = platforms.locked_by(stream.fileno())
+    if pid is not None:
+        return f" (process {pid} on {platform.node()})"
+    stream.seek(0)
+    said = stream.read().strip()  # by a process of another machine
+    return f" ({said})" if said else ""
+
+
+def _note_owner(stream: TextIO) -> None:
+    """Write into a lock's file whose it is now, for the message of others."""
+    with suppress(OSError):  # the lock holds on a full disk, too
+        stream.truncate(0)
+        stream.write(f"process {os.getpid()} on {platform.node()}\n")
+        stream.flush()
+
+
+def _check_same(folder: Path, earlier: Mapping[str, Any], resolved: Resolved) -> None:
+    """Check that a folder's job is the one with this config."""
+    now: dict[str, Any] = yaml.safe_load(dump_yaml(resolved.tree))
+    before = {key: value for key, value in earlier.items() if key not in _DIFFERS}
+    changed = list(_differences(before, {k: v for k, v in now.items() if k not in _DIFFERS}))
+    if changed:
+        more = f" and {len(changed) - _MOST_NAMED} more" if len(changed) > _MOST_NAMED else ""
+        what = f"{'; '.join(changed[:_MOST_NAMED])}{more}"
+        message = f"{folder} has another job: {what}. Give another hydra.sweep.dir"
+        raise ConfigError([Problem("hydra.sweep.dir", message)])
+
+
+def _differences(before: Any, now: Any, path: str = "") -> Iterator[str]:
+    """``KEY is A there, B here`` for each value that differs."""
+    if isinstance(before, Mapping) and isinstance(now, Mapping):
+        for key in [*before, *(key for key in now if key not in before)]:
+            below = f"{path}.{key}" if path else str(key)
+            yield from _differences(before.get(key), now.get(key), below)
+    elif before != now:
+        yield f"{path} is {before!r} there, {now!r} here"
+
+
+def _set_aside(folder: Path) -> None:
+    """Move files of an evaluation that did not end into a folder of their own."""
+    found = [*folder.glob("rollout.*"), *folder.glob("eval.json")]
+    if not found:
+        return
+    kept = _unused(folder / "earlier")
+    kept.mkdir()
+    for path in found:
+        shutil.move(path, kept / path.name)
+    _log.warning("%s: files of an evaluation that did not end were moved there", kept)
+
+
+def _unused(path: Path) -> Path:
+    """The path with the first number for which nothing exists."""
+    number = 1
+    while path.with_name(f"{path.name}-{number}").exists():
+        number += 1
+    return path.with_name(f"{path.name}-{number}")

@@ -1,0 +1,172 @@
+"""The comparison at the end of a sweep: a table, the best point, and a page with curves.
+
+`embodichain compare SWEEP` prints the same table, `embodichain report SWEEP` writes the same page.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from embodichain.cli.results.comparison_tables import comparison_table, mean_of_seeds, too_few_seeds
+from embodichain.cli.sweeps.sweep_jobs import is_finished
+from embodichain.cli.terminal.output import number, print_table
+from embodichain.config.composition.locate import display_path
+from embodichain.utils.env_text import shown
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.system.atomic import write_text
+
+if TYPE_CHECKING:
+    from embodichain.learning.evaluation.comparison import Group
+
+__all__ = ["has_finished_training", "page_of_sweep", "report_sweep"]
+
+PAGE = "report.html"
+_RESULTS = "optimization_results.yaml"
+"""The result of a search, which Optuna's sweeper writes."""
+_MOST_CURVES = 10
+
+
+def report_sweep(folder: Path, *, quiet: bool) -> None:
+    """Write the page into the sweep's folder; print the table and the best point.
+
+    Args:
+        folder: The sweep's folder.
+        quiet: Whether to print nothing.
+
+    Raises:
+        ConfigError: The page cannot be written, or a job's file is damaged.
+    """
+    groups, notes = _groups(folder)
+    if not groups:
+        return
+    page = folder / PAGE
+    try:
+        write_text(page, _page(folder, groups, notes))
+    except OSError as error:
+        raise ConfigError(f"cannot write {page}: {error}") from error
+    if quiet:
+        return
+    print_table(*comparison_table(groups))
+    sys.stdout.flush()
+    lines = [*too_few_seeds(groups), *notes, *_best(folder, groups), str(page)]
+    sys.stderr.write("".join(f"{line}\n" for line in lines))
+
+
+def page_of_sweep(folder: Path) -> str:
+    """Return the comparison of a sweep's trainings as HTML.
+
+    Args:
+        folder: The sweep's folder.
+
+    Raises:
+        ConfigError: It has no finished training, or a file in it is damaged.
+    """
+    groups, notes = _groups(folder)
+    if not groups:
+        raise ConfigError(f"{folder} has no finished training")
+    return _page(folder, groups, notes)
+
+
+def has_finished_training(folder: Path) -> bool:
+    """Whether a folder contains the finished training of a sweep's job.
+
+    Args:
+        folder: The sweep's folder.
+    """
+    from embodichain.learning.evaluation.comparison import trainings_in
+
+    return any(is_finished(path, "train") for path in trainings_in(folder))
+
+
+def _groups(folder: Path) -> tuple[list[Group], list[str]]:
+    """The finished trainings, and notes about those that are left out."""
+    from embodichain.learning.evaluation.comparison import group_runs, read_run, trainings_in
+
+    found, notes, seen = [], [], set()
+    for path in trainings_in(folder):
+        run = read_run(path)
+        if not is_finished(path, "train"):
+            notes.append(f"left out: {path} is not finished")
+        elif (run.label, run.seed) in seen:  # a search may try a point twice
+            notes.append(f"left out: {path} repeats an earlier job")
+        else:
+            seen.add((run.label, run.seed))
+            found.append(run)
+    return group_runs(found), notes
+
+
+def _result(folder: Path) -> dict[str, Any]:
+    """The result of a search; empty for other sweeps."""
+    path = folder / _RESULTS
+    try:
+        found = yaml.safe_load(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    except (OSError, yaml.YAMLError) as error:
+        raise ConfigError(f"cannot read {path}: {error}") from error
+    return found if isinstance(found, dict) else {}
+
+
+def _best(folder: Path, groups: Sequence[Group]) -> list[str]:
+    """The best point with its objective, if there are several; of a search, also its file."""
+    from embodichain.learning.evaluation.comparison import best_group, short_labels
+
+    result = _result(folder)
+    value = result.get("best_value")
+    if value is not None:
+        params = shown(result.get("best_params", {}))
+        point = " ".join(f"{key.lstrip('+')}={value}" for key, value in params.items())
+        return [f"best objective {value:.4g}: {point}", str(folder / _RESULTS)]
+    best = best_group(groups)
+    if best is None or len(groups) < 2:
+        return []
+    found = best.number("objective")
+    label = short_labels(groups)[1][list(groups).index(best)]
+    mean = "-" if found is None else mean_of_seeds(found)
+    seeds = "1 seed" if len(best.runs) == 1 else f"{len(best.runs)} seeds"
+    return [f"best objective {mean}: {label} ({seeds})"]
+
+
+def _page(folder: Path, groups: Sequence[Group], notes: Sequence[str]) -> str:
+    from jinja2 import Environment
+
+    from embodichain.learning.evaluation.comparison import short_labels
+    from embodichain.learning.evaluation.plots import curves_svg
+
+    title, rows = comparison_table(groups)
+    labels = short_labels(groups)[1]
+    means = {i: x.mean for i, group in enumerate(groups) if (x := group.number("objective"))}
+    drawn = sorted(sorted(means, key=lambda i: -means[i])[:_MOST_CURVES])
+    said = [*too_few_seeds(groups), *notes]
+    if len(groups) > len(drawn):
+        said.append(f"curves of the {len(drawn)} groups with the largest objective")
+    try:
+        curves = curves_svg([groups[i] for i in drawn], [labels[i] for i in drawn])
+    except ConfigError as error:
+        curves, said = "", [*said, str(error)]
+    jobs = [
+        {
+            "job": run.folder.name,
+            "runs": label,
+            "seed": run.seed,
+            "objective": number(run.numbers.get("objective")),
+        }
+        for group, label in zip(groups, labels, strict=True)
+        for run in group.runs
+    ]
+    template = resources.files("embodichain.cli") / "templates" / "sweep.html.tmpl"
+    page = Environment(autoescape=True).from_string(template.read_text(encoding="utf-8"))
+    return page.render(
+        title=title,
+        folder=display_path(folder),
+        notes=said,
+        best=_best(folder, groups),
+        rows=[{name: number(cell) for name, cell in row.items()} for row in rows],
+        curves=curves,
+        jobs=jobs,
+        command=f"embodichain compare {display_path(folder)}",
+    )

@@ -1,0 +1,249 @@
+"""Runs a planned sweep: its progress, its failures, and the comparison at its end."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
+from typing import Any
+
+from hydra.core.plugins import Plugins
+from hydra.plugins.launcher import Launcher
+
+from embodichain.cli.sweeps.sweep_jobs import is_finished, process_log, stop_mark
+from embodichain.cli.sweeps.sweep_plan import CLUSTERS, Plan
+from embodichain.cli.sweeps.sweep_progress import shown_progress
+from embodichain.cli.terminal.process import Interrupted, StopFlag
+from embodichain.config.keys.schema import Verb
+from embodichain.config.run_folder import CONFIG
+from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
+from embodichain.utils.system.processes import end_with, own_process
+
+__all__ = ["SweepError", "run_sweep"]
+
+_PACKAGES = {"slurm": "submitit", "ray": "ray"}
+_HYDRAS_NAME = "hydra_plugins.embodichain.{}"
+_BACKEND = "loky"
+_ENDED_BY = " ERROR   run: ended by "
+_TAIL = 12
+"""Lines of a log that are shown of a job that failed."""
+
+
+class SweepError(EmbodichainError):
+    """Jobs of a sweep failed."""
+
+
+def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) -> None:
+    """Run a sweep with Hydra, and compare its trainings.
+
+    Args:
+        plan: Its plan.
+        verb: The verb of its jobs.
+        job: Hydra's `main`.
+        quiet: Whether only errors and the jobs' results are written.
+
+    Raises:
+        SweepError: Jobs failed. They are shown with the last lines of their logs.
+        Exception: Any exception before the first job.
+    """
+    if plan.launcher in CLUSTERS:
+        _register(plan.launcher)
+    if plan.note and not quiet:
+        sys.stderr.write(f"{plan.note}\n{plan.folder}\n")
+    shown = plan.is_parallel and not quiet
+    stop = StopFlag()
+    try:
+        with (
+            shown_progress(plan.folder, plan.keys, plan.jobs) if shown else nullcontext(),
+            _workers_of_joblib(stop, plan.folder) if plan.launcher == "joblib" else nullcontext(),
+        ):
+            job()
+    except KeyboardInterrupt as error:
+        if plan.folder.is_dir():
+            text = f"{str(error) or 'interrupted'}; {_summed_up(plan, verb)}"
+            raise Interrupted.by(getattr(error, "signal", None), text) from error
+        raise
+    except Exception as error:
+        if stop.stopped is not None:
+            text = f"interrupted ({stop.stopped}); {_summed_up(plan, verb)}"
+            raise Interrupted.by(stop.stopped, text) from error
+        failed = _unfinished(plan.folder, verb) if plan.folder.is_dir() else []
+        if not failed or _is_about_hydra(error):
+            raise
+        killed = _killed_worker(error)
+        sys.stderr.write(f"{killed or error}\n")
+        for name in failed:
+            if not killed or _says_why(plan.folder / name):
+                _show(plan.folder, name)
+        raise SweepError(_summed_up(plan, verb)) from error
+    if verb == "train":
+        from embodichain.cli.sweeps.sweep_report import report_sweep
+
+        report_sweep(plan.folder, quiet=quiet)
+
+
+@contextmanager
+def _workers_of_joblib(stop: StopFlag, folder: Path) -> Iterator[None]:
+    """Inside the context, workers of joblib save at a signal, and none outlives this process."""
+    with _ending_with_this(), _stopping_workers(stop, folder):
+        yield
+
+
+@contextmanager
+def _ending_with_this() -> Iterator[None]:
+    """Let the workers of joblib end with this process, also where it is killed.
+
+    A worker waits for its next job and for the place of a result, in pipes that stay open as long
+    as other workers live. Hydra names the backend that it uses; here that name means another one.
+    """
+    from joblib import register_parallel_backend
+    from joblib._parallel_backends import LokyBackend
+
+    parent = own_process()
+
+    class Watched(LokyBackend):  # type: ignore[misc]
+        """Loky's backend, whose workers watch their parent before they do anything else."""
+
+        def configure(self, *args: Any, **kwargs: Any) -> Any:
+            return super().configure(*args, initializer=end_with, initargs=(parent,), **kwargs)
+
+    register_parallel_backend(_BACKEND, Watched)
+    try:
+        yield
+    finally:
+        register_parallel_backend(_BACKEND, LokyBackend)
+
+
+@contextmanager
+def _stopping_workers(stop: StopFlag, folder: Path) -> Iterator[None]:
+    """Let the workers of joblib save at a signal: an exception here would kill them.
+
+    Afterwards the workers end: joblib would give them to the next sweep of this process, with the
+    working directory and `sys.path` of this one.
+
+    Args:
+        stop: Set by a signal inside the context.
+        folder: The sweep's folder; the jobs that have not begun find a mark in it.
+    """
+    from joblib.externals.loky import get_reusable_executor
+
+    mark, ended = stop_mark(folder), threading.Event()
+    mark.unlink(missing_ok=True)
+
+    def watch() -> None:
+        while not ended.wait(0.2):
+            if stop.stopped is not None:
+                folder.mkdir(parents=True, exist_ok=True)
+                mark.touch()
+                for worker in _children():
+                    with suppress(ProcessLookupError):
+                        os.kill(worker, signal.SIGTERM)
+                return
+
+    thread = threading.Thread(target=watch, name="sweep signals", daemon=True)
+    with stop:
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+            mark.unlink(missing_ok=True)
+            get_reusable_executor().shutdown()
+
+
+def _children() -> list[int]:
+    """The child processes of this one (proc(5)); empty where there is no such file."""
+    found: list[int] = []
+    for path in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
+        with suppress(OSError):
+            found += map(int, path.read_text().split())
+    return found
+
+
+def _is_about_hydra(error: Exception) -> bool:
+    """Whether keys of the sweep are wrong, such as its folder or the launcher's, and not a job."""
+    return isinstance(error, ConfigError) and all(
+        problem.path.startswith("hydra") for problem in error.problems
+    )
+
+
+def _register(launcher: str) -> None:
+    """Make a launcher known to Hydra.
+
+    Hydra takes launchers from the namespace package `hydra_plugins` only, whose modules it imports
+    at every start. The class is registered under such a name instead.
+
+    Args:
+        launcher: ``slurm`` or ``ray``.
+
+    Raises:
+        ConfigError: Its package is not installed.
+    """
+    package = _PACKAGES[launcher]
+    if importlib.util.find_spec(package) is None:
+        message = f"{launcher!r} needs a package: pip install 'embodichain[{launcher}]'"
+        raise ConfigError([Problem("hydra/launcher", message)])
+    found: type[Launcher]
+    if launcher == "slurm":
+        from embodichain.cli.sweeps.slurm_launcher import SlurmLauncher as found
+    else:
+        from embodichain.cli.sweeps.ray_launcher import RayLauncher as found
+    Plugins.instance().class_name_to_class[_HYDRAS_NAME.format(found.__name__)] = found
+
+
+def _begun(sweep: Path) -> list[str]:
+    """The names of the folders of the jobs that have begun, in order."""
+    names = {path.parent.name for path in sweep.glob(f"*/{CONFIG}")}
+    names |= {path.stem for path in process_log(sweep, "0").parent.glob("*.log")}
+    return sorted((n for n in names if ".earlier-" not in n), key=lambda n: (len(n), n))
+
+
+def _unfinished(sweep: Path, verb: Verb) -> list[str]:
+    return [name for name in _begun(sweep) if not is_finished(sweep / name, verb)]
+
+
+def _summed_up(plan: Plan, verb: Verb) -> str:
+    begun, unfinished = _begun(plan.folder), _unfinished(plan.folder, verb)
+    done = [name for name in begun if name not in unfinished]
+    names = f": {', '.join(done)}" if done else ""
+    failed = f"; not done: {', '.join(unfinished)}" if unfinished else ""
+    again = f"the same command with hydra.sweep.dir={plan.folder} does the rest"
+    return f"{len(done)} of {plan.jobs} jobs are done{names}{failed}; {again}"
+
+
+def _killed_worker(error: Exception) -> str:
+    """What joblib's error about a worker that was killed says; empty for another error."""
+    if not any(kind.__name__ == "BrokenProcessPool" for kind in type(error).__mro__):
+        return ""
+    found = re.findall(r"[A-Z][A-Z0-9_]+\(-?\d+\)", str(error))
+    how = f" ({', '.join(dict.fromkeys(found))})" if found else ""
+    return (
+        f"a worker was killed{how}, perhaps because there was no memory left; "
+        "joblib has ended the other workers with it"
+    )
+
+
+def _says_why(folder: Path) -> bool:
+    """Whether a job's log has an error, and did not just end with its process."""
+    with suppress(OSError):
+        return _ENDED_BY in (folder / "run.log").read_text(encoding="utf-8", errors="replace")
+    return False
+
+
+def _show(sweep: Path, name: str) -> None:
+    """Write the last lines of a job's logs to stderr."""
+    for path in (sweep / name / "run.log", process_log(sweep, name)):
+        try:
+            lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError:
+            continue  # a job that did not begin has no run.log, one on this machine no other
+        if lines:
+            text = "".join(f"  {line}\n" for line in lines[-_TAIL:])
+            sys.stderr.write(f"job {name} failed, the end of {path}:\n{text}")

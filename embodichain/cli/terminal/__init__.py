@@ -1,0 +1,1 @@
+"""The command as a process: output, progress, signals, exit codes."""

@@ -1,0 +1,1 @@
+"""Verbs of the command, one a module; each has its `command`."""

@@ -1,0 +1,1 @@
+"""Checks of a composed tree: types, values, terms, the scene; each mistake with its place."""

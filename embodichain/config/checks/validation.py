@@ -1,0 +1,483 @@
+"""All checks of a config in one report: types, values, terms, scene; each mistake with its place.
+
+Types are checked by `check_types`, terms by `lab.gym.envs.managers.terms.check`, the scene by
+`lab.gym.envs.scene_setup`; values of the root and of the task are checked here.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import re
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from hydra.core.override_parser.types import OverrideType
+
+from embodichain.config.checks.given_keys import check_given
+from embodichain.config.checks.viewer_access import access_of
+from embodichain.config.composition.composed import Composed
+from embodichain.config.composition.locate import COMMAND_LINE, Locator
+from embodichain.config.composition.yaml_words import quoting
+from embodichain.config.keys.check_types import TypeCheck, check_types
+from embodichain.config.keys.schema import (
+    LARGEST_TRAINING_SEED,
+    SUGGESTED_KEYS,
+    VERBS,
+    PolicyCfg,
+    RootCfg,
+    SimCfg,
+    Verb,
+)
+from embodichain.config.run_folder import CHECKPOINT, checkpoint_of, newest_run
+from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.managers.terms.check import check_terms
+from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS, resolve_term
+from embodichain.lab.gym.policies import PRETRAINED, resolve_policy
+from embodichain.lab.sim.cfg import WarpCfg, choose_engine
+from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.fields.type_errors import unknown_key
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["Check", "check", "check_training_keys", "check_tree", "named_maps", "validate"]
+
+Chosen = Callable[[str, str], bool]
+"""``chosen(path, package)``: whether a key was set outside the group option at `package`."""
+
+_FLAGS = {"on": "true", "yes": "true", "off": "false", "no": "false"}
+_ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\.(uid|fpath))?)?")
+"""If such a key was pruned, references to entities may fail without being wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """The result of checking a whole config.
+
+    Attributes:
+        problems: Every mistake; empty if there is none.
+        types: The config with the task's suggestions, as plain values and as data classes.
+        scene: The scene that was compiled for the check.
+        notes: Given keys that change nothing.
+    """
+
+    problems: list[Problem]
+    types: TypeCheck
+    scene: PreparedScene
+    notes: tuple[Problem, ...] = ()
+
+
+def validate(composed: Composed, verb: Verb = "run") -> list[Problem]:
+    """Return every mistake of a composed config, including those found while composing.
+
+    Args:
+        composed: The result of `compose`.
+        verb: The verb for which the task's suggestions are used.
+    """
+    return check(composed, verb).problems
+
+
+def check(composed: Composed, verb: Verb) -> Check:
+    """Check a whole composed config, with the task's suggestions for a verb."""
+    unknown: list[Problem] = []
+    if composed.usable:
+        said = {problem.path for problem in composed.problems}
+        unknown = [p for p in _unknown_entries(composed) if p.path not in said]
+        misread = composed.locator.misread()
+        wrong = [p.path for p in (*composed.problems, *unknown)]
+        lost = [path for path in wrong if path not in misread]
+        chosen = composed.locator.chosen
+        found = check_tree(composed.tree, composed.source, verb, chosen=chosen, lost=lost)
+        numbers = composed.locator.misread(keys=False)
+        once = [p for p in _causes(found.problems) if p.path not in numbers]
+        found = replace(found, problems=[_advised(p, composed.locator) for p in once])
+    else:
+        types = check_types({**composed.tree, "task": {}})
+        located = _located(types.problems, composed.source)
+        found = Check(located, replace(types, root=None), PreparedScene())
+    before = [*composed.problems, *_located(unknown, composed.source)]
+    return replace(found, problems=[*before, *found.problems])
+
+
+def check_tree(
+    tree: Mapping[str, Any],
+    source: Callable[[str], str],
+    verb: Verb = "run",
+    *,
+    chosen: Chosen | None = None,
+    lost: Sequence[str] = (),
+    allow_import: bool = True,
+) -> Check:
+    """Check a plain tree.
+
+    Args:
+        tree: A composed or dumped config.
+        source: Function from a key path to where the key was set.
+        verb: The verb for which the task's suggestions are used.
+        chosen: Whether the user set a key of `algo`, which then overrides the task's suggestion.
+            None means that the user set all of them.
+        lost: Key paths known to be wrong; they are not reported again.
+        allow_import: Whether ``package.module:function`` may be imported.
+    """
+    rest = copy.deepcopy(dict(tree))
+    for path in lost:
+        _remove(rest, path)
+    problems = _check_suggested(rest)
+    for problem in problems:
+        _remove(rest, ".".join(problem.path.split(".")[:4]))  # task.suggested.VERB.KEY
+    types = check_types(_with_suggestions(rest, verb, chosen))
+    problems += types.problems
+    missing, scene = [*lost, *types.pruned], PreparedScene()
+    notes: list[Problem] = []
+    if types.root is not None:
+        found, notes = check_given(types.root, types.tree)
+        problems += found
+        further = _check_meaning(types.root, verb, missing, allow_import, scene)
+        problems += [p for p in further if not _below(p.path, missing)]
+    distinct = {p.path + p.message: p for p in problems}.values()
+    return Check(_located(distinct, source), types, scene, tuple(_located(notes, source)))
+
+
+def _located(problems: Iterable[Problem], source: Callable[[str], str]) -> list[Problem]:
+    return [p.at(source(p.path)) for p in problems]
+
+
+def _causes(problems: Sequence[Problem]) -> list[Problem]:
+    """The problems without those of a value that is of the wrong kind: `on` names no entity."""
+    wrong = {re.sub(r"(\.\d+)*$", "", p.path) for p in problems if p.expected}
+    return [p for p in problems if p.expected or p.path not in wrong]
+
+
+def _advised(problem: Problem, locator: Locator) -> Problem:
+    """The problem with what to write, where a word was read as another kind of value."""
+    written = locator.written(problem.path) if problem.expected and not problem.hint else ""
+    if not written:
+        return problem
+    typed = problem.source == COMMAND_LINE
+    if problem.expected == "text":
+        quoted = f"For the text write {problem.path}=\"'{written}'\"."
+        hint = quoted if typed else quoting(written)
+    elif "${oc.env:" in written:
+        hint = f"A variable of the environment is text: write ${{oc.decode:{written}}}."
+    elif typed and problem.expected == "flag" and written.lower() in _FLAGS:
+        hint = f"Write {problem.path}={_FLAGS[written.lower()]}."
+    else:
+        return problem
+    return replace(problem, hint=hint).at(problem.source)
+
+
+def _check_meaning(
+    root: RootCfg,
+    verb: Verb,
+    missing: Sequence[str],
+    allow_import: bool,
+    scene: PreparedScene,
+) -> list[Problem]:
+    """Check values, terms and scene of the keys that have the right types."""
+    problems = _check_root(root, allow_import)
+    problems += _check_task(root.task, allow_import)
+    problems += _check_backend(root, verb, allow_import)
+    if verb == "train":
+        problems += check_training_keys(root)
+    if verb == "collect":
+        problems += _check_collecting(root)
+    known = {p.path for p in problems}
+    whole = not any(_below(path, ["record.images"]) for path in missing)
+    images = root.record.images if whole else None
+    in_task = check_terms(root.task, allow_import=allow_import)
+    if not any(_ENTITY.fullmatch(path) for path in missing):
+        from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
+
+        in_task += describe(root.task, scene, root.num_envs)
+        problems += _lacking(root, scene)
+    if root.task.expert is not None and not _below("task.expert", missing):
+        from embodichain.lab.gym.expert.program import check_expert  # imports the actions
+
+        in_task += check_expert(root.task, scene.known, allow_import)
+    if images is not None and scene.scene is not None and root.task.id is None:
+        from embodichain.config.checks.recorded_images import check_images  # imports MuJoCo
+
+        problems += check_images(images, scene.scene.model, scene.scene.camera_sensors)
+    found = [replace(p, path=f"task.{p.path}".rstrip(".")) for p in in_task]
+    problems += [p for p in found if p.path not in known]
+    if verb != "train" and _policy_name(root) == "teleop" and not _below("task.actions", missing):
+        problems += _check_teleop(root, allow_import)
+    return problems
+
+
+def _lacking(root: RootCfg, prepared: PreparedScene) -> list[Problem]:
+    """What MuJoCo Warp lacks of the compiled scene, if it is to step it."""
+    engine, missing = choose_engine(root.sim.engine, root.device or "cpu")
+    if engine != "warp" or missing or prepared.scene is None:
+        return []
+    from embodichain.lab.sim.engine.warp.warp_support import unsupported  # imports MuJoCo Warp
+
+    return unsupported(prepared.scene.model)
+
+
+def check_training_keys(root: RootCfg) -> list[Problem]:
+    """Check the keys that only a training needs: its length, and a seed that SB3 accepts."""
+    problems = []
+    if root.total_timesteps is None:
+        message = "missing value: set it, or task.suggested.train.total_timesteps"
+        problems.append(Problem("total_timesteps", message))
+    if root.seed is not None and root.seed > LARGEST_TRAINING_SEED:
+        message = f"training needs a seed from 0 to {LARGEST_TRAINING_SEED}, got {root.seed}"
+        problems.append(Problem("seed", message))
+    return problems
+
+
+def _unknown_entries(composed: Composed) -> list[Problem]:
+    """Overrides without `+` for an entity or term that does not exist; `+` would add it."""
+    problems: dict[str, Problem] = {}
+    for override in composed.locator.overrides:
+        parts = override.key_or_group.split(".")
+        if override.type is not OverrideType.CHANGE:
+            continue
+        for depth in range(2, len(parts)):
+            path = ".".join(parts[: depth + 1])
+            named = parts[0] == "task" and depth == 2 and parts[1] in named_maps()
+            if named and not composed.locator.sets(path):
+                problems[path] = _unknown_entry(path, composed)
+    return list(problems.values())
+
+
+@cache
+def named_maps() -> set[str]:
+    """Return the keys of a task that are maps from names to entities or terms."""
+    hints = typing.get_type_hints(EnvCfg)
+    return {"sensors"} | {  # of several classes
+        key
+        for key, hint in hints.items()
+        if typing.get_origin(hint) is dict and dataclasses.is_dataclass(typing.get_args(hint)[1])
+    }
+
+
+def _unknown_entry(path: str, composed: Composed) -> Problem:
+    section, _, name = path.rpartition(".")
+    there: Any = composed.tree
+    for part in section.split("."):
+        there = there.get(part, {}) if isinstance(there, dict) else {}
+    names = [str(key) for key in there if composed.locator.sets(f"{section}.{key}")]
+    message = f"there is no {name!r} in {section}; there are: {', '.join(names) or 'none'}."
+    hint = did_you_mean(name, names).strip() or f"Add one with +{path}={{...}}"
+    return Problem(path, message, hint)
+
+
+def _below(path: str, ancestors: Iterable[str]) -> bool:
+    return any(path == a or path.startswith(f"{a}.") for a in ancestors)
+
+
+def _remove(tree: dict[str, Any], path: str) -> None:
+    *parents, name = path.split(".")
+    node: Any = tree
+    for part in parents:
+        node = node.get(part) if isinstance(node, dict) else None
+    if isinstance(node, dict):
+        node.pop(name, None)
+
+
+def _check_root(root: RootCfg, allow_import: bool) -> list[Problem]:
+    """Check the everyday keys; a policy is imported to read its signature, if that is allowed."""
+    problems = _check_engine(root) + _check_policy(root, allow_import)
+    count = root.num_envs or 1
+    beyond = [i for i in root.record.view_envs if i >= count]
+    if beyond and root.record.format != "none":
+        message = f"no such environments: {beyond}; num_envs is {count}"
+        problems.append(Problem("record.view_envs", message))
+    images = root.record.images
+    beyond = [i for i in images.envs if i >= count] if images is not None else []
+    if beyond:
+        message = f"no such environments: {beyond}; num_envs is {count}"
+        problems.append(Problem("record.images.envs", message))
+    if root.viewer.name != "none" and root.viewer.env >= count:
+        message = f"no such environment: {root.viewer.env}; num_envs is {count}"
+        problems.append(Problem("viewer.env", message))
+    problems += access_of(root.viewer).problems(root.viewer.host)
+    if root.video and (root.record.format == "none" or root.record.state == "none"):
+        message = "films are made from the log: they need record=mcap with record.state=all"
+        problems.append(Problem("video", message))
+    return problems
+
+
+def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
+    """Check values of a task outside its terms and entities."""
+    problems = []
+    steps = task.max_episode_steps
+    if steps < 1 and steps != -1:
+        message = f"must be at least 1, or -1 for no limit, got {steps}"
+        problems.append(Problem("task.max_episode_steps", message))
+    if task.id is not None:
+        from embodichain.config.composition.plugins import (
+            require_registered,  # Gymnasium: only when needed
+        )
+
+        reason = require_registered(task.id, allow_import=allow_import)
+        problems += [Problem("task.id", reason)] if reason else []
+    for section in SECTIONS:
+        for name, term in getattr(task, section).items():
+            if term.func == "":
+                path = f"task.{section}.{name}.func"
+                problems.append(Problem(path, "missing value: the name of a function"))
+    return problems
+
+
+def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
+    """Check `task.suggested.VERB` as values of root keys."""
+    problems: list[Problem] = []
+    for verb in VERBS:
+        values = _suggested(tree, verb)
+        allowed = [*SUGGESTED_KEYS, *(["algo"] if verb == "train" else [])]
+        path = f"task.suggested.{verb}"
+        for name in values:
+            if name not in allowed:
+                problems.append(Problem(f"{path}.{name}", *unknown_key(name, allowed)))
+        known = {k: v for k, v in values.items() if k in allowed}
+        if known:
+            found = check_types({"task": {}, **known}).problems
+            problems += [replace(p, path=f"{path}.{p.path}") for p in found]
+    return problems
+
+
+def _check_engine(root: RootCfg) -> list[Problem]:
+    """Check that the engine exists here and runs on the device."""
+    engine, problems = choose_engine(root.sim.engine, root.device or "cpu")
+    for key, value in vars(root.sim.warp).items():
+        if engine != "warp" and value not in (getattr(WarpCfg(), key), "host"):
+            message = "is for sim.engine=warp, but the engine is mujoco"
+            problems.append(Problem(f"sim.warp.{key}", message))
+    record = root.record
+    if engine == "warp" and record.format != "none" and record.state == "keyframes":
+        message = "physics of sim.engine=warp is not repeated to the bit; use record.state=all"
+        problems.append(Problem("record.state", message))
+    return problems
+
+
+def _check_backend(root: RootCfg, verb: Verb, allow_import: bool) -> list[Problem]:
+    """Check what a job in shards cannot do, and keys that only have a meaning with shards."""
+    sim, usual = root.sim, SimCfg()
+    if (sim.backend, sim.shards, sim.ray) == (usual.backend, usual.shards, usual.ray):
+        return []
+    from embodichain.config.checks.shard_checks import check_shards
+
+    return check_shards(root, verb, allow_import)
+
+
+def _check_collecting(root: RootCfg) -> list[Problem]:
+    """Check that a collection has a whole log, and a task that says what success is."""
+    problems = []
+    record, task = root.record, root.task
+    if record.format == "none":
+        problems.append(Problem("record.format", "a collection is a log: must not be none"))
+    elif record.state == "none":
+        problems.append(Problem("record.state", "must be all or keyframes for a collection"))
+    if record.every != 1:
+        message = f"a collection has every episode: must be 1, got {record.every}"
+        problems.append(Problem("record.every", message))
+    ends = [term.ends_by for term in task.terminations.values()]
+    if task.id is None and "success" not in task.metrics and "success" not in ends:
+        message = "collect needs a task that says what success is: the metric `success`"
+        problems.append(Problem("task.metrics", message))
+    return problems
+
+
+def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
+    """Check that a policy exists and accepts its parameters; for a trained one, that it exists."""
+    policy = root.policy
+    name = _policy_name(root)
+    if policy is None or name is None:
+        return []
+    if not name:
+        return [Problem("policy", "is empty: leave it out, or name a policy")]
+    if name == "expert" and root.task.expert is None and root.task.id is None:
+        return [Problem("policy", "the task has no section `expert`, whose steps it would perform")]
+    if ":" in name and not allow_import:
+        message = f"{name!r} would be imported, which is not allowed for this config"
+        return [Problem("policy", message)]
+    try:
+        params = {} if isinstance(policy, str) else {"params": policy.params}
+        resolve_policy({"func": name, **params}, load_file=lambda path: _existing(root, path))
+    except ConfigError as error:
+        return list(error.problems)
+    return []
+
+
+def _policy_name(root: RootCfg) -> str | None:
+    return root.policy.func if isinstance(root.policy, PolicyCfg) else root.policy
+
+
+def _check_teleop(root: RootCfg, allow_import: bool) -> list[Problem]:
+    """Check that a person can move a robot: a viewer, one environment, an action for a tool."""
+    from embodichain.lab.gym.teleop import check_teleop
+
+    problems = []
+    if root.viewer.name not in ("web", "native"):
+        message = f"teleop needs a viewer: viewer=web or viewer=native, not {root.viewer.name}"
+        problems.append(Problem("policy", message))
+    if (root.num_envs or 1) > 1:
+        message = f"policy: teleop moves one robot; set num_envs=1, not {root.num_envs}"
+        problems.append(Problem("num_envs", message))
+    try:
+        found = {
+            name: (
+                str(term.func),
+                resolve_term("action", term.func, allow_import=allow_import).func,
+            )
+            for name, term in root.task.actions.items()
+        }
+    except ConfigError:
+        return problems  # the check of the terms says which one there is not
+    return problems if root.task.id is not None else [*problems, *check_teleop(found)]
+
+
+def _existing(root: RootCfg, path: Path) -> Any:
+    if str(path) == "last":
+        if newest_run(root.output_dir, CHECKPOINT) is None:
+            message = f"there is no finished training in {root.output_dir} (train first)"
+            raise ConfigError([Problem("policy", message)])
+    elif str(path) != PRETRAINED:
+        checkpoint_of(path)
+    return lambda obs, env: None
+
+
+def _with_suggestions(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None) -> dict[str, Any]:
+    """A copy with the task's suggestions for null keys; see `check_tree`."""
+    filled = copy.deepcopy(dict(tree))
+    suggested = _suggested(filled, verb)
+    policy = filled.get("policy")
+    if "teleop" in (policy, policy.get("func") if isinstance(policy, dict) else None):
+        suggested["num_envs"] = 1  # a person moves one robot
+    for key in SUGGESTED_KEYS:
+        if filled.get(key) is None and suggested.get(key) is not None:
+            filled[key] = suggested[key]
+    algo, mine = filled.get("algo"), suggested.get("algo")
+    if chosen is None or not (isinstance(algo, dict) and isinstance(mine, dict)):
+        return filled
+    if mine.get("name", algo.get("name")) == algo.get("name"):
+        filled["algo"] = _merge_suggested(algo, mine, "algo", chosen)
+    return filled
+
+
+def _suggested(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
+    node: Any = tree
+    for key in ("task", "suggested", verb):
+        node = node.get(key) if isinstance(node, Mapping) else None
+    return dict(node) if isinstance(node, Mapping) else {}
+
+
+def _merge_suggested(
+    algo: dict[str, Any], suggested: dict[str, Any], path: str, chosen: Chosen
+) -> Any:
+    """Merge suggestions over the group option's values, except for keys that the user set."""
+    merged = dict(algo)
+    for key, value in suggested.items():
+        where, mine = f"{path}.{key}", merged.get(key)
+        if isinstance(mine, dict) and isinstance(value, dict):
+            merged[key] = _merge_suggested(mine, value, where, chosen)
+        elif not chosen(where, "algo"):
+            merged[key] = value
+    return merged

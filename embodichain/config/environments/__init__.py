@@ -1,0 +1,1 @@
+"""Environments made of a config: here, in shards, and under the names of Gymnasium."""

@@ -1,0 +1,1 @@
+"""The keys that a config may have, as data classes, and the check of them."""

@@ -1,0 +1,255 @@
+"""The check of keys, types, lengths and ranges, by pydantic over the data classes.
+
+Pydantic finds all mistakes at once; each becomes a `Problem` and is removed from the tree for the
+other checks. `schema_at` returns the JSON schema of a key path, for lists of allowed keys.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from embodichain.config.keys.algorithms import ALGO_INSTEAD, DEFAULT_ALGORITHM, PATTERNS, AnyAlgoCfg
+from embodichain.config.keys.schema import ROOT_INSTEAD, RootCfg
+from embodichain.lab.sim.configs.sensor_cfg import AnySensorCfg
+from embodichain.lab.sim.shapes import AnyShapeCfg
+from embodichain.utils.errors import Problem
+from embodichain.utils.fields.type_errors import (
+    ErrorDetails,
+    expected_kind,
+    show_value,
+    unknown_key,
+    what_is_wrong,
+)
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["TypeCheck", "check_types", "key_names", "schema_at"]
+
+Loc = tuple[str | int, ...]
+_TAGS: dict[str, Any] = {
+    "shape_type": AnyShapeCfg,
+    "sensor_type": AnySensorCfg,
+    "name": AnyAlgoCfg,
+}
+"""Key that chooses between the members of a union -> the union."""
+
+
+@dataclass(frozen=True)
+class TypeCheck:
+    """The result of the check of types.
+
+    Attributes:
+        root: The config without its wrong keys; None if no task is left to check.
+        tree: The same as plain values; whole floats are integers where an integer is needed.
+        problems: One for each wrong key.
+        pruned: Paths that were left out of `root`.
+    """
+
+    root: RootCfg | None
+    tree: dict[str, Any]
+    problems: list[Problem]
+    pruned: tuple[str, ...]
+
+
+def check_types(tree: Mapping[str, Any]) -> TypeCheck:
+    """Check a composed tree against `RootCfg`.
+
+    Args:
+        tree: Plain dicts and lists. A whole number written as a float passes for an integer.
+    """
+    data = copy.deepcopy(dict(tree))
+    problems: dict[str, Problem] = {}
+    pruned: set[str] = set()
+    for name, instead in ROOT_INSTEAD.items():
+        if isinstance(data.get("task"), dict) and name in data["task"]:
+            del data["task"][name]
+            problems[f"task.{name}"] = Problem(f"task.{name}", f"not a key of a task; {instead}")
+    if isinstance(data.get("algo"), dict):
+        data["algo"].setdefault("name", DEFAULT_ALGORITHM)
+    while True:  # ends, because each iteration repairs or removes something
+        try:
+            root = _adapter().validate_json(json.dumps(data, default=str), strict=True)
+            return TypeCheck(root, data, list(problems.values()), tuple(sorted(pruned)))
+        except ValidationError as error:
+            groups = _grouped(error.errors(include_url=False), data)
+        for loc, errors in groups.items():
+            if _repair(data, loc, errors):
+                continue
+            path = ".".join(map(str, loc))
+            problems.setdefault(path, _problem(path, loc, errors, data))
+            removed = _prune(data, loc, errors)
+            pruned.add(".".join(map(str, removed)))
+            if removed in ((), ("task",)):
+                return TypeCheck(None, data, list(problems.values()), tuple(sorted(pruned)))
+
+
+@cache
+def _adapter() -> TypeAdapter[RootCfg]:
+    return TypeAdapter(RootCfg)
+
+
+def _grouped(errors: Iterable[ErrorDetails], data: Any) -> dict[Loc, list[ErrorDetails]]:
+    """Errors by key path; of the errors of a union's members, the deepest are kept."""
+    groups: dict[Loc, list[ErrorDetails]] = {}
+    for error in errors:
+        groups.setdefault(_clean(error, data), []).append(error)
+    return {
+        loc: found
+        for loc, found in groups.items()
+        if not any(len(other) > len(loc) and other[: len(loc)] == loc for other in groups)
+    }
+
+
+def _clean(error: ErrorDetails, data: Any) -> Loc:
+    """A location without the tags of unions that pydantic puts between the keys."""
+    loc, kind = error["loc"], error["type"]
+    clean: list[str | int] = []
+    for i, part in enumerate(loc):
+        last = i == len(loc) - 1
+        if _has(data, part):
+            data = data[part]
+        elif not (last and kind == "missing"):
+            continue
+        clean.append(part)
+    if kind.startswith("union_tag"):
+        clean.append(_tag_key(error))
+    return tuple(clean)
+
+
+def _has(data: Any, part: str | int) -> bool:
+    if isinstance(data, dict):
+        return part in data
+    return isinstance(data, list) and isinstance(part, int) and part < len(data)
+
+
+def _repair(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> bool:
+    """Turn a whole float into an integer where one is needed (``total_timesteps=1e6``)."""
+    value = errors[0]["input"]
+    if {e["type"] for e in errors} != {"int_type"} or not isinstance(value, float):
+        return False
+    if not value.is_integer():
+        return False
+    for part in loc[:-1]:
+        data = data[part]
+    data[loc[-1]] = int(value)
+    return True
+
+
+def _prune(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> Loc:
+    """Remove a wrong key, the list that contains it, or the map that lacks a required key."""
+    if errors[0]["type"] == "missing" or errors[0]["type"].startswith("union_tag"):
+        loc = loc[:-1]
+    while loc and isinstance(loc[-1], int):
+        loc = loc[:-1]
+    for part in loc[:-1]:
+        data = data.get(part, {})
+    if loc:
+        data.pop(loc[-1], None)
+    return loc
+
+
+def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> Problem:
+    """The message for the user."""
+    error = errors[0]
+    kind, value = error["type"], error["input"]
+    if kind == "unexpected_keyword_argument":
+        return _unknown_key(path, loc, value, data)
+    if kind.startswith("union_tag"):
+        return _wrong_tag(path, value, _tag_key(error))
+    if kind in ("too_short", "too_long"):
+        schema = schema_at(loc, data)
+        low, high = schema.get("minItems"), schema.get("maxItems")
+        wanted = f"at most {high}" if low is None else low if low == high else f"at least {low}"
+        values = "value" if 1 in (low, high) else "values"
+        return Problem(path, f"expected {wanted} {values}, got {len(value)}: {show_value(value)}")
+    message, hint = what_is_wrong(errors, PATTERNS)
+    if value is None and not hint and schema_at(loc, data).get("additionalProperties"):
+        hint = "Null takes out single entries: NAME: null."
+    return Problem(path, message, hint, expected=expected_kind(errors))
+
+
+def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:
+    allowed = key_names(schema_at(loc[:-1], data))
+    if len(loc) > 1 and loc[:-1] == ("task",):
+        allowed = [name for name in allowed if name not in ROOT_INSTEAD]
+    name = str(loc[-1])
+    if loc[:-1] == ("algo",) and name in ALGO_INSTEAD:
+        return Problem(path, f"not a key of an algorithm; {ALGO_INSTEAD[name]}")
+    message, hint = unknown_key(name, allowed)
+    if len(loc) == 1 and name in key_names(schema_at(["task"], {})):
+        hint = f"Did you mean 'task.{name}'?"
+    return Problem(path, message, hint)
+
+
+def _tag_key(error: ErrorDetails) -> str:
+    """The key that should have chosen between the members of a union: ``shape_type``."""
+    return str(error["ctx"]["discriminator"]).strip("'")
+
+
+def _wrong_tag(path: str, value: Any, key: str) -> Problem:
+    tag = value.get(key) if isinstance(value, dict) else None
+    schema = TypeAdapter(_TAGS[key]).json_schema()
+    members = [schema["$defs"][one["$ref"].rpartition("/")[2]] for one in schema["oneOf"]]
+    names = [_tags(member, key)[0] for member in members]
+    what = "algorithm" if key == "name" else key.removesuffix("_type")
+    if tag is None:
+        return Problem(path, f"missing value; one of: {', '.join(names)}")
+    hint = did_you_mean(str(tag), names).strip()
+    return Problem(path, f"unknown {what} {show_value(tag)}; one of: {', '.join(names)}.", hint)
+
+
+def _tags(member: Mapping[str, Any], key: str) -> list[str]:
+    """The tags of a union's member: its name, then other names of it."""
+    tag = member["properties"][key]
+    return list(tag["enum"]) if "enum" in tag else [tag["const"]]
+
+
+def schema_at(parts: Sequence[str | int], data: Any) -> Mapping[str, Any]:
+    """Return the JSON schema of a key path; empty if none is declared.
+
+    Args:
+        parts: The path; keys of maps and indices of lists included.
+        data: The tree that is checked; its values choose between the members of unions.
+    """
+    schema = _chosen(_schema(), data)
+    for part in parts:
+        data = data[part] if _has(data, part) else None
+        if part in schema.get("properties", ()):
+            below = schema["properties"][part]
+        else:
+            below = schema.get("items" if isinstance(part, int) else "additionalProperties")
+        schema = _chosen(below or {}, data)
+    return schema
+
+
+def key_names(schema: Mapping[str, Any]) -> list[str]:
+    """Return the keys that a schema declares; empty if it is not that of a config class."""
+    return list(schema.get("properties", ()))
+
+
+@cache
+def _schema() -> dict[str, Any]:
+    return _adapter().json_schema()
+
+
+def _chosen(schema: Any, value: Any) -> Mapping[str, Any]:
+    """The member of a union that fits a value: by its tag, else by its type, else the first."""
+    if not isinstance(schema, Mapping):  # additionalProperties: true
+        return {}
+    if "$ref" in schema:
+        return _chosen(_schema()["$defs"][schema["$ref"].rpartition("/")[2]], value)
+    members = schema.get("oneOf") or schema.get("anyOf")
+    if not members:
+        return schema
+    tag = schema.get("discriminator", {"propertyName": ""})["propertyName"]
+    chosen = [_chosen(member, value) for member in members]
+    if isinstance(value, Mapping) and tag in value:
+        chosen.sort(key=lambda one: value[tag] not in _tags(one, tag))
+    kind = "array" if isinstance(value, list) else "object"
+    return next((one for one in chosen if one.get("type") == kind), chosen[0])

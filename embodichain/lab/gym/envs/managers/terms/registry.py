@@ -1,0 +1,441 @@
+"""The registry of terms: `register_term`, `quantity`, `TERMS`, and lookup by name or path.
+
+A *quantity* is a function that reads numbers from the scene, ``(env, ...) -> (N,) or (N, K)``; a
+*shape* (`register_shape`) reduces each row of them to one number; the section of a task determines
+whether the result is a reward, a metric, a termination or an observation. Other terms are functions
+and classes with the signature of their kind. Imports no torch, so that listing and validating start
+fast; modules of terms load torch lazily for the same reason.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import logging
+import pkgutil
+import re
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from types import SimpleNamespace
+from typing import Any, Literal, TypeVar, cast, get_args
+
+from embodichain.lab.gym.envs.managers.terms.other_projects import translation_of
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.plugins import TERM_MODULES
+from embodichain.utils.suggest import did_you_mean, listing
+
+__all__ = [
+    "ENTRY_POINTS",
+    "KINDS",
+    "LEADING",
+    "REDUCERS",
+    "SECTIONS",
+    "SHAPES",
+    "TERMS",
+    "VALUE_KINDS",
+    "Kind",
+    "SpecKind",
+    "TermSpec",
+    "describe_term",
+    "import_object",
+    "quantity",
+    "register_shape",
+    "register_term",
+    "resolve_term",
+]
+
+Kind = Literal[
+    "event",
+    "observation",
+    "reward",
+    "action",
+    "termination",
+    "metric",
+    "command",
+    "curriculum",
+]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+SECTIONS: dict[str, Kind] = {
+    "actions": "action",
+    "events": "event",
+    "commands": "command",
+    "observations": "observation",
+    "rewards": "reward",
+    "terminations": "termination",
+    "metrics": "metric",
+    "curriculum": "curriculum",
+}
+"""Section of a task -> kind of its terms, in the order of pages and tables."""
+VALUE_KINDS: tuple[Kind, ...] = ("observation", "reward", "termination", "metric")
+"""Kinds whose terms are numbers: quantities can be used in all of them."""
+SpecKind = Kind | Literal["policy", "shape", "step"]
+LEADING: dict[SpecKind, tuple[str, ...]] = {
+    "event": ("env", "env_ids"),
+    "observation": ("env", "obs"),
+    "reward": ("env", "obs", "action", "info"),
+    "termination": ("env", "obs", "action", "info"),
+    "metric": ("env", "obs", "action", "info"),
+    "action": ("env",),
+    "command": ("env",),
+    "curriculum": ("env", "env_ids"),
+    "policy": ("obs", "env"),
+    "shape": ("env",),
+    "step": ("env",),
+}
+"""First arguments of a function of each kind. The `__init__` of a class receives `env` (that of a
+policy, which is described here but is not a term, only parameters; so are functions that make
+the steps of an expert)."""
+_LEAD_OF_QUANTITIES = ("obs", "action", "info")
+"""Arguments that a quantity may take after `env`, in this order; not in observations."""
+
+logger = logging.getLogger(__name__)
+
+T = TypeVar("T", bound=Callable[..., Any])
+_BUILTIN = "embodichain.lab.gym.envs.mdp"
+_MODULES = ("shapes", "sampled_commands", "curricula", "terrain")
+_PACKAGES = ("actions", "events", "quantities")
+ENTRY_POINTS = "embodichain.terms"
+"""Entry point group of packages with terms: each entry is a module to import with ours."""
+_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
+
+
+@dataclass(frozen=True)
+class TermSpec:
+    """One term: a function or class that a config names.
+
+    Attributes:
+        name: Its name in configs.
+        kind: The manager that runs it.
+        func: The function or class.
+        params: The parameters that a config may set, by name, in order, without the leading
+            arguments. A Python name that ends in "_" (``from_``) is written without it.
+        doc: Its docstring.
+        open_params: Whether it takes ``**kwargs``, so that any further name is allowed.
+        lead: Which of ``obs``, ``action`` and ``info`` a quantity takes after ``env``; None for
+            other terms.
+    """
+
+    name: str
+    kind: SpecKind
+    func: Callable[..., Any]
+    params: dict[str, inspect.Parameter]
+    doc: str
+    open_params: bool = False
+    lead: tuple[str, ...] | None = None
+    _hints: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def is_class(self) -> bool:
+        """Whether the term is built once and then called."""
+        return inspect.isclass(self.func)
+
+    @property
+    def label(self) -> str:
+        """Kind and name, for messages: ``event term 'push'``."""
+        kind = self.kind if self.kind in ("policy", "shape", "step") else f"{self.kind} term"
+        return f"{kind} {self.name!r}"
+
+    @property
+    def place(self) -> str:
+        """Where it is defined: ``package.module:name``."""
+        return _place(self.func)
+
+    def hints(self) -> dict[str, Any]:
+        """Evaluated types of the parameters only: those of `env` and the result may need torch."""
+        if not self._hints:
+            target = self.func.__init__ if self.is_class else inspect.unwrap(self.func)
+            scope = getattr(target, "__globals__", {})
+            for name, parameter in self.params.items():
+                self._hints[name] = _evaluated(parameter.annotation, scope)
+        return self._hints
+
+    def written(self, given: Iterable[str]) -> dict[str, str]:
+        """Names in a config -> the parameters they mean; unknown names are left out.
+
+        ``of``, ``from`` and ``to`` are written for ``entity_cfg``, ``source_entity_cfg`` and
+        ``target_entity_cfg``, and the other way round.
+        """
+        meant = {}
+        for name in given:
+            other = _OTHER_NAMES.get(name, name)
+            if name in self.params or self.open_params:
+                meant[name] = name
+            elif other in self.params:
+                meant[name] = other
+        return meant
+
+    def arguments(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return values by parameter name as keyword arguments of the function."""
+        return {self.params[k].name if k in self.params else k: v for k, v in values.items()}
+
+
+_OTHER_NAMES = {"of": "entity_cfg", "from": "source_entity_cfg", "to": "target_entity_cfg"}
+_OTHER_NAMES |= {old: new for new, old in _OTHER_NAMES.items()}
+
+
+def _evaluated(annotation: Any, scope: dict[str, Any]) -> Any:
+    if annotation is inspect.Parameter.empty:
+        return Any
+    holder: Any = SimpleNamespace(__annotations__={"it": annotation})
+    try:
+        return typing.get_type_hints(holder, scope, {}, include_extras=True)["it"]
+    except NameError:  # a name imported for type checkers only: its type cannot be checked
+        return Any
+
+
+class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
+    """kind -> name -> term; the built-in terms are imported at the first access."""
+
+    def __init__(self) -> None:
+        self.registered: dict[Kind, dict[str, TermSpec]] = {kind: {} for kind in KINDS}
+        self.broken: list[str] = []  # entry points that could not be loaded, and why
+        self._loaded = False
+
+    def __getitem__(self, kind: Kind) -> dict[str, TermSpec]:
+        if not self._loaded:
+            self._loaded = True  # before importing: a module of terms may look up terms
+            try:
+                for package in _PACKAGES:
+                    _import_modules(f"{_BUILTIN}.{package}")
+                for module in (*(f"{_BUILTIN}.{name}" for name in _MODULES), *TERM_MODULES):
+                    importlib.import_module(module)
+            except BaseException:
+                self._loaded = False
+                raise
+            self.broken = _load_entry_points()
+        return self.registered[kind]
+
+    def __iter__(self) -> Iterator[Kind]:
+        return iter(KINDS)
+
+    def __len__(self) -> int:
+        return len(KINDS)
+
+
+def _load_entry_points() -> list[str]:
+    """Import users' modules of terms; modules that fail are reported and left out."""
+    broken: list[str] = []
+    for entry in sorted(entry_points(group=ENTRY_POINTS)):
+        try:
+            entry.load()
+        except Exception as error:  # a user's module may raise anything; other terms must work
+            owner = "" if entry.dist is None else f" of {entry.dist.name}"
+            reason = f"{type(error).__name__}: {error}"
+            broken.append(
+                f"the terms of {entry.value!r} (entry point {entry.name!r}{owner}) could not be "
+                f"loaded: {reason}"
+            )
+            logger.warning("%s", broken[-1])
+            logger.debug("the traceback:", exc_info=error)
+    return broken
+
+
+def _import_modules(package: str) -> None:
+    """Import every public module of a package: their decorators register the terms."""
+    found = importlib.import_module(package)
+    for module in pkgutil.iter_modules(found.__path__):
+        if not module.name.startswith("_"):
+            importlib.import_module(f"{package}.{module.name}")
+
+
+TERMS = _TermTable()
+"""Every registered term: ``TERMS[kind][name]``."""
+
+
+def register_term(*kinds: Kind, name: str | None = None) -> Callable[[T], T]:
+    """Make a function or class available to configs under a name.
+
+    Args:
+        *kinds: The managers that may run it; one signature can serve several.
+        name: Its name; None is the function's name.
+
+    Returns:
+        A decorator that returns its argument.
+
+    Raises:
+        ValueError: If a kind is unknown, or the name is taken by another object.
+    """
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown or not kinds:
+        raise ValueError(f"unknown kind of term {unknown or kinds}; allowed: {', '.join(KINDS)}")
+
+    def decorate(func: T) -> T:
+        for kind in kinds:
+            add_term(describe_term(kind, func, name))
+        return func
+
+    return decorate
+
+
+def add_term(spec: TermSpec) -> None:
+    """Register a term from its `TermSpec`.
+
+    Raises:
+        ValueError: If its name is taken by another object.
+    """
+    table = SHAPES if spec.kind == "shape" else TERMS.registered[cast("Kind", spec.kind)]
+    known = table.get(spec.name)
+    if known is not None and known.place != spec.place:
+        raise ValueError(f"{spec.label} is registered already, by {known.place}")
+    table[spec.name] = spec
+
+
+def quantity(*kinds: Kind, name: str | None = None) -> Callable[[T], T]:
+    """Register a function (or class) that reads numbers from the scene.
+
+    A function takes ``env``, then those of ``obs``, ``action`` and ``info`` that it reads (a
+    quantity that reads any of them cannot be an observation), then parameters. A class takes
+    ``(env, **params)`` and is called without arguments.
+
+    Args:
+        *kinds: The managers that may use it; by default observation, reward, termination and
+            metric, as far as its arguments allow.
+        name: Its name; None is the function's name.
+
+    Returns:
+        A decorator that returns its argument. The quantity must return float64 or bool, (N,) or
+        (N, K); observations may have more dimensions.
+    """
+
+    def decorate(func: T) -> T:
+        lead = _lead_of(func)
+        _LEADS[func] = lead
+        chosen = kinds or (VALUE_KINDS[1:] if lead else VALUE_KINDS)
+        for kind in chosen:
+            add_term(describe_term(kind, func, name))
+        return func
+
+    return decorate
+
+
+def register_shape(func: T) -> T:
+    """Register a shape, which reduces rows of a quantity to numbers, under its lower-case name.
+
+    A "_" at the end of the name, which avoids a clash with another Python name, is left out.
+
+    ``(env, **params)`` returns a callable, or is a class with `__call__`: (N,) or (N, K) float64 or
+    bool -> the same or (N,).
+    """
+    title = str(getattr(func, "__name__", "")).lower().removesuffix("_")
+    add_term(describe_term("shape", func, title))
+    return func
+
+
+def _lead_of(func: Callable[..., Any]) -> tuple[str, ...]:
+    if inspect.isclass(func):
+        return ()
+    names = list(inspect.signature(func).parameters)[1:]
+    count = next((i for i, n in enumerate(names) if n not in _LEAD_OF_QUANTITIES), len(names))
+    return tuple(names[:count])
+
+
+_LEADS: dict[Callable[..., Any], tuple[str, ...]] = {}
+"""Quantities -> the arguments that they take after `env`."""
+SHAPES: dict[str, TermSpec] = {}
+"""Every registered shape by name; filled with the terms."""
+REDUCERS = (
+    *("column", "l1", "l2", "norm", "tanh", "gaussian", "tolerance"),
+    *("above", "below", "within", "outside"),
+)
+"""The shapes that make one number of several columns."""
+
+
+def _place(func: Callable[..., Any]) -> str:
+    return f"{func.__module__}:{getattr(func, '__qualname__', type(func).__qualname__)}"
+
+
+def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = None) -> TermSpec:
+    """Describe a term by its signature.
+
+    Raises:
+        ValueError: If the signature lacks the arguments that the manager passes.
+    """
+    title = name or str(getattr(func, "__name__", type(func).__name__))
+    of_quantity = _LEADS.get(func)
+    lead = LEADING[kind] if of_quantity is None else ("env", *of_quantity)
+    if inspect.isclass(func):
+        lead = () if kind == "policy" else ("env",)
+    params = list(inspect.signature(func).parameters.values())
+    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    if len(params) < len(lead) or any(p.kind not in positional for p in params[: len(lead)]):
+        raise ValueError(f"{kind} term {title!r} must take ({', '.join(lead)}, ...) first")
+    rest = params[len(lead) :]
+    variable = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    return TermSpec(
+        name=title,
+        kind=kind,
+        func=func,
+        params={p.name.removesuffix("_"): p for p in rest if p.kind not in variable},
+        doc=inspect.getdoc(func) or "",
+        open_params=any(p.kind is inspect.Parameter.VAR_KEYWORD for p in rest),
+        lead=of_quantity,
+    )
+
+
+def resolve_term(
+    kind: Kind, func: str | Callable[..., Any], *, allow_import: bool = True
+) -> TermSpec:
+    """Find the term that a config's `func` names.
+
+    Args:
+        kind: The kind of the term.
+        func: A registered name, ``package.module:function``, or a callable.
+        allow_import: Whether an import path may be followed; False for configs read from a log.
+
+    Raises:
+        ConfigError: If there is no such term; names the closest one.
+    """
+    if not isinstance(func, str):
+        known = next((s for s in TERMS[kind].values() if s.func is func), None)
+        return known or _described(kind, func, None)
+    known = TERMS[kind].get(func)
+    if known is not None:
+        return known
+    if ":" in func:
+        if not allow_import:
+            raise ConfigError(f"{func!r} would be imported, which is not done for this config")
+        return _described(kind, import_object(func), func)
+    elsewhere = [other for other in KINDS if func in TERMS[other]]
+    if elsewhere:
+        raise ConfigError(f"{func!r} is a term of kind {', '.join(elsewhere)}, not {kind}")
+    translation = translation_of(func)
+    if translation:
+        raise ConfigError(f"unknown {kind} term {func!r}.{translation}")
+    names = listing(sorted(TERMS[kind]), func, "embodichain list terms")
+    missing = "".join(f" Besides, {reason}." for reason in TERMS.broken)
+    raise ConfigError(
+        f"unknown {kind} term {func!r}; allowed: {names}, or package.module:function."
+        f"{did_you_mean(func, TERMS[kind])}{missing}"
+    )
+
+
+def _described(kind: Kind, func: Callable[..., Any], name: str | None) -> TermSpec:
+    if not callable(func):
+        raise ConfigError(f"{name or func!r} is not a function or class")
+    try:
+        return describe_term(kind, func, name)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+
+
+def import_object(path: str) -> Any:
+    """Import the object ``package.module:name``.
+
+    Raises:
+        ConfigError: If the path is malformed, or its module or name does not exist.
+    """
+    if not _PATH.fullmatch(path):
+        raise ConfigError(f"{path!r} is not of the form package.module:function")
+    module_name, _, attribute = path.partition(":")
+    try:
+        found: Any = importlib.import_module(module_name)
+    except ImportError as error:
+        raise ConfigError(f"cannot import {module_name!r}: {error}") from error
+    for part in attribute.split("."):
+        if not hasattr(found, part):
+            public = [n for n in dir(found) if not n.startswith("_")]
+            raise ConfigError(f"{module_name!r} has no {part!r}.{did_you_mean(part, public)}")
+        found = getattr(found, part)
+    return found

@@ -1,0 +1,1 @@
+"""Steps whose arrays are on a device: a CUDA graph, and copies for observers."""

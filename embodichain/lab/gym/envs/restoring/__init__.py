@@ -1,0 +1,1 @@
+"""Returning to a recorded moment, and to the state before startup events."""

@@ -1,0 +1,253 @@
+"""Restoring a recorded moment: the state, the model and the draws of a `Snapshot`.
+
+`state_of` and `load_state` save and restore an environment of this process, to the bit.
+
+A snapshot has no states of terms (histories, delays, commands, timers) and of random streams: they
+begin as at a reset, and `not_restored` names them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.restoring.snapshot import Drawn, Snapshot, SnapshotSource
+from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, compiled_field, row_layout
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.managers.manager import Manager
+    from embodichain.lab.gym.envs.step.episodes import Episodes
+    from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
+    from embodichain.lab.sim.engine.api import Engine, EnvIndex
+    from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.utils.random import RandomStreams
+
+__all__ = ["SavedEnv", "load_state", "not_restored", "put", "snapshot_of", "state_of"]
+
+_PARTS = ("sim", "streams", "episodes")
+
+_ALWAYS = ("random streams", "sums of rewards and metrics over the episode")
+
+_EXTRAS = {
+    "memories": "noise, delay, history",
+    "pipelines": "actions under way",
+    "timers": "when it fires next",
+    "left": "when it is drawn next",
+}
+"""Entries of a manager's state besides those of its terms."""
+
+
+class SavedEnv(Protocol):
+    """What `state_of` reads of an environment."""
+
+    @property
+    def num_envs(self) -> int:
+        """N."""
+
+    control_step: int
+    np_random: np.random.Generator
+    observation_buffer: ObservationBuffer
+    managers: dict[str, Manager[Any]]
+    sim: SimulationManager
+    streams: RandomStreams
+    episodes: Episodes
+
+
+def state_of(env: SavedEnv) -> dict[str, Any]:
+    """Return the state from which an environment continues bit for bit (copies)."""
+    state = {
+        "num_envs": env.num_envs,
+        "control_step": env.control_step,
+        "np_random": env.np_random.bit_generator.state,
+        "observation": env.observation_buffer.last.copy(),
+        "managers": {name: manager.state_dict() for name, manager in env.managers.items()},
+        **{name: getattr(env, name).state_dict() for name in _PARTS},
+    }
+    saved: dict[str, Any] = env.sim.arrays.saved(state)
+    return saved
+
+
+def load_state(env: SavedEnv, saved: dict[str, Any]) -> None:
+    """Continue where `state_of` was taken, in an environment of the same config.
+
+    Raises:
+        ValueError: If the number of environments differs.
+    """
+    if saved["num_envs"] != env.num_envs:
+        raise ValueError(
+            f"this state is of {saved['num_envs']} environments, the environment has {env.num_envs}"
+        )
+    saved = env.sim.arrays.loaded(saved)
+    for name in _PARTS:
+        getattr(env, name).load_state_dict(saved[name])
+    env.np_random.bit_generator.state = saved["np_random"]
+    for name, manager in env.managers.items():
+        manager.load_state_dict(saved["managers"][name])
+    env.control_step = saved["control_step"]
+    env.observation_buffer.last = saved["observation"].copy()
+
+
+def snapshot_of(
+    log: SnapshotSource | Snapshot, env: int, episode: int | None, step: int | None
+) -> Snapshot:
+    """Return the snapshot that the arguments of `BaseEnv.restore` refer to.
+
+    Raises:
+        TypeError: If it is neither a snapshot nor an open log.
+        ConfigError: If there is no such moment.
+    """
+    if isinstance(log, Snapshot):
+        return log
+    if not hasattr(log, "snapshot"):
+        raise TypeError(f"log must be an open log: embodichain.recording.open({str(log)!r})")
+    return log.snapshot(env, episode, step)
+
+
+def put(
+    snapshot: Snapshot,
+    sim: SimulationManager,
+    managers: Mapping[str, Manager[Any]],
+    episodes: Episodes,
+    ids: EnvIndex,
+) -> None:
+    """Set the state, model fields, draws and counters of environments from a snapshot.
+
+    Args:
+        snapshot: The snapshot.
+        sim: The simulation.
+        managers: All managers by section.
+        episodes: The counters.
+        ids: (n,) sorted unique environments.
+
+    Raises:
+        ConfigError: If it is of another scene or another action space.
+    """
+    sim.arrays.require_host("recorded states")
+    _check(snapshot, sim.engine.model, episodes.last_action.shape[1])
+    where = None if len(ids) == sim.num_envs else ids
+    for manager in managers.values():
+        manager.reset(where)
+    sim.reset_objects_state(where)
+    for drawn in snapshot.drawn:
+        _replay_draw(managers, drawn, where)
+    _put_model(sim.engine, snapshot.fields, where)
+    sim.engine.write("row", snapshot.row, where)
+    for handle in {**sim.robots, **sim.articulations}.values():
+        handle.drives.load_fields(where, snapshot.fields)
+    for body in sim.rigid_objects.values():
+        body.load_fields(where, snapshot.fields)
+    sim.engine.forward(where)
+    commands: Any = managers["commands"]
+    commands.update(where)
+    episodes.restore(ids, snapshot.elapsed, snapshot.episode)
+    episodes.set_last_action(ids, snapshot.last_action)
+
+
+def _replay_draw(
+    managers: Mapping[str, Manager[Any]], drawn: Drawn, where: EnvIndex | None
+) -> None:
+    """Call a term with its recorded draws, to set what it stores outside the simulation state."""
+    manager: Any = managers["commands" if drawn.mode == "command" else "events"]
+    term = manager.terms.get(drawn.term)
+    if term is None:
+        return
+    if drawn.mode == "command" or (term.cfg.mode == drawn.mode and not term.cfg.is_global):
+        manager.replay(drawn.term, drawn.mode, where, drawn.values)
+
+
+def _put_model(engine: Engine, fields: Mapping[str, NDArray[Any]], where: EnvIndex | None) -> None:
+    """Set the fields that differ between environments; reset all others to the compiled model."""
+    engine.forward(where)  # pending derivations must not overwrite the fields set below
+    engine.reset(where)
+    for name, values in engine.state_dict()["model"].items():
+        if name not in fields:
+            width = values[0].size  # of bounding volumes, a batch has only those of bodies
+            compiled = compiled_field(engine.model, name).reshape(-1)[:width]
+            engine.write_model(name, compiled, where)
+    for again in range(2 if DERIVED_FIELDS & fields.keys() else 1):
+        if again:
+            engine.set_const(where)  # for derived quantities that are not fields
+        for name, values in fields.items():
+            engine.write_model(name, values, where)
+
+
+def _check(snapshot: Snapshot, model: mujoco.MjModel, width: int) -> None:
+    for what, here, there in zip(
+        ("bodies", "joints", "actuators"), _names(model), _names(snapshot.model), strict=True
+    ):
+        if here != there:
+            missing = [name for name in there if name not in here] or list(there)
+            raise ConfigError(
+                f"{snapshot.origin}: it is of another scene: {what} here are "
+                f"{', '.join(here) or 'none'}; recorded were {', '.join(missing)}"
+            )
+    layout = {name: (s.start, s.stop) for name, s in row_layout(model).items()}
+    if layout != dict(snapshot.layout):
+        raise ConfigError(f"{snapshot.origin}: its rows have other components than this scene's")
+    if snapshot.last_action.shape != (width,):
+        raise ConfigError(
+            f"{snapshot.origin}: its actions have {len(snapshot.last_action)} columns, here {width}"
+        )
+
+
+def _names(model: mujoco.MjModel) -> tuple[list[str], ...]:
+    kinds = (model.nbody, model.body), (model.njnt, model.joint), (model.nactuator, model.actuator)
+    return tuple([named(i).name for i in range(count)] for count, named in kinds)
+
+
+def not_restored(
+    snapshot: Snapshot, sim: SimulationManager, managers: Mapping[str, Manager[Any]]
+) -> list[str]:
+    """What differs from the recorded moment, one line each."""
+    found = [*snapshot.notes, *_ALWAYS]
+    for uid, sensor in sim.sensors.items():
+        if sensor.cfg.rate is not None:
+            found.append(f"sensors.{uid}: readings between measurements")
+    again = {("commands" if d.mode == "command" else "events", d.term) for d in snapshot.drawn}
+    for section, manager in managers.items():
+        for name, why in _kept(manager):
+            if why or (section, name) not in again:
+                found.append(f"{section}.{name}{why}")
+    other = _differing(sim.engine.model, snapshot.model)
+    if other:
+        found.insert(0, f"the scene is another one: its {', '.join(other)} differ")
+    return found
+
+
+def _kept(manager: Manager[Any]) -> Iterator[tuple[str, str]]:
+    """Names of terms with a state, and which part of it where that is not the term's own."""
+    if not len(manager):
+        return
+    state = manager.state_dict()
+    for name in manager.terms:
+        if _any(state["terms"].get(name)):
+            yield name, ""
+        always = getattr(manager.terms[name].cfg, "interval_step", None) == 1
+        for key, what in _EXTRAS.items():
+            if _any(state.get(key, {}).get(name)) and not (always and key == "timers"):
+                yield name, f": {what}"
+
+
+def _any(value: Any) -> bool:
+    return bool(len(value)) if hasattr(value, "__len__") else value is not None
+
+
+def _differing(here: mujoco.MjModel, there: mujoco.MjModel) -> list[str]:
+    """Arrays of the model, and numbers of its options, that are not the same."""
+    found = []
+    for a, b, prefix in ((here, there, ""), (here.opt, there.opt, "opt.")):
+        for name in dir(a):
+            own = name.startswith("_") or name == "signature"  # differs for each compilation
+            value = None if own else getattr(a, name)
+            if isinstance(value, (np.ndarray, int, float)) and not _same(value, getattr(b, name)):
+                found.append(prefix + name)
+    return found
+
+
+def _same(a: Any, b: Any) -> bool:
+    return np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")

@@ -1,0 +1,1 @@
+"""What a step computes beside physics: observations, judgements, ends of episodes."""

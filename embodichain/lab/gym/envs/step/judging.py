@@ -1,0 +1,436 @@
+"""Results of a step: success and failure, rewards, divergence, and which episodes end.
+
+`StepJudge` calls the hooks and managers of an environment; the functions work on arrays (N,).
+`StateDump` writes the states of environments that diverged to files.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.managers.terms.term_errors import (
+    finite_physics,
+    kind_of_values,
+    listed,
+    present_step,
+    warn_not_finite,
+)
+from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, TermRows, check_shapes
+from embodichain.utils.arrays import all_finite, as_env_ids, is_host, tensor_of
+from embodichain.utils.system.atomic import atomic_file
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.managers.action_manager import ActionManager
+    from embodichain.lab.gym.envs.managers.drawing import CommandManager
+    from embodichain.lab.gym.envs.managers.manager import CurriculumManager
+    from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+    from embodichain.lab.gym.envs.observation import Observation
+    from embodichain.lab.gym.envs.step.episodes import Episodes
+    from embodichain.lab.sim.engine.api import F64, Engine
+    from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.arrays import Arrays
+
+__all__ = [
+    "Outcome",
+    "StateDump",
+    "StepJudge",
+    "as_mask",
+    "bad_rows",
+    "none_set",
+    "reset_ids",
+    "task_state",
+    "zeroed",
+]
+
+Mask = NDArray[np.bool_]
+F32 = NDArray[np.float32]
+Info = dict[str, Any]
+_TAKE_OBS = ("get_reward", "_extend_reward", "check_truncated")
+_OBSERVE = ("get_obs", "_extend_obs", "_get_sensor_obs")
+_ID_KEYS = ("reset_ids", "env_ids", "env_idx", "reset_mask")
+
+
+@dataclass(slots=True)
+class Outcome:
+    """Why episodes end in a step; each is (N,) bool, None where it cannot be."""
+
+    success: Mask
+    fail: Mask
+    time_out: Mask | None = None
+
+    def ends(self, truncated: Mask, ignore_terminations: bool) -> tuple[Mask, Mask]:
+        """Return the masks (N,) of terminated and truncated environments.
+
+        Args:
+            truncated: (N,) episodes at their limit; may be changed.
+            ignore_terminations: Whether success and failure do not end episodes.
+        """
+        if self.time_out is not None:
+            truncated |= self.time_out
+        terminated = self.success | self.fail
+        if ignore_terminations:
+            terminated = np.zeros_like(terminated)
+        return terminated, truncated
+
+
+def task_state(state: Any, num_envs: int, name: str) -> dict[str, Any]:
+    """Return entries of ``info`` from the result of `compute_task_state`.
+
+    Args:
+        state: Success (N,), failure (N,) and metrics by name.
+        num_envs: N.
+        name: The method, for messages.
+
+    Raises:
+        TypeError: If it is not three values.
+        ValueError: If a metric is not (N,).
+    """
+    if not isinstance(state, tuple) or len(state) != 3:
+        raise TypeError(f"{name} must return (success, fail, metrics), got {state!r}")
+    success, fail, metrics = state
+    copies = {name: torch.as_tensor(value).detach().clone() for name, value in metrics.items()}
+    for metric, value in copies.items():
+        if value.shape != (num_envs,):
+            raise ValueError(f"metric {metric!r} must be ({num_envs},), got {tuple(value.shape)}")
+    return {"success": success, "fail": fail, "metrics": copies}
+
+
+def checked_reward(reward: Any, num_envs: int, hook: str, arrays: Arrays) -> NDArray[np.float32]:
+    """Return a copy of a hook's result as (N,) float32.
+
+    Raises:
+        ValueError: If it is not a tensor (N,); names the hook.
+    """
+    if not isinstance(reward, torch.Tensor) or reward.shape != (num_envs,):
+        found = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
+        raise ValueError(f"{hook} must return a tensor of shape ({num_envs},), got {found}")
+    copy: NDArray[np.float32] = arrays.of(reward).astype(np.float32)
+    return copy
+
+
+def none_set(mask: Mask) -> bool:
+    """Whether no flag of a mask is set; for few environments, twice as fast as a reduction.
+
+    False on a device, where it is not known: what depends on the mask is then computed for all.
+    """
+    if not is_host(mask):
+        return False
+    return b"\1" not in mask.tobytes()
+
+
+def as_mask(value: Any, num_envs: int, what: str, arrays: Arrays) -> Mask:
+    """Return a mask (N,) as a new array; None is all False.
+
+    Raises:
+        ValueError: If it is not (N,); (N, 1) is refused too, because it would broadcast.
+    """
+    if value is None:
+        none: Mask = arrays.full(num_envs, False, np.bool_)
+        return none
+    array = arrays.of(value)
+    if array.shape != (num_envs,):
+        raise ValueError(f"{what} must have shape ({num_envs},), got {array.shape}")
+    mask: Mask = array.astype(np.bool_)
+    return mask
+
+
+def reset_ids(options: dict[str, Any], num_envs: int) -> NDArray[np.int64]:
+    """Remove the environments to reset from the options of `reset`, and return them.
+
+    Args:
+        options: ``reset_ids``, ``env_ids``, ``env_idx`` and ``reset_mask`` are removed from it.
+        num_envs: N.
+
+    Returns:
+        (n,) sorted unique int64; all of them if none is named.
+
+    Raises:
+        ValueError: If two of these options are given, or the indices or the mask are invalid.
+    """
+    given: Mapping[str, Any] = {key: options.pop(key) for key in _ID_KEYS if key in options}
+    if len(given) > 1:
+        raise ValueError(f"give one of {', '.join(given)}, not several")
+    ids = None
+    for key, value in given.items():
+        try:
+            ids = as_env_ids(value, num_envs)
+        except ValueError as error:
+            raise ValueError(f"options[{key!r}]: {error}") from error
+    return np.arange(num_envs) if ids is None else ids
+
+
+def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
+    """(N,) rows of (N,) or (N, W) with a number that is not finite; None if there is none.
+
+    On a device it is always a mask.
+    """
+    if is_host(values) and all_finite(values):
+        return None
+    if is_host(values):
+        bad: Mask = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        return bad
+    largest = np.abs(values) if values.ndim == 1 else np.abs(values).max(axis=1)
+    wild: Mask = ~(largest < np.inf)  # the largest of NaN and others is NaN
+    return wild
+
+
+def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
+    """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
+
+    Args:
+        info: Not changed, nor are its tensors.
+        rows: (N,) bool.
+    """
+    copy, mask = dict(info), tensor_of(rows)
+    for key, value in info.items():
+        if isinstance(value, TermRows):
+            copy[key] = value.zeroed(rows)
+        elif isinstance(value, Mapping):
+            copy[key] = zeroed(value, rows)
+        elif isinstance(value, torch.Tensor) and value.shape[:1] == mask.shape:
+            copy[key] = value.masked_fill(mask.reshape(-1, *[1] * (value.ndim - 1)), 0)
+    return copy
+
+
+class _JudgedByHooks(JudgedEnv, Protocol):
+    episodes: Episodes
+
+    @property
+    def action_manager(self) -> ActionManager: ...
+
+    @property
+    def command_manager(self) -> CommandManager: ...
+
+    @property
+    def observation_manager(self) -> ObservationManager: ...
+
+    @property
+    def curriculum_manager(self) -> CurriculumManager: ...
+
+    def get_info(self, **kwargs: Any) -> dict[str, Any]: ...
+
+    def get_reward(self, obs: EnvObs, action: Any, info: dict[str, Any]) -> torch.Tensor: ...
+
+    def _extend_reward(
+        self, rewards: torch.Tensor, obs: EnvObs, action: Any, info: dict[str, Any]
+    ) -> torch.Tensor: ...
+
+
+class StepJudge:
+    """Evaluates a step after its physics.
+
+    Args:
+        env: The environment, its managers built.
+        overridden: Which optional hooks its class overrides.
+    """
+
+    def __init__(self, env: _JudgedByHooks, overridden: frozenset[str]) -> None:
+        self._env = env
+        self._physics: Mask | None = None
+        self._told: dict[str, int] = {}
+        # The hooks of a class may put entries into info that terms read.
+        self._checks = overridden.isdisjoint(("compute_task_state", "evaluate", "get_info"))
+        self._get_reward = env.get_reward if "get_reward" in overridden else None
+        self._extend_reward = env._extend_reward if "_extend_reward" in overridden else None
+        self._hooks_take_obs = not overridden.isdisjoint(_TAKE_OBS) or not (
+            self._checks or overridden.isdisjoint(_OBSERVE)
+        )
+
+    @property
+    def takes_obs(self) -> bool:
+        """Whether a hook or a term takes the observation, which is then made before judging.
+
+        So it is too where a class has own hooks that observe and such that judge: the latter may
+        read what the former keep, as in EmbodiChain.
+        """
+        env = self._env
+        managers = env.termination_manager, env.metric_manager, env.reward_manager
+        return self._hooks_take_obs or any(manager.takes_obs for manager in managers)
+
+    def check_terms(self, obs: EnvObs) -> None:
+        """Call every term once and check its shape, unless terms may read info of a class's hooks.
+
+        Raises:
+            ValueError: If a term's value is not (N,); names the term.
+        """
+        if self._checks:
+            check_shapes(self._env, obs)
+
+    def info(self, obs: Any, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
+        """Info of the step: from the class's hooks, then terminations, then metrics.
+
+        ``info["success"]`` is the metric `success` of a task that has one, above 0, and else what
+        ``info["success_terminated"]`` is: a termination of kind success, or the class's success.
+        Only the latter ends episodes.
+
+        Args:
+            obs: The observation, or None if nothing takes it (`takes_obs`).
+            action: The action that rewards receive.
+            kwargs: Those of `step`.
+        """
+        env = self._env
+        with env.episodes.counting(present=False):
+            found = env.get_info(**kwargs)
+        info = found if type(found) is dict else dict(found.items())  # EmbodiChain's is not a dict
+        success = as_mask(info.get("success"), env.num_envs, "success", env.arrays)
+        fail = as_mask(info.get("fail"), env.num_envs, "fail", env.arrays)
+        info["elapsed_steps"] = env.elapsed_steps
+        masks = env.termination_manager.compute(obs, action, info)
+        if "success" in masks:
+            success = success | masks["success"]
+        if "fail" in masks:
+            fail = fail | masks["fail"]
+        info["success"], info["fail"] = tensor_of(success.copy()), tensor_of(fail)
+        info["success_terminated"] = tensor_of(success)
+        env.metric_manager.compute(obs, action, info)
+        if env.action_manager.has_metrics:
+            env.action_manager.report(info["metrics"])
+        if env.command_manager.has_metrics:
+            env.command_manager.report(info["metrics"])
+        if len(env.curriculum_manager):
+            info["curriculum"] = dict(env.curriculum_manager.values)
+        env.episodes.success = env.arrays.of(info["success"]).copy()
+        return info, Outcome(success, fail, masks.get("time_out"))
+
+    def reward(self, obs: Any, action: Any, info: Info) -> F32:
+        """(N,) rewards of `get_reward`, plus those of the terms, after `_extend_reward`.
+
+        Args:
+            obs: As of `info`.
+            action: The action that rewards receive.
+            info: The result of `info`; gains the values of the terms.
+        """
+        count, own = self._env.num_envs, None
+        if self._get_reward is not None:
+            with self._as_class_counts(info):
+                given = self._get_reward(obs, action, info)
+            own = checked_reward(given, count, "get_reward", self._env.arrays)
+        reward = self._env.reward_manager.compute(own, obs, action, info)
+        if self._extend_reward is not None:
+            with self._as_class_counts(info):
+                extended = self._extend_reward(tensor_of(reward), obs, action, info)
+            reward = checked_reward(extended, count, "_extend_reward", self._env.arrays)
+        return reward
+
+    @contextmanager
+    def _as_class_counts(self, info: Info) -> Iterator[None]:
+        """Let ``elapsed_steps`` be without the present step, as EmbodiChain's hooks count."""
+        env, counted = self._env, info["elapsed_steps"]
+        with env.episodes.counting(present=False):
+            info["elapsed_steps"] = env.elapsed_steps
+            yield
+        info["elapsed_steps"] = counted
+
+    def diverged(self, obs: Observation, reward: F32) -> Mask | None:
+        """(N,) environments that diverged in this step, or None; without those pending a reset."""
+        mask = self._physics = self._env.sim.engine.take_diverged()
+        for bad in (bad_rows(obs.rows), bad_rows(reward)):
+            if bad is not None:
+                mask = bad if mask is None else mask | bad
+        if mask is None:
+            return None
+        if self._env.episodes.pending is not None:
+            mask = mask & ~self._env.episodes.pending
+        return None if none_set(mask) else mask
+
+    def explain(self, mask: Mask, obs: Observation, reward: F32, info: Info) -> None:
+        """Log why environments (N,) of `diverged` are: their physics, or which terms.
+
+        A term is only named where the physics is finite. With arrays on a device nothing is logged:
+        it is not known there whether an environment is in the mask.
+        """
+        env = self._env
+        if not is_host(mask):
+            return
+        sound = finite_physics(env)
+        if self._physics is not None:
+            sound = sound & ~self._physics
+        sick, rest = mask & ~sound, mask & sound
+        if sick.any():
+            ids = np.flatnonzero(sick)
+            text = "%s: %d of %d environments diverged (%s); they end and are reset"
+            logger.warning(text, present_step(env), len(ids), len(mask), listed(ids))
+        if not rest.any():
+            return
+        found = env.command_manager.not_finite(rest)
+        found |= env.observation_manager.not_finite(obs, rest)
+        found |= env.reward_manager.not_finite(info, rest)
+        for _, rows in found.values():
+            rest = rest & ~rows
+        if rest.any():
+            found["the sum of the rewards"] = kind_of_values(reward[rest]), rest
+        warn_not_finite(env, found, "their physics is finite; they end and are reset", self._told)
+
+    def exclude(self, mask: Mask, info: Info) -> Info:
+        """Remove environments (N,) that diverged from ``info`` and sums."""
+        info = zeroed(info, mask)
+        rewards, episodes = self._env.reward_manager, self._env.episodes
+        rewards.take_back(mask)
+        info["episode_sums"] = rewards.episode_sums
+        episodes.success = episodes.success & ~mask
+        return info
+
+
+MAX_DUMPS = 10
+"""Most files of a run: a task that always diverges would fill the disk."""
+
+logger = logging.getLogger(__name__)
+
+
+class StateDump:
+    """Copies the rows before physics, and writes those of environments that diverge to files.
+
+    Args:
+        engine: The simulations.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._before: F64 = engine.rows.copy()
+        self._written = 0
+
+    def keep(self) -> None:
+        """Copy all rows before physics steps."""
+        np.copyto(self._before, self._engine.rows)
+
+    def write(
+        self, folder: Path | None, rows: NDArray[np.bool_], control_step: int, action: F64
+    ) -> None:
+        """Write the first `MAX_DUMPS` environments that diverged to files.
+
+        A file ``diverged/step_S_env_I.npz`` contains the integration state ``before`` and ``after``
+        the physics of that control step, the ``action`` (A,) as given, and the ``model.FIELD``
+        values of that environment.
+
+        Args:
+            folder: The run's folder; None writes nothing.
+            rows: (N,) bool, environments that diverged.
+            control_step: Number of the step, from 0, as in a log of this run.
+            action: (N, A).
+        """
+        ids = np.flatnonzero(rows)
+        if folder is None or self._written >= MAX_DUMPS:
+            return
+        fields = self._engine.state_dict()["model"]
+        target = folder / "diverged"
+        target.mkdir(parents=True, exist_ok=True)
+        for env_id in ids[: MAX_DUMPS - self._written]:
+            path = target / f"step_{control_step}_env_{env_id}.npz"
+            values = {
+                "before": self._before[env_id],
+                "after": self._engine.rows[env_id],
+                "action": action[env_id],
+                **{f"model.{name}": field[env_id] for name, field in fields.items()},
+            }
+            with atomic_file(path) as partial:
+                np.savez(partial, allow_pickle=False, **values)
+            self._written += 1

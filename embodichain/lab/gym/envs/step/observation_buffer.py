@@ -1,0 +1,202 @@
+"""`ObservationBuffer`: makes observations, and stores the last returned one."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.managers.terms.term_errors import (
+    declared_at,
+    finite_physics,
+    listed,
+    warn_not_finite,
+)
+from embodichain.lab.gym.envs.observation import Observation, ObservationLayout
+from embodichain.lab.gym.envs.step.judging import bad_rows, none_set
+from embodichain.utils.arrays import is_host, to_tensor
+from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+    from embodichain.lab.gym.envs.step.episodes import Episodes
+    from embodichain.lab.sim.objects.robot import Robot
+
+__all__ = ["ObservationBuffer"]
+
+logger = logging.getLogger(__name__)
+
+Mask = NDArray[np.bool_]
+
+
+class ObservationBuffer:
+    """Observations of N environments as rows of one float32 array.
+
+    Each returned observation has its own array; the buffer has a copy of the last one.
+
+    Args:
+        robot: The robot whose joints are observed, or None.
+        joint_ids: Its observed joints.
+        manager: The observation terms.
+        plain: Whether only robot, sensors and terms are observed, so that all entries can be
+            written into the array at once. Otherwise the hooks of the class receive the entries
+            as nested tensors.
+        episodes: Counts steps: the present one counts for terms.
+        sensors: All sensors by uid; the data of those with `reads_images` are images.
+
+    Attributes:
+        layout: Columns of the entries; set by `build`.
+        last: (N, W) the last returned observation.
+    """
+
+    layout: ObservationLayout
+    last: NDArray[np.float32]
+
+    def __init__(
+        self,
+        robot: Robot | None,
+        joint_ids: Sequence[int],
+        manager: ObservationManager,
+        plain: bool,
+        episodes: Episodes,
+        sensors: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        self._robot = robot
+        every = robot is None or list(joint_ids) == list(range(robot.dof))
+        self._joints: Any = slice(None) if every else np.asarray(joint_ids, np.int64)
+        self._manager = manager
+        self._plain = plain
+        self._episodes = episodes
+        self._cameras = {u for u, s in sensors.items() if getattr(s, "reads_images", False)}
+        self._told: dict[str, int] = {}
+        self._built = False
+        self._has_terms = False
+
+    def build(self, obs: Mapping[str, Any]) -> Observation:
+        """Make the layout from the first observation; return that observation in it."""
+        first = self._with_terms(obs)
+        manager = self._manager
+        images = {path for path, _ in leaves_of(first) if path[0] == "sensor"}
+        images = {path for path in images if path[1] in self._cameras} | manager.images
+        count, arrays = manager.num_envs, manager.env.arrays
+        self.layout = ObservationLayout(first, manager.paths, count, images, arrays)
+        manager.use(self.layout)
+        self._built = True
+        return self.layout.pack(first)
+
+    def observe(
+        self, sensors: Mapping[str, Any], extend: Callable[[TensorMapping], Any] | None
+    ) -> TensorMapping:
+        """Observe the robot, sensors and terms.
+
+        Args:
+            sensors: Readings by uid.
+            extend: Adds to the entries before terms do, or None.
+
+        Raises:
+            TypeError: If `extend` does not return the observation.
+        """
+        self._has_terms = True
+        if self._built and self._plain:
+            obs = Observation(self.layout, self.layout.empty())
+            with self._episodes.counting(present=True):
+                self._manager.write(obs, self._own(sensors))
+            return obs
+        entries = TensorMapping(batch_size=(self._manager.num_envs,))
+        for path, value in self._own(sensors).items():
+            entries[path] = value if isinstance(value, torch.Tensor) else to_tensor(value)
+        extended = entries if extend is None else extend(entries)
+        if extended is None:
+            raise TypeError("_extend_obs must return the observation, got None")
+        found = self._nested(extended)
+        self._compute(found)
+        return found
+
+    def _compute(self, obs: TensorMapping) -> None:
+        with self._episodes.counting(present=True):
+            self._manager.compute(obs)
+
+    def _own(self, sensors: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
+        own: dict[tuple[str, ...], Any] = {}
+        robot, joints = self._robot, self._joints
+        if robot is not None:
+            own["robot", "qpos"] = robot.read_qpos()[:, joints]
+            own["robot", "qvel"] = robot.read_qvel()[:, joints]
+            own["robot", "qf"] = robot.read_efforts()[:, joints]
+        if sensors:
+            own.update({("sensor", *path): leaf for path, leaf in leaves_of(sensors)})
+        return own
+
+    def _nested(self, obs: Mapping[str, Any]) -> TensorMapping:
+        if isinstance(obs, TensorMapping):
+            return obs
+        return TensorMapping(obs, (self._manager.num_envs,))
+
+    def _with_terms(self, obs: Mapping[str, Any]) -> TensorMapping:
+        """An observation with its terms, even if an override of `get_obs` omits them."""
+        found = self._nested(obs)
+        if not self._has_terms:
+            self._compute(found)
+        self._has_terms = False
+        return found
+
+    def complete(self, obs: Mapping[str, Any]) -> Observation:
+        """Return the result of `get_obs` as an observation of this layout, terms included."""
+        if self._has_terms and type(obs) is Observation:
+            self._has_terms = False
+            return self.layout.pack(obs)
+        return self.layout.pack(self._with_terms(obs))
+
+    # -- rows that are replaced ----------------------------------------------------------------
+
+    def store(self, obs: Observation) -> Observation:
+        """Store a copy of a returned observation."""
+        self.last = obs.rows.copy()
+        return obs
+
+    def without(self, obs: Observation, rows: Mask) -> Observation:
+        """Return an observation with some rows (N,) replaced by those stored last."""
+        return obs.with_rows(np.where(rows[:, None], self.last, obs.rows))
+
+    def store_first(self, obs: Observation, unchanged: Mask) -> Observation:
+        """Store the observation after a reset.
+
+        Rows that are not finite become zero: there is no earlier observation of that episode. Such
+        an environment is reported as diverged in its next step.
+
+        Args:
+            obs: The observation.
+            unchanged: (N,) environments that were not reset: their rows are those stored.
+        """
+        if not none_set(unchanged):
+            obs = self.without(obs, unchanged)
+        bad = bad_rows(obs.rows)
+        if bad is not None:
+            if is_host(bad):
+                self._explain(obs, bad)
+            obs = obs.with_rows(np.where(bad[:, None], np.float32(0.0), obs.rows))
+        return self.store(obs)
+
+    def _explain(self, obs: Observation, bad: Mask) -> None:
+        """Log why the observation of environments (N,) is not finite after a reset."""
+        env = self._manager.env
+        managers: Any = env.managers
+        sound = finite_physics(env)
+        sick, rest = bad & ~sound, bad & sound
+        if sick.any():
+            events = managers["events"].terms.values()
+            before = [f"events.{event.name}" for event in events if event.cfg.mode == "reset"]
+            logger.error(
+                "not finite after a reset: environments %s, nor is their state; events before: %s",
+                listed(np.flatnonzero(sick)),
+                ", ".join(declared_at(env, name) for name in before) or "none",
+            )
+        if rest.any():
+            found = managers["commands"].not_finite(rest) | self._manager.not_finite(obs, rest)
+            what = "not finite after a reset, zeros are observed"
+            warn_not_finite(env, found, what, self._told)

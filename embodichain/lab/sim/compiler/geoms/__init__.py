@@ -1,0 +1,1 @@
+"""Shapes as geoms: where they are, meshes of files, textures, how they touch."""

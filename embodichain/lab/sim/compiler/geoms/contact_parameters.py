@@ -1,0 +1,226 @@
+"""`ContactParameters`: the fields of a geom that decide what touches it, and how.
+
+A collider that does not move, such as the ground, lets what stands on it decide: its priority is
+`FIXED_PRIORITY`, below the 0 of all others, unless its friction is given.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.configs.contact_cfg import ContactCfg
+from embodichain.utils.errors import Problem
+
+__all__ = [
+    "FIXED_PRIORITY",
+    "LEAST_RESTITUTION",
+    "ContactParameters",
+    "bouncing_solref",
+    "check_contact",
+    "check_fixed_contact",
+    "check_solref",
+    "fixed_contact",
+    "given_parameters",
+    "set_contact_parameters",
+]
+
+FIXED_PRIORITY = -1
+"""Priority of a collider that does not move and was given no friction."""
+LEAST_RESTITUTION = math.exp(-2.0)
+"""That of a critically damped spring."""
+_DECIDED = ("condim", "solref", "solimp", "solmix")
+"""Parameters beside friction that act only with a priority that is not too low."""
+_LARGEST_IMPEDANCE = 0.9999
+"""MuJoCo's `mjMAXIMP`; the smallest is one minus this."""
+
+
+@dataclass(frozen=True)
+class ContactParameters:
+    """Fields of a geom; None is not to be set.
+
+    Attributes:
+        friction: Sliding, torsional (m) and rolling (m) coefficient, or the first of these.
+        condim: 1, 3, 4 or 6.
+        solref: (2,) as in MuJoCo.
+        solimp: (5,) as in MuJoCo, or the first of these.
+        solmix: Weight in the mean of two solref and solimp.
+        priority: The geom with the higher one decides.
+        margin: Metres.
+        gap: Metres.
+        contype: Bits of what it is.
+        conaffinity: Bits of what it touches.
+    """
+
+    friction: tuple[float, ...] | None = None
+    condim: int | None = None
+    solref: tuple[float, ...] | None = None
+    solimp: tuple[float, ...] | None = None
+    solmix: float | None = None
+    priority: int | None = None
+    margin: float | None = None
+    gap: float | None = None
+    contype: int | None = None
+    conaffinity: int | None = None
+
+    @classmethod
+    def of_config(cls, cfg: ContactCfg | None) -> ContactParameters:
+        """Return the parameters that a config gives."""
+        if cfg is None:
+            return cls()
+        given = {field.name: getattr(cfg, field.name) for field in dataclasses.fields(ContactCfg)}
+        return cls(**{name: _plain(name, value) for name, value in given.items()})
+
+    @classmethod
+    def of_geom(cls, geom: mujoco.MjsGeom) -> ContactParameters:
+        """Return all parameters of a geom."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        return cls(**{name: _plain(name, getattr(geom, name)) for name in names})
+
+    def over(self, other: ContactParameters) -> ContactParameters:
+        """Return these parameters, with those of `other` where they are None."""
+        own = {name: value for name, value in vars(self).items() if value is not None}
+        return dataclasses.replace(other, **own)
+
+
+def _plain(name: str, value: Any) -> Any:
+    """A number, or a tuple of numbers; one friction is a tuple of one."""
+    if isinstance(value, (Sequence, np.ndarray)):
+        return tuple(float(x) for x in value)
+    return (float(value),) if name == "friction" and value is not None else value
+
+
+def set_contact_parameters(geoms: Sequence[mujoco.MjsGeom], parameters: ContactParameters) -> None:
+    """Set fields of geoms. Of a list that is shorter than the field, the rest stays."""
+    for geom in geoms:
+        for name, value in vars(parameters).items():
+            if value is None:
+                continue
+            now = getattr(geom, name)
+            if isinstance(now, np.ndarray):
+                now[: len(value)] = value
+            else:
+                setattr(geom, name, value)
+
+
+def fixed_contact(cfg: ContactCfg | None) -> ContactParameters:
+    """Return the parameters of a collider that does not move, of which its config gives some."""
+    given = ContactParameters.of_config(cfg)
+    return given.over(ContactParameters(priority=FIXED_PRIORITY if given.friction is None else 0))
+
+
+def given_parameters(cfg: ContactCfg) -> frozenset[str]:
+    """Return the names of the parameters that a config of a collider that does not move decides."""
+    given = {
+        name for name, value in vars(ContactParameters.of_config(cfg)).items() if value is not None
+    }
+    return frozenset(given | {"priority"} if "friction" in given else given)
+
+
+def bouncing_solref(restitution: float) -> tuple[float, float]:
+    """Return a solref with which a body bounces back with about this share of its speed.
+
+    The body leaves a damped spring when that would pull (Schwager and Poeschel 2007, "Coefficient
+    of restitution and linear-dashpot model revisited", eq. 21). The frequency is that of MuJoCo's
+    default solref, 1 / 0.02 s.
+
+    Args:
+        restitution: More than `LEAST_RESTITUTION` and less than 1.
+    """
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        ratio = 0.5 * (low + high)
+        low, high = (ratio, high) if _restitution(ratio) > restitution else (low, ratio)
+    return 0.02 / ratio, ratio
+
+
+def _restitution(ratio: float) -> float:
+    """The share of its speed that a body has after a spring with this damping ratio below 1."""
+    root = math.sqrt(1.0 - ratio**2)
+    angle = math.atan2(2.0 * ratio * root, 1.0 - 2.0 * ratio**2)
+    return math.exp(-ratio / root * (math.pi - angle))
+
+
+# ------------------------------------------------------------------------------------------- checks
+
+
+def check_contact(cfg: ContactCfg) -> list[Problem]:
+    """Return every mistake in contact parameters, with paths below them."""
+    problems: list[Problem] = []
+    for name, value in (("friction", cfg.friction), ("solmix", cfg.solmix)):
+        problems += _check_positive(name, value)
+    for name, value in (("margin", cfg.margin), ("gap", cfg.gap)):
+        problems += _check_positive(name, value)
+    if cfg.friction is not None and not 1 <= len(np.atleast_1d(cfg.friction)) <= 3:
+        message = "1 to 3 coefficients: sliding, torsional, rolling"
+        problems.append(Problem("friction", f"{message}; got {len(np.atleast_1d(cfg.friction))}"))
+    if cfg.condim is not None and cfg.condim not in (1, 3, 4, 6):
+        problems.append(Problem("condim", f"must be 1, 3, 4 or 6, got {cfg.condim}"))
+    if cfg.solref is not None:
+        problems += check_solref("solref", cfg.solref)
+    if cfg.solimp is not None:
+        problems += check_solimp("solimp", cfg.solimp)
+    return problems
+
+
+def _check_positive(name: str, value: object) -> list[Problem]:
+    if value is None:
+        return []
+    numbers = np.atleast_1d(np.asarray(value, np.float64))
+    if np.isfinite(numbers).all() and (numbers >= 0).all():
+        return []
+    return [Problem(name, f"must be finite and not negative, got {value}")]
+
+
+def check_solref(path: str, solref: Sequence[float]) -> list[Problem]:
+    """Return what is wrong with a solref; MuJoCo replaces one with mixed signs by its default."""
+    if len(solref) != 2 or not all(map(math.isfinite, solref)):
+        return [Problem(path, f"must be 2 finite numbers, got {list(solref)}")]
+    if all(x > 0 for x in solref) or all(x <= 0 for x in solref):
+        return []
+    message = (
+        "must be [time constant, damping ratio], both positive, or [-stiffness, -damping], "
+        f"neither positive; got {list(solref)}"
+    )
+    return [Problem(path, message)]
+
+
+def check_solimp(path: str, solimp: Sequence[float]) -> list[Problem]:
+    """Return what is wrong with a solimp; MuJoCo clamps values out of range."""
+    if not 1 <= len(solimp) <= 5 or not all(map(math.isfinite, solimp)):
+        return [Problem(path, f"must be 1 to 5 finite numbers, got {list(solimp)}")]
+    least, most = 1.0 - _LARGEST_IMPEDANCE, _LARGEST_IMPEDANCE
+    limits = (
+        ("dmin", least, most),
+        ("dmax", least, most),
+        ("width", 0.0, math.inf),
+        ("midpoint", least, most),
+        ("power", 1.0, math.inf),
+    )
+    problems: list[Problem] = []
+    for (name, low, high), value in zip(limits, solimp, strict=False):
+        if not low - 1e-12 <= value <= high:
+            allowed = f"at least {low:.4g}" if high == math.inf else f"{low:.4g} to {high:.4g}"
+            problems.append(Problem(path, f"{name} must be {allowed}, got {value:g}"))
+    return problems
+
+
+def check_fixed_contact(cfg: ContactCfg) -> list[Problem]:
+    """Return every mistake in the contact parameters of a collider that does not move."""
+    problems = check_contact(cfg)
+    if cfg.friction is not None or cfg.priority is not None:
+        return problems
+    for name in _DECIDED:
+        if getattr(cfg, name) is not None:
+            message = (
+                "has no effect: it does not move and has no friction, so that what touches it "
+                "decides; give friction, or priority: 1"
+            )
+            problems.append(Problem(name, message))
+    return problems

@@ -1,0 +1,1 @@
+"""A robot of its files and its config: root, links, joints, notes."""

@@ -1,0 +1,1 @@
+"""What links touch, and which links of one robot collide."""

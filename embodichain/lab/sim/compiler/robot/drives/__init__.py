@@ -1,0 +1,1 @@
+"""What moves joints: gains, actuators, armature, couplings."""

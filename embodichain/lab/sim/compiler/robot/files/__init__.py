@@ -1,0 +1,1 @@
+"""Robot files as `MjSpec`: formats, meshes, joints, what MuJoCo reads otherwise."""

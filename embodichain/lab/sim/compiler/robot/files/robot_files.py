@@ -1,0 +1,497 @@
+"""Reads robot files into `MjSpec`: formats, meshes, one-line errors, repair of inertias."""
+
+from __future__ import annotations
+
+import copy
+import re
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from embodichain.data import DataNotFoundError, get_data_path, resolve_package_uri
+from embodichain.lab.sim.compiler.geoms.mesh_conversion import (
+    MAX_STL_FACES,
+    MadePart,
+    convert_collision,
+    convert_visual,
+    decompose,
+    has_materials,
+    reads,
+)
+from embodichain.lab.sim.compiler.geoms.mesh_reading import MeshError
+from embodichain.lab.sim.compiler.geoms.shape_geoms import collides
+from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.model_size import check_copies, check_depth
+from embodichain.lab.sim.compiler.robot.files.file_options import given_options
+from embodichain.lab.sim.compiler.robot.files.mjcf_meshes import (
+    convert_meshes,
+    make_absolute,
+    missing_files,
+    split_meshes,
+)
+from embodichain.lab.sim.compiler.robot.files.urdf_reading import (
+    UrdfLimits,
+    carriers,
+    check_joints,
+    check_text,
+    planar_notes,
+    read_limits,
+)
+from embodichain.lab.sim.compiler.robot.files.xml_text import XmlError, parse_xml, root_tag
+from embodichain.lab.sim.engine.cpu.mujoco_process import install_log_handler
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import quat_multiply
+
+__all__ = ["MUJOCO_ERRORS", "ModelFile", "as_line", "compile_quietly", "locate", "read_model"]
+
+MUJOCO_ERRORS = (ValueError, RuntimeError, mujoco.FatalError)
+"""Exceptions of MuJoCo's bindings for a model it cannot parse or compile."""
+
+_LINE = re.compile(r",? *\bline(?: number)? *[=:]? *(\d+)", re.IGNORECASE)
+_ELEMENT = re.compile(r"\s*Element (?:name )?'(?P<name>[^']*)'(?:, id \d+)?")
+_XML_CODE = re.compile(
+    r"XML parse error \d+:\s*Error=XML_ERROR_(?P<code>\w+) ErrorID=\d+ *(?:\(\w+\))?"
+)
+_PREFIXES = ("Error: ", "XML Error: ", "Schema violation: ")
+
+
+def as_line(error: Exception) -> tuple[str, int | None]:
+    """Return a MuJoCo error as one line of text, and the XML line number it names, if any."""
+    text = str(error).strip()
+    found = _LINE.search(text)
+    text = _LINE.sub("", text)
+    text = _XML_CODE.sub(lambda m: m["code"].replace("_", " ").lower(), text)
+    text = _ELEMENT.sub(lambda m: f" (element {m['name']!r})" if m["name"] else "", text)
+    for prefix in _PREFIXES:
+        text = text.removeprefix(prefix)
+    return " ".join(text.split()).rstrip(" :"), int(found[1]) if found else None
+
+
+@dataclass
+class ModelFile:
+    """A robot file, parsed and compiled by MuJoCo.
+
+    Attributes:
+        path: Its path.
+        is_urdf: Whether it is a URDF; else MJCF.
+        spec: The parsed file, unedited; it compiles.
+        model: The file's model.
+        limits: Limits of its joints that the model does not have; URDF only.
+        last_link: The last link in the order of the URDF text, not of the tree.
+        notes: Messages for the user, one line each.
+        options: The physics options that it gives, see `given_options`.
+    """
+
+    path: Path
+    is_urdf: bool
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    limits: UrdfLimits = field(default_factory=UrdfLimits)
+    last_link: str = ""
+    notes: list[str] = field(default_factory=list)
+    options: frozenset[str] = frozenset()
+
+
+def locate(fpath: str | None) -> Path:
+    """Return the path of a file.
+
+    Raises:
+        ConfigError: If it is missing; lists the places searched and the closest names.
+    """
+    if not fpath:
+        raise ConfigError("no file: set fpath to a .urdf or .xml file")
+    try:
+        path = Path(get_data_path(fpath))
+    except DataNotFoundError as error:
+        raise ConfigError(str(error)) from error
+    if path.is_dir():
+        raise ConfigError(f"{path} is a folder, not a .urdf or .xml file")
+    return path
+
+
+def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
+    """Parse and compile a URDF or MJCF file.
+
+    Args:
+        path: The file.
+        convex_parts: Whether to split collision meshes into convex parts.
+
+    Raises:
+        ConfigError: If it is malformed; names the file and, where known, the line.
+    """
+    install_log_handler()
+    try:
+        source = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    if root_tag(source) == "mujoco":
+        return _read_checked_mjcf(path, source, convex_parts)
+    try:
+        root, line_of = parse_xml(source)
+    except XmlError as error:
+        raise _not_xml(path, error) from error
+    options = given_options(root, path.parent)
+    if root.tag != "robot":
+        raise ConfigError(
+            f"{path}: neither URDF nor MJCF: its root is <{root.tag}>, not <robot> or <mujoco>"
+        )
+    return replace(_read_urdf(path, root, line_of, convex_parts), options=options)
+
+
+def _not_xml(path: Path, error: XmlError) -> ConfigError:
+    return ConfigError(f"{path}:{error.line}: not well-formed XML: {error}")
+
+
+def _read_checked_mjcf(path: Path, source: bytes, convex_parts: bool) -> ModelFile:
+    """Read an MJCF; what only MuJoCo can read of its text is not looked at before."""
+    try:
+        root, line_of = parse_xml(source)
+    except XmlError as error:
+        try:
+            return _read_mjcf(path, convex_parts)
+        except ConfigError:
+            raise _not_xml(path, error) from error
+    check_copies(path, root, line_of)
+    options = given_options(root, path.parent)
+    return replace(_read_mjcf(path, convex_parts), options=options)
+
+
+def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile without MuJoCo's Python warnings, which this package reports itself."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return spec.compile()
+
+
+def _name_elements(spec: mujoco.MjSpec) -> None:
+    """Name bodies, joints, geoms, actuators and cameras that have no name in the file."""
+    for what, elements in (
+        ("body", spec.bodies),
+        ("joint", spec.joints),
+        ("geom", spec.geoms),
+        ("actuator", spec.actuators),
+        ("camera", spec.cameras),
+    ):
+        taken = {element.name for element in elements}
+        for number, element in enumerate(elements):
+            if not element.name:
+                name = f"{what}_{number}"
+                while name in taken:
+                    name += "_"
+                element.name = name
+                taken.add(name)
+
+
+# -------------------------------------------------------------------------------------------- MJCF
+
+
+def _read_mjcf(path: Path, convex_parts: bool) -> ModelFile:
+    spec: mujoco.MjSpec | None = None
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False  # tool frames keep their bodies
+        spec.nkey = 0  # `<size nkey>` would add keyframes without values
+        _name_elements(spec)
+        make_absolute(spec, path.parent)
+        notes = [f"{path}: {note}" for note in convert_meshes(spec)]
+        model = compile_quietly(spec)
+        if convex_parts:
+            split_meshes(spec)
+            model = compile_quietly(spec)
+        return ModelFile(path, False, spec, model, notes=notes)
+    except (MeshError, *MUJOCO_ERRORS) as error:
+        missing = [] if spec is None else missing_files(spec, path)
+        if missing:
+            raise ConfigError(missing) from error
+        message, line = as_line(error)
+        raise ConfigError(f"{path}:{line}: {message}" if line else f"{path}: {message}") from error
+
+
+# -------------------------------------------------------------------------------------------- URDF
+
+# Keep bodies of fixed links and visual shapes, and use the file names resolved here.
+_FLAGS = {"fusestatic": "false", "discardvisual": "false", "strippath": "false", "meshdir": ""}
+
+
+def _read_urdf(
+    path: Path, root: ET.Element, line_of: Mapping[ET.Element, int], convex_parts: bool
+) -> ModelFile:
+    """Compile a URDF, after editing its tree in place so that MuJoCo reads it correctly."""
+    check_text(path, root, line_of)
+    links = root.findall("link")
+    if not links:
+        raise ConfigError(f"{path}: the robot has no <link>")
+    check_joints(path, root, line_of)
+    check_depth(path, carriers(root))
+    limits = read_limits(path, root, line_of)
+    planar = planar_notes(root, line_of)
+    meshes = _UrdfMeshes(path, convex_parts)
+    meshes.prepare(root)
+    _drop_repeated_names(root)
+    _set_flags(root)
+    text = ET.tostring(root, encoding="unicode")
+    try:
+        spec = mujoco.MjSpec.from_string(text)
+        _name_elements(spec)
+        meshes.finish(spec)
+        notes = [f"{path}: {note}" for note in (*limits.notes, *planar, *meshes.notes)]
+        notes += [f"{path}: {note}" for note in _set_masses(spec, root)]
+        model = _compile_repaired(path, spec, notes)
+    except MUJOCO_ERRORS as error:
+        message, line = as_line(error)
+        if line is not None:  # of `text`, which has the elements of `root` in order
+            _, lines = parse_xml(text.encode())
+            pairs = zip(lines.values(), root.iter(), strict=True)
+            line = next((line_of.get(e) for written, e in pairs if written >= line), None)
+        raise ConfigError(f"{path}:{line}: {message}" if line else f"{path}: {message}") from error
+    return ModelFile(path, True, spec, model, limits, links[-1].get("name", ""), notes)
+
+
+def _set_flags(root: ET.Element) -> None:
+    """Write our import flags into the file's ``<mujoco><compiler>`` extension."""
+    extension = root.find("mujoco")
+    if extension is None:
+        extension = ET.Element("mujoco")
+        root.insert(0, extension)
+    compiler = extension.find("compiler")
+    if compiler is None:
+        compiler = ET.SubElement(extension, "compiler")
+    compiler.attrib.update(_FLAGS)
+
+
+def _drop_repeated_names(root: ET.Element) -> None:
+    """Remove names that several shapes share; MuJoCo would only warn about them."""
+    seen: set[str] = set()
+    for shape in (*root.iter("visual"), *root.iter("collision")):
+        name = shape.get("name", "")
+        if name in seen:
+            shape.attrib.pop("name", None)
+        seen.add(name)
+
+
+def _set_masses(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
+    """Set masses of links without an inertial by URDF's rule; return messages about estimates.
+
+    The mass is zero if no joint moves the link (fixed joint or root), else that of its shapes.
+    """
+    moved = {
+        child.get("link", "")
+        for joint in root.findall("joint")
+        if joint.get("type") != "fixed" and (child := joint.find("child")) is not None
+    }
+    bare = [link for link in root.findall("link") if link.find("inertial") is None]
+    for link in bare:
+        name = link.get("name", "")
+        body = spec.body(name) if name not in moved else None
+        for geom in body.geoms if body is not None else ():
+            geom.mass, geom.density = 0.0, 0.0
+    shaped = [link.get("name", "") for link in bare if link.find("collision") is not None]
+    names = ", ".join(name for name in shaped if name in moved)
+    from_shapes = "have no <inertial>: taken from their shapes at 1000 kg/m^3"
+    return [f"links {names} {from_shapes}"] if names else []
+
+
+_FLAT = re.compile(r"mesh volume is too small: (\S+)")
+
+
+def _compile_repaired(path: Path, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.MjModel:
+    """Compile; repair meshes without volume and invalid inertias, and add notes about it."""
+    repaired = False
+    while True:
+        try:
+            return compile_quietly(spec)
+        except MUJOCO_ERRORS as error:
+            text, _ = as_line(error)
+            flat = _FLAT.search(text)
+            mesh = spec.mesh(flat[1]) if flat else None
+            if mesh is not None and mesh.inertia != _INERTIA.mjMESH_INERTIA_SHELL:
+                mesh.inertia = _INERTIA.mjMESH_INERTIA_SHELL
+                notes.append(f"{path}: mesh {mesh.name!r} has no volume: taken as a shell")
+            elif not repaired and ("inertia" in text or "mjMINVAL" in text):
+                repaired = True
+                notes.append(f"{path}: {_repair_inertias(spec)}")
+            else:
+                raise
+
+
+_LEAST_MASS = 1e-6  # kg
+_LEAST_INERTIA = 1e-9  # kg m^2
+
+
+def _repair_inertias(spec: mujoco.MjSpec) -> str:
+    """Repair inertias by options of MuJoCo's compiler, and negative principal moments here.
+
+    MuJoCo raises masses to 1e-6 kg and moments to 1e-9 kg m^2 and, where the largest moment is more
+    than the sum of the others, sets all three to their mean (``boundmass``, ``boundinertia``,
+    ``balanceinertia``). It refuses negative eigenvalues, which are raised to 1e-9 here.
+
+    Returns:
+        One line that names the links, without the file.
+    """
+    spec.compiler.balanceinertia = True
+    spec.compiler.boundmass = _LEAST_MASS
+    spec.compiler.boundinertia = _LEAST_INERTIA
+    # Use the spec: `body.joints` raises the error of an earlier failed compilation.
+    moving = {joint.parent.name for joint in spec.joints}
+    shaped = {geom.parent.name for geom in spec.geoms if collides(geom)}
+    names = []
+    for body in spec.bodies[1:]:  # the first is the world
+        if not body.explicitinertial:
+            if body.name in moving - shaped:
+                names.append(body.name)  # a moving body without mass
+            continue
+        moments, axes = _principal(body)
+        if not (body.name in moving or body.mass or moments.any()):
+            continue  # a fixed frame without mass
+        low = moments.min() < _LEAST_INERTIA
+        if low or body.mass < _LEAST_MASS or 2.0 * moments.max() > moments.sum():
+            names.append(body.name)
+        if low and np.isfinite(body.fullinertia[0]):
+            body.fullinertia = np.full(6, np.nan)
+            body.inertia = np.maximum(moments, _LEAST_INERTIA)
+            body.iquat = quat_multiply(np.asarray(body.iquat, np.float64), axes)
+    return (
+        f"masses or inertias that no body can have are repaired (at least {_LEAST_MASS:g} kg and "
+        f"{_LEAST_INERTIA:g} kg m^2, balanced moments): {', '.join(names)}"
+    )
+
+
+def _principal(body: mujoco.MjsBody) -> tuple[F64, F64]:
+    """Return (3,) principal moments, and the orientation of their axes, wxyz."""
+    quat = np.array([1.0, 0.0, 0.0, 0.0])
+    xx, yy, zz, xy, xz, yz = np.asarray(body.fullinertia, np.float64)
+    if not np.isfinite(xx):
+        return np.asarray(body.inertia, np.float64), quat
+    moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1.0
+    mujoco.mju_mat2Quat(quat, axes.ravel())
+    return moments, quat
+
+
+# ---------------------------------------------------------------------------------- meshes of URDF
+
+_INERTIA = mujoco.mjtMeshInertia
+
+
+@dataclass
+class _UrdfMeshes:
+    """Conversion of a URDF's meshes; `convex_parts` splits collision meshes."""
+
+    path: Path
+    convex_parts: bool
+    looks: dict[str, MadePart] = field(default_factory=dict)
+    """OBJ file made from a visual mesh -> its colour and texture."""
+    shapes: set[str] = field(default_factory=set)
+    """OBJ files made from collision meshes."""
+    notes: list[str] = field(default_factory=list)
+
+    def prepare(self, root: ET.Element) -> None:
+        """Replace every mesh by files that MuJoCo reads; a mesh may become several.
+
+        Raises:
+            ConfigError: If meshes do not exist, or collision meshes cannot be read.
+        """
+        missing: dict[str, str] = {}
+        wrong: list[str] = []
+        for link, kind in (
+            (link, k) for link in root.iter("link") for k in ("visual", "collision")
+        ):
+            what = f"{kind} mesh of link {link.get('name', '')!r}"
+            for shape in link.findall(kind):
+                mesh = shape.find("geometry/mesh")
+                if mesh is None:
+                    continue
+                uri = mesh.get("filename", "")
+                try:
+                    path = Path(resolve_package_uri(uri, near=self.path))
+                    files = self._visual(path) if kind == "visual" else self._collision(path)
+                except DataNotFoundError as error:
+                    missing.setdefault(uri, f"{what}: {error}")
+                except (MeshError, OSError, ValueError) as error:
+                    if kind == "visual" and not isinstance(error, ValueError):
+                        link.remove(shape)
+                        self.notes.append(f"{what} left out: {error}")
+                    else:
+                        wrong.append(f"{what}: {error}")
+                else:
+                    _replace(link, shape, files)
+        if missing:
+            first, *others = missing.values()
+            more = f"\n{len(others)} more mesh files are missing" if others else ""
+            wrong.insert(0, f"{first}{more}")
+        if wrong:
+            raise ConfigError([Problem("", f"{self.path}: {line}") for line in wrong])
+
+    def finish(self, spec: mujoco.MjSpec) -> None:
+        """Set colours of visual meshes, and how MuJoCo computes inertias of meshes."""
+        for mesh in spec.meshes:
+            if mesh.file in self.looks:
+                mesh.inertia = _INERTIA.mjMESH_INERTIA_SHELL  # has no mass; it may be open
+            elif mesh.file in self.shapes:
+                mesh.inertia = _INERTIA.mjMESH_INERTIA_CONVEX
+        files = {mesh.name: mesh.file for mesh in spec.meshes}
+        for geom in spec.geoms:
+            look = self.looks.get(files.get(geom.meshname, ""))
+            if look is not None:
+                _color_geom(spec, geom, look)
+
+    def _visual(self, path: Path) -> list[Path]:
+        if reads(path) and not has_materials(path):
+            return [path]
+        made = convert_visual(path)
+        self._tell_of_stl(path)
+        self.looks.update({str(part.mesh): part for part in made.parts})
+        self.notes += [note for note in made.notes if note not in self.notes]
+        return [part.mesh for part in made.parts]
+
+    def _collision(self, path: Path) -> list[Path]:
+        if self.convex_parts:
+            files = list(decompose(path))
+        elif reads(path):
+            return [path]
+        else:
+            files = [convert_collision(path)]
+            self._tell_of_stl(path)
+        self.shapes.update(str(file) for file in files)
+        return files
+
+    def _tell_of_stl(self, path: Path) -> None:
+        """Add a note that an STL file was converted, once."""
+        note = f"{path}: not a binary STL file of at most {MAX_STL_FACES:,} faces: converted"
+        if path.suffix.lower() == ".stl" and note not in self.notes:
+            self.notes.append(note)
+
+
+def _replace(link: ET.Element, shape: ET.Element, files: list[Path]) -> None:
+    """Replace a shape by one copy per file, in its position."""
+    at = list(link).index(shape)
+    copies = [copy.deepcopy(shape) for _ in files[1:]]
+    for number, (file, element) in enumerate(zip(files, [shape, *copies], strict=True)):
+        mesh = element.find("geometry/mesh")
+        if mesh is not None:
+            mesh.set("filename", str(file))
+        if number:  # the first is the original element, with a known line
+            link.insert(at + number, element)
+
+
+def _color_geom(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, look: MadePart) -> None:
+    """Set the colour and texture of a shape's mesh, which override the URDF's, as in RViz."""
+    if look.rgba is not None:
+        geom.rgba, geom.material = look.rgba, ""
+    if look.texture is None:
+        return
+    name = f"{look.mesh.stem}-{look.texture.stem}"
+    if spec.material(name) is None:
+        texture = spec.texture(look.texture.stem)
+        if texture is None:
+            flat = mujoco.mjtTexture.mjTEXTURE_2D
+            texture = spec.add_texture(name=look.texture.stem, type=flat, file=str(look.texture))
+        material = spec.add_material(name=name, specular=0.2, shininess=0.3)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name
+    geom.material, geom.rgba = name, (1.0, 1.0, 1.0, 1.0)

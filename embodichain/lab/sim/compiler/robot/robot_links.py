@@ -1,0 +1,409 @@
+"""A robot file made ready: its root, locked joints, visual and collision shapes, and added links.
+
+A config adds shapes fixed on links (`attachments`) and tool points of control parts (`solver_cfg`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.cfg import (
+    ArticulationCfg,
+    AttachmentCfg,
+    ObjectBaseCfg,
+    RigidBodyAttributesCfg,
+    SolverCfg,
+)
+from embodichain.lab.sim.compiler.geoms.contact_parameters import (
+    ContactParameters,
+    check_contact,
+    set_contact_parameters,
+)
+from embodichain.lab.sim.compiler.geoms.poses import check_pose, initial_pose
+from embodichain.lab.sim.compiler.geoms.shape_geoms import (
+    COLLISION_GROUP,
+    HULL_VERTICES,
+    VISUAL_GROUP,
+    add_shape,
+    check_shape,
+    keep_hull_inertia,
+    set_collision,
+)
+from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import FrameKind, match, names_in_spec, no_such
+from embodichain.lab.sim.compiler.robot.drives.couplings import read_couplings
+from embodichain.lab.sim.compiler.robot.files.robot_files import ModelFile, compile_quietly
+from embodichain.lab.sim.compiler.robot.files.robot_joints import (
+    FileJoints,
+    Keyframe,
+    Mimics,
+    read_joints,
+    read_keyframe,
+)
+from embodichain.lab.sim.compiler.robot.files.spec_frames import on_frame
+from embodichain.lab.sim.compiler.robot.floors import Plane, floors_of, planes_of
+from embodichain.lab.sim.compiler.robot.kept_inertias import HullLimit, keep_inertias, limit_hulls
+from embodichain.lab.sim.compiler.robot.robot_root import leave_out_lights, leave_out_sizes
+from embodichain.lab.sim.shapes import PlaneCfg
+from embodichain.utils.errors import Problem
+from embodichain.utils.fields.defaults import is_given
+from embodichain.utils.math import quat_multiply, quat_rotate, rotvec_to_quat
+
+__all__ = [
+    "WHOLE",
+    "AttachedOptions",
+    "RobotModel",
+    "Tool",
+    "add_attachments",
+    "add_tools",
+    "check_attachments",
+    "lock_joints",
+    "prepare_file",
+    "resolve_tools",
+]
+
+AttachedOptions = tuple[str, mujoco.MjSpec, frozenset[str]]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """A robot's file, with those attached to it, before drives and links of its config are added.
+
+    Attributes:
+        spec: The edited file; names of an attached file begin with ``NAME/``.
+        model: The file's model, before it was edited.
+        joints: Data of its joints.
+        mimics: Joints that follow others, in URDF files.
+        equalities: Joints that are coupled to others, in MJCF files.
+        keyframe: Initial values that the file gives, or None.
+        notes: Messages for the user, one line each.
+        attached_options: Path of each attached file, an empty model with its physics options, which
+            have no effect, and the names of those it gives.
+        planes: Planes of the world of the robot's own file.
+        floors: Its horizontal planes, in whose place the scene's ground is.
+        attached_floors: Those of the attached files.
+        hulls: Meshes whose convex hull is limited.
+        is_urdf: Prefix of names of an attached file ("" is the robot's own) -> whether it is a
+            URDF; else it is an MJCF.
+    """
+
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    joints: FileJoints
+    mimics: Mimics
+    equalities: Mimics
+    keyframe: Keyframe | None
+    notes: tuple[str, ...]
+    attached_options: tuple[AttachedOptions, ...] = ()
+    planes: Mapping[str, Plane] = field(default_factory=dict)
+    floors: tuple[str, ...] = ()
+    attached_floors: tuple[str, ...] = ()
+    hulls: tuple[HullLimit, ...] = ()
+    is_urdf: Mapping[str, bool] = field(default_factory=dict)
+
+
+def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
+    """Read joints and keyframe of a file, and prepare its spec, which changes.
+
+    Lights and keyframes are removed, hulls of meshes limited, and shapes are given groups and
+    attributes. Masses and inertias stay those of the file.
+    """
+    spec, model = file.spec, file.model
+    urdf = [joint.name for joint in spec.joints] if file.is_urdf else ()
+    joints = read_joints(model, file.limits, urdf)
+    keyframe = read_keyframe(spec, model)
+    planes = planes_of(spec, model)
+    floors = floors_of(planes)
+    said = [*leave_out_lights(spec), *_unused_keyframes(spec, keyframe), *leave_out_sizes(spec)]
+    for key in list(spec.keys):
+        spec.delete(key)
+    prepare_shapes(spec, attrs, file.is_urdf, planes)
+    hulls = limit_hulls(spec, model)
+    keep_inertias(spec, model, hulls)
+    notes = (
+        *file.notes,
+        *(f"{file.path}: {line}" for line in (*said, *_limited(hulls, file.is_urdf))),
+    )
+    return RobotModel(
+        spec,
+        model,
+        joints,
+        *read_couplings(model, joints.names, urdf),
+        keyframe,
+        notes,
+        planes=planes,
+        floors=floors,
+        hulls=tuple(hulls),
+        is_urdf={"": file.is_urdf},
+    )
+
+
+def _unused_keyframes(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
+    """Return a message about keyframes that are not used."""
+    others = [repr(key.name) for key in spec.keys if keyframe is None or key.name != keyframe.name]
+    if not others:
+        return []
+    used = keyframe.name if keyframe is not None else ""
+    return [f"it starts at its keyframe {used!r}; left out: {', '.join(others)}"]
+
+
+def _limited(hulls: Sequence[HullLimit], is_urdf: bool) -> list[str]:
+    """Return a message about meshes whose hull is limited; `show` lists each."""
+    if not hulls:
+        return []
+    largest = max(hulls, key=lambda hull: hull.vertices)
+    message = (
+        f"{len(hulls)} of its meshes collide as hulls of at most {HULL_VERTICES} vertices (the "
+        f"largest, {largest.mesh!r}, has {largest.vertices})"
+    )
+    return [message if is_urdf else f"{message}; <mesh maxhullvert> sets another limit"]
+
+
+def prepare_shapes(
+    spec: mujoco.MjSpec,
+    attrs: RigidBodyAttributesCfg,
+    is_urdf: bool,
+    planes: Collection[str] = (),
+) -> None:
+    """Set groups of visual and collision shapes, and apply a config's attributes.
+
+    Planes of its world are not of the robot: attributes do not concern them.
+
+    A URDF has no friction: `attrs.dynamic_friction` is used. An MJCF keeps its own unless that is
+    given.
+    """
+    friction = attrs.dynamic_friction
+    for geom in spec.geoms:
+        if geom.name in planes:
+            continue
+        if is_urdf or is_given(friction):
+            geom.friction[0] = float(friction)
+        if not attrs.enable_collision:
+            geom.contype = geom.conaffinity = 0
+    for body in spec.bodies if is_urdf else ():
+        # MuJoCo's URDF reader gives visual shapes no contact bits and group 1; collision shapes
+        # that the config has switched off are recognized by group 0.
+        geoms = list(body.geoms)
+        drawn = any(geom.group == 1 for geom in geoms)
+        for geom in geoms:
+            if geom.group == 1:
+                geom.group = VISUAL_GROUP
+            elif drawn:
+                geom.group = COLLISION_GROUP
+
+
+# ------------------------------------------------------------------------------------ locked joints
+
+_KINDS = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def lock_joints(file: ModelFile, locked: Mapping[str, float]) -> list[Problem]:
+    """Remove joints of a URDF, whose links get the poses that they have at given positions.
+
+    `file.spec` and `file.model` change; with a mistake they do not.
+
+    Args:
+        file: The robot's file.
+        locked: Joint regex -> position, rad or m.
+
+    Returns:
+        Every mistake, with paths that begin with ``locked_joints``.
+    """
+    if not locked:
+        return []
+    if not file.is_urdf:
+        message = "joints of an MJCF cannot be locked: remove them from the file"
+        return [Problem("locked_joints", message)]
+    model = file.model
+    names = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in _KINDS]
+    mimics = {name for eq in file.spec.equalities for name in (eq.name1, eq.name2) if name}
+    positions: dict[str, float] = {}
+    problems: list[Problem] = []
+    for pattern, position in locked.items():
+        path = f"locked_joints.{pattern}"
+        found, wrong = match(pattern, names, "joint", path)
+        problems += wrong
+        for name in (names[i] for i in found):
+            if name in positions:
+                problems.append(Problem(path, f"another entry matches joint {name!r} too"))
+            if name in mimics:
+                problems.append(Problem(path, f"joint {name!r} follows or leads another (mimic)"))
+            positions[name] = position
+            low, high = model.joint(name).range
+            if model.joint(name).limited[0] and not low <= position <= high:
+                message = f"{position:g} is outside the limits of joint {name!r}"
+                problems.append(Problem(path, f"{message}, [{low:g}, {high:g}]"))
+    if problems:
+        return problems
+    for name, position in positions.items():
+        _lock(file, name, position)
+    file.model = compile_quietly(file.spec)
+    return []
+
+
+def _lock(file: ModelFile, name: str, position: float) -> None:
+    """Remove a joint; a URDF's has its origin in that of its link."""
+    joint = file.model.joint(name)
+    link = file.model.body(int(joint.bodyid[0]))
+    pos, quat = link.pos.copy(), link.quat.copy()
+    if joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
+        pos += quat_rotate(quat, joint.axis * position)
+    else:
+        quat = quat_multiply(quat, rotvec_to_quat(joint.axis * position))
+    body = file.spec.body(link.name)
+    body.pos, body.quat = pos, quat
+    file.spec.delete(file.spec.joint(name))
+
+
+# ---------------------------------------------------------------------------------------- additions
+
+WHOLE = "default"
+"""EmbodiChain's name for the whole robot as a part."""
+_UNSCALED = np.ones(3)
+
+
+def check_attachments(
+    spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg]
+) -> list[Problem]:
+    """Return every mistake, with paths in the articulation's config; `spec` is the file's."""
+    problems: list[Problem] = []
+    links = names_in_spec(spec, "link")
+    for name, cfg in attachments.items():
+        path = f"attachments.{name}"
+        if name in links:
+            problems.append(Problem(path, "the file has a link of that name already"))
+        problems += [p.below(path) for p in _check_carrier(spec, cfg)]
+        if isinstance(cfg.shape, PlaneCfg):
+            problems.append(Problem(f"{path}.shape", "a Plane cannot move"))
+        found = [*check_shape(cfg.shape, _UNSCALED), *check_pose(cfg)]
+        if cfg.contact is not None:
+            found += [p.below("contact") for p in check_contact(cfg.contact)]
+            if cfg.contact.friction is not None and is_given(cfg.dynamic_friction):
+                message = "dynamic_friction is given as well: leave one of them out"
+                found.append(Problem("contact.friction", message))
+        problems += [p.below(path) for p in found]
+    return problems
+
+
+def _carrier(cfg: AttachmentCfg) -> dict[FrameKind, str]:
+    """What an attachment says it is fixed on, by kind."""
+    given: dict[FrameKind, str | None] = {"link": cfg.link, "site": cfg.site, "geom": cfg.geom}
+    return {kind: name for kind, name in given.items() if name}
+
+
+def _check_carrier(spec: mujoco.MjSpec, cfg: AttachmentCfg) -> list[Problem]:
+    given = _carrier(cfg)
+    if len(given) > 1:
+        first, second = list(given)[:2]
+        return [Problem(second, f"{first} is given as well: leave one of them out")]
+    kind: FrameKind = next(iter(given), "link")
+    names, name = names_in_spec(spec, kind), given.get(kind, "")
+    return [] if name in names else [no_such(kind, name, names or ("none",), kind)]
+
+
+def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg]) -> None:
+    """Add a body with one geom per checked attachment, as a child of its link."""
+    for number, (name, cfg) in enumerate(attachments.items()):
+        kind, carrier = next(iter(_carrier(cfg).items()))
+        link, pos, quat = on_frame(spec, kind, carrier, *initial_pose(cfg))
+        body = spec.body(link).add_body(name=name, pos=pos, quat=quat)
+        geom = add_shape(spec, body, name, cfg.shape, _UNSCALED, number)
+        geom.mass = float(cfg.mass)
+        usual = ContactParameters(friction=(float(cfg.dynamic_friction),))
+        given = ContactParameters.of_config(cfg.contact)
+        set_contact_parameters(body.geoms, given.over(usual))
+        set_collision(body.geoms, cfg.enable_collision)
+        keep_hull_inertia(spec, body)
+
+
+@dataclass(frozen=True)
+class Tool:
+    """The tool point of a part.
+
+    Attributes:
+        kind: Whether it is fixed on a link or on a site.
+        end: That link or site.
+        link: The link that is the tool point.
+        pose: Its position (3,) in metres and wxyz orientation in the frame of `end`; None is that
+            link's own frame.
+    """
+
+    kind: FrameKind
+    end: str
+    link: str
+    pose: tuple[F64, F64] | None
+
+
+def resolve_tools(
+    cfg: ArticulationCfg, parts: Collection[str], links: Sequence[str], sites: Sequence[str]
+) -> tuple[dict[str, Tool], list[Problem]]:
+    """Return the tool point of each part that `solver_cfg` gives one, and every mistake.
+
+    Args:
+        cfg: The articulation's config.
+        parts: Its control parts.
+        links: The links of its file.
+        sites: The sites of its file.
+    """
+    tools: dict[str, Tool] = {}
+    problems: list[Problem] = []
+    given = getattr(cfg, "solver_cfg", None) or {}
+    solvers: Mapping[str, SolverCfg] = {WHOLE: given} if isinstance(given, SolverCfg) else given
+    for part, solver in solvers.items():
+        path = f"solver_cfg.{part}"
+        if part not in parts and part != WHOLE:
+            problems.append(no_such("control part", part, [*parts, WHOLE], path))
+        problems += [p.below(path) for p in _check_ends(solver, links, sites)]
+        pose = None
+        if solver.tcp is not None and not np.array_equal(np.asarray(solver.tcp), np.eye(4)):
+            at = ObjectBaseCfg(init_local_pose=solver.tcp)
+            wrong = check_pose(at)
+            problems += [Problem(f"{path}.tcp", p.message) for p in wrong]
+            pose = None if wrong else initial_pose(at)
+        kind: FrameKind = "link" if solver.end_site_name is None else "site"
+        end = solver.end_link_name if solver.end_site_name is None else solver.end_site_name
+        if end is None:
+            if pose is not None:
+                message = "missing value: tcp is a pose in the frame of this link"
+                problems.append(Problem(f"{path}.end_link_name", message))
+            continue
+        name, key = "tcp" if part == WHOLE else f"{part}_tcp", "tcp"
+        if kind == "site":
+            pose, key = pose or (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])), "end_site_name"
+        if pose is not None and name in links:
+            message = f"the file has a link called {name!r} already"
+            problems.append(Problem(f"{path}.{key}", message))
+        tools[part] = Tool(kind, end, end if pose is None else name, pose)
+    return tools, problems
+
+
+def _check_ends(solver: SolverCfg, links: Sequence[str], sites: Sequence[str]) -> Iterator[Problem]:
+    """What is wrong with the links and the site that a solver names."""
+    for key in ("root_link_name", "end_link_name"):
+        name = getattr(solver, key)
+        if name is None or name in links:
+            continue
+        problem = no_such("link", name, links, key)
+        if key == "end_link_name" and name in sites:
+            hint = f"A site is called so: write end_site_name: {name}."
+            problem = dataclasses.replace(problem, hint=hint)
+        yield problem
+    if solver.end_site_name is None:
+        return
+    if solver.end_link_name is not None:
+        yield Problem("end_site_name", "end_link_name is given as well: leave one of them out")
+    if solver.end_site_name not in sites:
+        yield no_such("site", solver.end_site_name, sites or ("none",), "end_site_name")
+
+
+def add_tools(spec: mujoco.MjSpec, tools: Mapping[str, Tool]) -> None:
+    """Add a massless body for each tool point that differs from a link's frame."""
+    for tool in tools.values():
+        if tool.pose is not None:
+            link, pos, quat = on_frame(spec, tool.kind, tool.end, *tool.pose)
+            spec.body(link).add_body(name=tool.link, pos=pos, quat=quat)

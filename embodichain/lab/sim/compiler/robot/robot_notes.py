@@ -1,0 +1,117 @@
+"""Messages about a robot's file and its config: what has no effect, is left out, or will not do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.cfg import ArticulationCfg
+from embodichain.lab.sim.compiler.geoms.poses import initial_pose
+from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import exact_pattern, match
+from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveGains
+from embodichain.lab.sim.compiler.robot.files.robot_files import ModelFile
+from embodichain.lab.sim.compiler.robot.files.robot_joints import FileJoints, Mimics, movable_joints
+from embodichain.utils.math import quat_conjugate, quat_rotate
+
+__all__ = [
+    "driven_mimics",
+    "fixed_free_joints",
+    "overloaded_drives",
+    "starts_beyond_limits",
+    "without_effort",
+]
+
+
+def fixed_free_joints(cfg: ArticulationCfg, file: ModelFile) -> list[str]:
+    """Return a message about free joints of the file that `fix_base` leaves out."""
+    free = [
+        f"{joint.name!r} of {body.name!r}"
+        for body in file.spec.worldbody.bodies
+        for joint in body.joints
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE
+    ]
+    if not cfg.fix_base or not free:
+        return []
+    why = "the base is fixed (fix_base: true, the default); fix_base: false lets it float"
+    return [f"{file.path}: free joint {', '.join(free)} left out: {why}"]
+
+
+def without_effort(cfg: ArticulationCfg, joints: FileJoints, mimics: Mimics) -> list[str]:
+    """Return a message about joints of URDF files whose effort limit, which is taken, is 0."""
+    zero = joints.limits.zero_effort
+    driven = [n for i, n in enumerate(joints.names) if i not in mimics.ids and n in zero]
+    if cfg.drive_pros.max_effort != "file" or not driven:
+        return []
+    places = ", ".join(f"{name!r} ({zero[name]})" for name in driven)
+    entries = ", ".join(f"{exact_pattern(name)}: N" for name in driven)
+    return [
+        f'effort="0" is taken as no limit for joints {places}: write their limits into the file, '
+        f"or drive_pros.max_effort: {{{entries}}}, in N m or N; a joint that shall not push needs "
+        "stiffness 0 and damping 0"
+    ]
+
+
+def driven_mimics(
+    cfg: ArticulationCfg,
+    file: ModelFile,
+    names: Sequence[str],
+    mimics: Mimics,
+    parts: Mapping[str, Sequence[int]],
+) -> list[str]:
+    """Return a message about entries of `drive_pros` that pick mimic joints only."""
+    leaders = dict(zip(mimics.ids, mimics.parents, strict=True))
+    idle: list[str] = []
+    for field in ("stiffness", "damping", "max_effort"):
+        given = getattr(cfg.drive_pros, field)
+        for pattern in given if isinstance(given, Mapping) else ():
+            picked = parts.get(pattern) or match(pattern, names, "joint", field)[0]
+            if picked and all(i in leaders for i in picked):
+                which = ", ".join(f"{names[i]!r} mimics {names[leaders[i]]!r}" for i in picked)
+                idle.append(f"{field}.{pattern} ({which})")
+    if not idle:
+        return []
+    return [f"{file.path}: drive_pros has no effect on joints that follow: {'; '.join(idle)}"]
+
+
+def starts_beyond_limits(file: ModelFile, joints: FileJoints, qpos: F64) -> list[str]:
+    """Return a message about joints of an MJCF that start where its limits push them back.
+
+    Args:
+        file: The file.
+        joints: Its joints.
+        qpos: (D,) the start; what the config gives is within the limits.
+    """
+    low, high = joints.qpos_limits.T
+    beyond = np.flatnonzero(((qpos < low) | (qpos > high)) & ~joints.from_urdf)
+    if not len(beyond):
+        return []
+    listed = ", ".join(
+        f"{joints.names[i]} {qpos[i]:g} of [{low[i]:g}, {high[i]:g}]" for i in beyond.tolist()
+    )
+    return [f"{file.path}: joints start outside their limits, as in the file: {listed}"]
+
+
+def overloaded_drives(
+    cfg: ArticulationCfg, model: mujoco.MjModel, gains: DriveGains, qpos: F64
+) -> list[str]:
+    """Return a message if drives cannot bear the weight at the initial position."""
+    data = mujoco.MjData(model)
+    joints = movable_joints(model)
+    data.qpos[model.jnt_qposadr[joints]] = qpos
+    kept = model.opt.gravity.copy()
+    down = np.array([0.0, 0.0, -9.81])
+    model.opt.gravity = quat_rotate(quat_conjugate(initial_pose(cfg)[1]), down)
+    mujoco.mj_forward(model, data)
+    model.opt.gravity = kept
+    needed = np.abs(data.qfrc_bias - data.qfrc_passive)[model.jnt_dofadr[joints]]
+    weak = np.flatnonzero(gains.driven & (needed > gains.max_effort))
+    if not len(weak):
+        return []
+    names = ", ".join(
+        f"{model.joint(joints[i]).name} {needed[i]:.4g} of {gains.max_effort[i]:.4g}" for i in weak
+    )
+    advice = "the robot sinks; give it a lighter tool, a larger max_effort, or gravcomp"
+    return [f"its weight at the initial position is more than drives bear ({names}): {advice}"]

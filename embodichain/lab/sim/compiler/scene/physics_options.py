@@ -1,0 +1,197 @@
+"""Physics options: those of the scene, and those of files, which the scene's replace."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.cfg import SimulationManagerCfg
+from embodichain.lab.sim.compiler.geoms.contact_parameters import check_solimp, check_solref
+from embodichain.lab.sim.configs.physics_cfg import FlagsCfg, OptionsCfg, PhysicsCfg
+from embodichain.utils.errors import ConfigError, Problem
+
+__all__ = ["apply_options", "check_options", "replace_options"]
+
+_INTEGRATORS = {
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+}
+_SOLVERS = {
+    "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
+    "CG": mujoco.mjtSolver.mjSOL_CG,
+    "PGS": mujoco.mjtSolver.mjSOL_PGS,
+}
+_CONES = {
+    "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
+    "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
+}
+_JACOBIANS = {
+    "dense": mujoco.mjtJacobian.mjJAC_DENSE,
+    "sparse": mujoco.mjtJacobian.mjJAC_SPARSE,
+    "auto": mujoco.mjtJacobian.mjJAC_AUTO,
+}
+_ENUMS: dict[str, type[Any]] = {
+    "integrator": mujoco.mjtIntegrator,
+    "solver": mujoco.mjtSolver,
+    "cone": mujoco.mjtCone,
+    "jacobian": mujoco.mjtJacobian,
+}
+_FLAGS: dict[str, type[Any]] = {
+    "disableflags": mujoco.mjtDisableBit,
+    "enableflags": mujoco.mjtEnableBit,
+}
+_NEEDED = {
+    "sleep_tolerance": "sleep",
+    **dict.fromkeys(("o_margin", "o_solref", "o_solimp", "o_friction"), "override"),
+}
+"""Options that act only with a flag -> the flag."""
+
+
+# ------------------------------------------------------------------------------------ of the scene
+
+
+def apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
+    """Set a scene's physics options.
+
+    Auto-reset is off: it would reset a diverged simulation to qpos0 within a step.
+
+    Raises:
+        ConfigError: If a value is wrong, or has no effect; paths begin with ``physics``.
+    """
+    if not cfg.physics_dt > 0:
+        raise ConfigError([Problem("physics_dt", f"must be positive, got {cfg.physics_dt}")])
+    physics, option = cfg.physics_config, spec.option
+    problems = check_options(physics)
+    if problems:
+        raise ConfigError(p.below("physics") for p in problems)
+    option.timestep = float(cfg.physics_dt)
+    option.gravity = [float(g) for g in physics.gravity]
+    option.integrator = int(_INTEGRATORS[physics.integrator])
+    option.solver = int(_SOLVERS[physics.solver])
+    option.iterations = int(physics.iterations)
+    option.cone = int(_CONES[physics.cone])
+    option.impratio = float(physics.impratio)
+    for name, value in _given(physics).items():
+        if name == "flags":
+            _apply_flags(option, value)
+        elif name == "jacobian":
+            option.jacobian = int(_JACOBIANS[value])
+        else:
+            _set(option, name, value)
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+def _given(physics: OptionsCfg) -> dict[str, Any]:
+    """The options of `OptionsCfg` that are not None."""
+    names = [field.name for field in dataclasses.fields(OptionsCfg)]
+    values = {name: getattr(physics, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _set(option: Any, name: str, value: Any) -> None:
+    """Set a number; of a list that is shorter than the option, the rest stays."""
+    now = getattr(option, name)
+    if isinstance(now, np.ndarray):
+        now[: len(value)] = value
+    else:
+        setattr(option, name, type(now)(value))
+
+
+def _apply_flags(option: Any, flags: FlagsCfg) -> None:
+    for kind, name, bit in _bits():
+        wanted = getattr(flags, name, None)
+        if wanted is None:
+            continue
+        now, is_set = int(getattr(option, kind)), (wanted == "enable") == (kind == "enableflags")
+        setattr(option, kind, now | bit if is_set else now & ~bit)
+
+
+def _bits() -> list[tuple[str, str, int]]:
+    """Each flag of MuJoCo: ``disableflags`` or ``enableflags``, its name in MJCF, its bit."""
+    found = []
+    for kind, enum in _FLAGS.items():
+        for member, value in enum.__members__.items():
+            if int(value).bit_count() == 1 and not member.startswith("mjN"):
+                found.append((kind, member.split("_")[-1].lower(), int(value)))
+    return found
+
+
+def check_options(physics: PhysicsCfg) -> list[Problem]:
+    """Return every option that is wrong or has no effect, with paths below ``physics``."""
+    problems: list[Problem] = []
+    given = _given(physics)
+    flags = physics.flags or FlagsCfg()
+    for name, flag in _NEEDED.items():
+        if name in given and getattr(flags, flag) != "enable":
+            message = f"has no effect without flags: {{{flag}: enable}}"
+            problems.append(Problem(name, message))
+    if "noslip_tolerance" in given and not given.get("noslip_iterations"):
+        message = "has no effect without noslip_iterations"
+        problems.append(Problem("noslip_tolerance", message))
+    if "o_solref" in given:
+        problems += check_solref("o_solref", given["o_solref"])
+    if "o_solimp" in given:
+        problems += check_solimp("o_solimp", given["o_solimp"])
+    for name in ("wind", "density", "viscosity", "magnetic"):
+        if name in given and not np.isfinite(np.asarray(given[name], np.float64)).all():
+            problems.append(Problem(name, f"must be finite, got {given[name]}"))
+    return problems
+
+
+# --------------------------------------------------------------------------------------- of a file
+
+
+def replace_options(
+    child: mujoco.MjSpec, scene: mujoco.MjSpec, file: str, given: Collection[str]
+) -> list[str]:
+    """Replace a file's options by the scene's.
+
+    Args:
+        child: The file; its options become the scene's.
+        scene: The scene.
+        file: What the file is called in messages.
+        given: Names of the options that the file gives, and ``flag.NAME`` of its flags.
+
+    Returns:
+        A message with ``name: value in the file -> value of the scene`` for each option that the
+        file gives and that differs from the scene's; none if there is none.
+    """
+    default = mujoco.MjSpec().option
+    replaced: list[str] = []
+    for name in (name for name in dir(default) if not name.startswith("_")):
+        old, new = getattr(child.option, name), getattr(scene.option, name)
+        if name in _FLAGS:
+            replaced += _replaced_flags(name, int(old), int(new), given)
+        # A value that differs from MuJoCo's default was given, even if `given` lacks it.
+        elif not np.array_equal(old, new) and (
+            name in given or not np.array_equal(old, getattr(default, name))
+        ):
+            replaced.append(f"{name} {_show(name, old)} -> {_show(name, new)}")
+        setattr(child.option, name, new)
+    what = "; ".join(replaced)
+    return [f"{file}: the scene's physics replaces its options: {what}"] if what else []
+
+
+def _replaced_flags(kind: str, old: int, new: int, given: Collection[str]) -> list[str]:
+    """Return flags that a file sets and the scene does not, and those it gives and loses."""
+    lost = [name for k, name, bit in _bits() if k == kind and old & ~new & bit]
+    turned = [
+        name
+        for k, name, bit in _bits()
+        if k == kind and new & ~old & bit and f"flag.{name}" in given
+    ]
+    said = [f"{kind} {', '.join(lost)} -> off"] if lost else []
+    return [*said, f"{kind} {', '.join(turned)} -> on"] if turned else said
+
+
+def _show(name: str, value: Any) -> str:
+    if name in _ENUMS:
+        return str(_ENUMS[name](int(value)).name.split("_")[-1].lower())
+    array = np.asarray(value, np.float64).reshape(-1)
+    return " ".join(f"{x:g}" for x in array)

@@ -1,0 +1,206 @@
+"""Rigid objects: initial pose, body, shape or mesh, contact and damping."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.cfg import ObjectBaseCfg, RigidObjectCfg, VariantCfg
+from embodichain.lab.sim.compiler.geoms.contact_parameters import set_contact_parameters
+from embodichain.lab.sim.compiler.geoms.poses import check_pose, initial_pose
+from embodichain.lab.sim.compiler.geoms.shape_geoms import (
+    add_shape,
+    check_shape,
+    inertia_about_axes,
+    keep_hull_inertia,
+    set_collision,
+)
+from embodichain.lab.sim.compiler.geoms.textures import check_textures
+from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import check_uid
+from embodichain.lab.sim.compiler.scene.object_contacts import check_object_contact, object_contact
+from embodichain.lab.sim.shapes import (
+    MeshCfg,
+    PlaneCfg,
+)
+from embodichain.utils.errors import Problem
+from embodichain.utils.fields.defaults import is_given
+
+__all__ = [
+    "HAS_SHAPES",
+    "OF_EACH_SHAPE",
+    "add_object",
+    "check_object",
+    "damping_of",
+    "shapes_of",
+]
+
+
+def check_object(cfg: RigidObjectCfg) -> list[Problem]:
+    """Return every mistake in an object's config, with paths below it."""
+    problems = check_pose(cfg) + _check_attrs(cfg) + check_object_contact(cfg)
+    if cfg.any_of:
+        # A config made in Python cannot say whether a default was given; for YAML, see
+        # `config.checks.given_keys`.
+        for name in OF_EACH_SHAPE:
+            if not _same(getattr(cfg, name), getattr(RigidObjectCfg(), name)):
+                problems.append(Problem(name, HAS_SHAPES))
+    for name, one in shapes_of(cfg).items():
+        if not cfg.any_of:
+            return problems + _check_shape(one)
+        path = f"any_of.{name}"
+        problems += check_uid(name, path, {})
+        problems += [p.below(path) for p in _check_place(cfg.any_of[name]) + _check_shape(one)]
+    return problems
+
+
+OF_EACH_SHAPE = ("shape", "body_scale", "max_convex_hull_num", "collision")
+"""Fields of an object that each shape of `any_of` has instead."""
+HAS_SHAPES = "the object has any_of: give each of its shapes there"
+
+
+def _same(a: object, b: object) -> bool:
+    return list(a) == list(b) if isinstance(a, Sequence) and isinstance(b, Sequence) else a == b
+
+
+def _check_place(variant: VariantCfg) -> list[Problem]:
+    names = {"init_pos": "pos", "init_rot": "rot", "init_quat": "quat"}
+    found = check_pose(_place(variant))
+    return [Problem(names[p.path], p.message, p.hint) for p in found]
+
+
+def _place(variant: VariantCfg) -> ObjectBaseCfg:
+    return ObjectBaseCfg(init_pos=variant.pos, init_rot=variant.rot, init_quat=variant.quat)
+
+
+def shapes_of(cfg: RigidObjectCfg) -> dict[str, RigidObjectCfg]:
+    """Return the shapes that an object may have, each as an object of its own, by name.
+
+    The shape of an object without `any_of` has the name "".
+    """
+    found = {}
+    for name, variant in cfg.any_of.items():
+        given = {key: getattr(variant, key) for key in ("mass", "density", "dynamic_friction")}
+        given = {key: value for key, value in given.items() if value is not None}
+        own = ("shape", "body_scale", "max_convex_hull_num", "collision")
+        found[name] = dataclasses.replace(
+            cfg,
+            any_of={},
+            attrs=dataclasses.replace(cfg.attrs, **given),
+            **{key: getattr(variant, key) for key in own},
+        )
+    return found or {"": cfg}
+
+
+def _check_shape(cfg: RigidObjectCfg) -> list[Problem]:
+    problems: list[Problem] = []
+    if cfg.collision == "decompose" and _given_parts(cfg) == 1:
+        message = "1 part is the hull, but collision is decompose: leave one of them out"
+        problems.append(Problem("max_convex_hull_num", message))
+    scale = np.asarray(cfg.body_scale, np.float64)
+    if scale.shape != (3,) or not (scale > 0).all():
+        problems.append(Problem("body_scale", f"must be 3 positive numbers, got {scale.tolist()}"))
+        scale = np.ones(3)
+    if not cfg.max_convex_hull_num >= 1:
+        message = f"must be at least 1, got {cfg.max_convex_hull_num}"
+        return [*problems, Problem("max_convex_hull_num", message)]
+    parts = _convex_parts(cfg)
+    if parts != 1 and not isinstance(cfg.shape, MeshCfg):
+        name = "max_convex_hull_num" if cfg.max_convex_hull_num > 1 else "collision"
+        message = f"only a Mesh is split into convex parts, this is a {cfg.shape.shape_type}"
+        problems.append(Problem(name, message))
+    problems += check_shape(cfg.shape, scale, parts)
+    look = cfg.shape.visual_material
+    if look is not None and look.textures is not None:
+        problems += check_textures(look.textures, "shape.visual_material.textures")
+    if isinstance(cfg.shape, PlaneCfg) and cfg.body_type != "static":
+        message = f"a Plane must be static, got {cfg.body_type!r}"
+        problems.append(Problem("body_type", message))
+    return problems
+
+
+def _check_attrs(cfg: RigidObjectCfg) -> list[Problem]:
+    problems: list[Problem] = []
+    attrs = cfg.attrs
+    for name in ("mass", "linear_damping", "angular_damping", "dynamic_friction"):
+        value = getattr(attrs, name)
+        if not (value >= 0 and np.isfinite(value)):
+            message = f"must be finite and not negative, got {value}"
+            problems.append(Problem(f"attrs.{name}", message))
+    if attrs.mass == 0 and not attrs.density > 0:
+        message = f"must be positive as mass is 0, got {attrs.density}"
+        problems.append(Problem("attrs.density", message))
+    return problems
+
+
+def _convex_parts(cfg: RigidObjectCfg) -> int | None:
+    """Maximum number of convex parts of a mesh; 1 is its hull, None as many as needed."""
+    given = _given_parts(cfg)
+    if given is not None:
+        return given
+    return None if cfg.collision == "decompose" else 1
+
+
+def _given_parts(cfg: RigidObjectCfg) -> int | None:
+    number = cfg.max_convex_hull_num
+    return int(number) if is_given(number) else None
+
+
+def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) -> None:
+    """Add body `uid`, its geom ``uid/geom`` and, if dynamic, its joint ``uid/free``.
+
+    With `any_of` it has the geoms of all of these shapes, ``uid/NAME/geom``. All but the first
+    one's are invisible and without mass; `index_variants` lets them not collide, once the scene is
+    compiled: MuJoCo has bounding volumes only of geoms that collide when it compiles.
+
+    Args:
+        spec: The scene.
+        uid: The object's name.
+        cfg: Its config, checked.
+        number: Its index among the objects: selects a colour if the config has none.
+    """
+    pos, quat = initial_pose(cfg)
+    body = spec.worldbody.add_body(name=uid, pos=pos, quat=quat)
+    body.mocap = cfg.body_type == "kinematic"
+    if cfg.body_type == "dynamic":
+        body.add_freejoint(name=f"{uid}/free")
+        # A body compiled as "simple" has a diagonal mass matrix and cannot have a different centre
+        # of mass per environment.
+        body.simple = 0
+    for order, (name, one) in enumerate(shapes_of(cfg).items()):
+        before, prefix = len(body.geoms), f"{uid}/{name}" if name else uid
+        scale, parts = np.asarray(one.body_scale, np.float64), _convex_parts(one)
+        geom = add_shape(spec, body, prefix, one.shape, scale, number + order, parts)
+        attrs = one.attrs
+        if attrs.mass > 0:
+            geom.mass = float(attrs.mass)
+        else:
+            geom.density = float(attrs.density)
+        geoms = body.geoms[before:]
+        set_contact_parameters(geoms, object_contact(one))
+        set_collision(geoms, attrs.enable_collision)
+        if name:
+            body.userdata = [0.0]  # the index of the shape, as a field of each environment
+            place = initial_pose(_place(cfg.any_of[name]))
+            for part in geoms:
+                part.pos, part.quat = place
+        if order:
+            geom.mass = 0.0
+            for part in geoms:
+                part.rgba[3] = 0.0
+    keep_hull_inertia(spec, body)
+
+
+def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:
+    """Return the free joint's damping (6,) that makes velocities decay at the config's rates.
+
+    Force = -linear_damping x mass x v, torque = -angular_damping x inertia x w, so that velocities
+    decay as ``exp(-damping t)`` for any size of body. MuJoCo's joint damping is one number per
+    axis: only the diagonal of the inertia tensor in the body's axes is used.
+    """
+    inertia = inertia_about_axes(model.body_iquat[body], model.body_inertia[body])
+    linear = np.full(3, cfg.attrs.linear_damping * model.body_mass[body])
+    return np.concatenate([linear, cfg.attrs.angular_damping * inertia])

@@ -1,0 +1,1 @@
+"""Cameras, views and sensors of a scene."""

@@ -1,0 +1,1 @@
+"""Parts of a scene's config, as pure data; `lab.sim.cfg` exports them."""

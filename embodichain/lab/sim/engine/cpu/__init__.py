@@ -1,0 +1,1 @@
+"""States and models on the host, and `mujoco.batch`, which steps them."""

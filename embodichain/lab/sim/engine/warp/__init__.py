@@ -1,0 +1,1 @@
+"""MuJoCo Warp: engines with arrays on the host, or on its device."""

@@ -1,1 +1,0 @@
-"""Conversion to OBJ and PNG of meshes that MuJoCo cannot read or draws without colours."""

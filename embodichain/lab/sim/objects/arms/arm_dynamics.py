@@ -1,0 +1,120 @@
+"""`ArmDynamics`: mass matrix, bias forces, Jacobian and motion of a tool, from the engine's fields.
+
+Environments are in the last axis, as in `chain`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from embodichain.lab.sim.reads.frames import link_frame
+from embodichain.lab.sim.solvers.chain import matmul
+from embodichain.utils.arrays import contiguous
+from embodichain.utils.math import quat_conjugate, quat_to_matrix
+
+if TYPE_CHECKING:
+    import mujoco
+    from numpy.typing import NDArray
+
+    from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.objects.articulation import Articulation
+    from embodichain.lab.sim.reads.frames import BodyFrames
+
+__all__ = ["ArmDynamics", "in_axes", "matrix_product"]
+
+
+def matrix_product(a: F64, b: F64) -> F64:
+    """(r, s, n) products of matrices (r, k, n) and (k, s, n), elementwise in a fixed order."""
+    found: F64 = a[:, 0, None] * b[None, 0]
+    for inner in range(1, a.shape[1]):
+        found = found + a[:, inner, None] * b[None, inner]
+    return found
+
+
+class ArmDynamics:
+    """Dynamics of some joints of an articulation, and the motion of the body that they move.
+
+    Everything is that of the engine's current state; its position and velocity stages run if it
+    has changed. Other joints are as if they were fixed: their rows and columns of the mass matrix
+    are left out.
+
+    Args:
+        asset: The articulation.
+        joints: k of the joints between its root and the tool.
+        tool: The frame of the tool; a number is MuJoCo's id of a body.
+    """
+
+    def __init__(self, asset: Articulation, joints: Sequence[int], tool: BodyFrames | int) -> None:
+        self._asset, self._engine = asset, asset.engine
+        self._tool = link_frame(tool) if isinstance(tool, int) else tool
+        model, body = asset.engine.model, int(self._tool.bodies)
+        self._joints: NDArray[np.int64] = np.asarray(list(joints), np.int64)
+        self._dofs: NDArray[np.int64] = asset.index.dof_adr[self._joints].astype(np.int64)
+        self._root = int(model.body_rootid[body])
+        self._entries = _entries(model, self._dofs.tolist())
+
+    def mass_matrix(self) -> F64:
+        """(k, k, n) joint-space inertia with the joints' armature, kg m^2 (kg of slides)."""
+        values = contiguous(self._engine.derived("M")[:, self._entries].T)
+        size = len(self._dofs)
+        return values.reshape(size, size, -1)
+
+    def bias(self) -> F64:
+        """(k, n) efforts that balance gravity, Coriolis and centrifugal forces, N m or N.
+
+        Less those that `gravcomp` of the links balances already.
+        """
+        bias = self._engine.derived("qfrc_bias")[:, self._dofs]
+        found = bias - self._engine.derived("qfrc_gravcomp")[:, self._dofs]
+        return contiguous(found.T)
+
+    def jacobian(self) -> F64:
+        """(6, k, n) velocity of the tool's origin, then its angular velocity, in world axes.
+
+        MuJoCo's `cdof` (angular, linear at the tree's centre of mass), moved to the origin.
+        """
+        engine = self._engine
+        cdof = np.moveaxis(engine.derived("cdof")[:, self._dofs], 0, -1)  # (k, 6, n)
+        arm = self._tool.positions(engine) - engine.derived("subtree_com")[:, self._root]
+        turn, (x, y, z) = contiguous(np.moveaxis(cdof[:, :3], 1, 0)), arm.T
+        moved = np.stack(
+            [turn[1] * z - turn[2] * y, turn[2] * x - turn[0] * z, turn[0] * y - turn[1] * x]
+        )
+        return np.concatenate([np.moveaxis(cdof[:, 3:], 1, 0) + moved, turn])
+
+    def joint_motion(self) -> tuple[F64, F64]:
+        """Positions (k, n), rad or m, and velocities (k, n) of the joints."""
+        qpos, qvel = self._asset.read_qpos(), self._asset.read_qvel()
+        joints = self._joints
+        return contiguous(qpos[:, joints].T), contiguous(qvel[:, joints].T)
+
+    def pose(self) -> F64:
+        """(n, 7) x, y, z, qw, qx, qy, qz of the tool."""
+        tool, engine = self._tool, self._engine
+        return np.concatenate([tool.positions(engine), tool.orientations(engine)], axis=1)
+
+    def velocity(self) -> F64:
+        """(6, n) velocity of the tool's origin, then its angular velocity, in world axes."""
+        return contiguous(np.concatenate(self._tool.velocities(self._engine), axis=1).T)
+
+
+def in_axes(axes: F64, twists: F64) -> F64:
+    """Twists or errors (6 or 3, ..., n) of world axes, in axes with orientations (n, 4), wxyz."""
+    back = contiguous(np.moveaxis(quat_to_matrix(quat_conjugate(axes)), 0, -1))
+    parts = twists.reshape(-1, 3, *twists.shape[1:])
+    return np.concatenate([matmul(back, part) for part in parts])
+
+
+def _entries(model: mujoco.MjModel, dofs: Sequence[int]) -> NDArray[np.int64]:
+    """(k * k) places of the elements of a mass matrix in MuJoCo's sparse lower triangle `M`."""
+    found = []
+    for pair in product(dofs, repeat=2):
+        row, column = max(pair), min(pair)
+        start = int(model.M_rowadr[row])
+        columns = model.M_colind[start : start + int(model.M_rownnz[row])].tolist()
+        found.append(start + columns.index(column))
+    return np.array(found, np.int64)

@@ -1,0 +1,145 @@
+"""`Impedance`: joint efforts of a spring and a damper between a tool and a pose.
+
+Environments are in the last axis, as in `chain`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from embodichain.lab.sim.objects.arms.arm_dynamics import in_axes, matrix_product
+from embodichain.lab.sim.solvers.least_squares import eliminated, squared, times, transposed
+from embodichain.utils.arrays import contiguous, is_host, precise
+from embodichain.utils.math import quat_conjugate, quat_multiply, quat_to_rotvec
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.objects.arms.arm_dynamics import ArmDynamics
+
+__all__ = ["Impedance"]
+
+_LEAST_MOBILITY = 1e-4
+"""1/kg or 1/(kg m^2), added to the tool's mobility in each direction: finite near singularities."""
+
+
+class Impedance:
+    """Operational space control of a tool, with a posture in the null space.
+
+    tau = J^T L (K e - D v - J a) + M a + b, with the tool's Jacobian J, the mass matrix M of the
+    joints, L = (J M^-1 J^T)^-1, the error e of the pose, the tool's velocity v, accelerations a
+    towards the posture, and the bias b. K and D = 2 r sqrt(K) are diagonal. O. Khatib, "A unified
+    approach for motion and force control of robot manipulators: the operational space
+    formulation", IEEE Journal of Robotics and Automation 3(1), 1987.
+
+    Without decoupling tau = J^T (K e - D v - L J a) + M a + b, with D = 2 sqrt(r) (L # K) sqrt(r)
+    and the geometric mean L # K = sqrt(K) (sqrt(K) L^-1 sqrt(K))^(-1/2) sqrt(K). With r = 1 it
+    damps all modes of L and K critically: double diagonalization, A. Albu-Schaeffer et al.,
+    "Cartesian impedance control of redundant robots", ICRA 2003.
+
+    Args:
+        dynamics: The k joints and their tool.
+        stiffness: (6,) K of x, y, z, rx, ry, rz; (3,) if the orientation is free. 1/s^2, without
+            decoupling N/m and N m/rad.
+        ratio: Damping ratios r, likewise.
+        most: Largest lengths of the errors of position and rotation that the spring pulls with, m
+            and rad.
+        decoupling: Whether L shapes the forces.
+        posture: (k,) joint positions.
+        pull: 1/s^2 towards the posture, critically damped; 0 is no posture.
+    """
+
+    def __init__(
+        self,
+        dynamics: ArmDynamics,
+        stiffness: F64,
+        ratio: F64,
+        most: tuple[float, float],
+        decoupling: bool,
+        posture: F64,
+        pull: float,
+    ) -> None:
+        self._dynamics, self._most, self._decouples = dynamics, most, decoupling
+        self._stiffness: F64 = stiffness[:, None]
+        root = np.sqrt(self._stiffness)
+        self._root: F64 = root
+        self._damping: F64 = 2.0 * ratio[:, None] * root
+        self._weight: F64 = np.sqrt(ratio)[:, None] * root
+        self._posture: F64 = posture[:, None]
+        self._pull, self._brake = pull, 2.0 * np.sqrt(pull)
+
+    def error(self, pos: F64, quat: F64 | None) -> F64:
+        """(6, N) from the tool to poses (N, 3), (N, 4), world axes; (3, N) without orientation.
+
+        The rotation vector is the logarithm of R_target R_tool^T.
+        """
+        pose = self._dynamics.pose()
+        error = pos - pose[:, :3]
+        if quat is not None:
+            turn = quat_multiply(quat, quat_conjugate(pose[:, 3:]))
+            error = np.concatenate([error, quat_to_rotvec(turn)], axis=1)
+        return contiguous(error.T)
+
+    def efforts(self, error: F64, axes: F64 | None) -> F64:
+        """(k, N) efforts for the engine's current state, N m or N.
+
+        Args:
+            error: (6 or 3, N) from `error`.
+            axes: (N, 4) orientation of the axes of stiffness, wxyz; None is the world's axes.
+        """
+        size, dynamics, most = len(error), self._dynamics, self._most
+        parts = zip(error.reshape(-1, 3, error.shape[-1]), most, strict=False)
+        error = np.concatenate([_shortened(part, length) for part, length in parts])
+        jacobian, velocity = dynamics.jacobian()[:size], dynamics.velocity()[:size]
+        if axes is not None:
+            jacobian, velocity, error = (in_axes(axes, v) for v in (jacobian, velocity, error))
+        mass = dynamics.mass_matrix()
+        mobility = matrix_product(jacobian, _solved(mass, np.swapaxes(jacobian, 0, 1)))
+        mobility[np.arange(size), np.arange(size)] += _LEAST_MOBILITY
+        lean = self._lean() if self._pull else None
+        force = self._stiffness * error
+        if self._decouples:
+            wanted = force - self._damping * velocity
+            force = _solved(mobility, wanted if lean is None else wanted - times(jacobian, lean))
+        else:
+            force = force - self._damped(mobility, velocity)
+            if lean is not None:
+                force = force - _solved(mobility, times(jacobian, lean))
+        effort = dynamics.bias() + transposed(jacobian, force)
+        return effort if lean is None else effort + times(mass, lean)
+
+    def _damped(self, mobility: F64, velocity: F64) -> F64:
+        """(r, N) forces of the damper without decoupling."""
+        scaled = np.moveaxis(self._root[:, None] * mobility * self._root[None], -1, 0)
+        # eigh raises for NaN, which the velocity of an environment that diverged has as well.
+        finite = np.isfinite(scaled).all(axis=(1, 2), keepdims=True)
+        squares, modes = np.linalg.eigh(np.where(finite, scaled, 0.0))
+        moves = squares > 1e-12 * squares[:, -1:]  # the others are axes without stiffness
+        rate = np.where(moves, 1.0 / np.sqrt(np.where(moves, squares, 1.0)), 0.0)
+        modes = contiguous(np.moveaxis(modes, 0, -1))
+        found = transposed(modes, self._weight * velocity) * contiguous(rate.T)
+        forces: F64 = 2.0 * self._weight * times(modes, found)
+        return forces
+
+    def _lean(self) -> F64:
+        """(k, N) accelerations towards the posture."""
+        qpos, qvel = self._dynamics.joint_motion()
+        found: F64 = self._pull * (self._posture - qpos) - self._brake * qvel
+        return found
+
+
+def _shortened(vectors: F64, length: float) -> F64:
+    """Vectors (3, N), scaled to a length where they are longer."""
+    found: F64 = vectors * (length / np.maximum(np.sqrt(squared(vectors)), length))
+    return found
+
+
+def _solved(matrix: F64, right: F64) -> F64:
+    """Solutions of N systems (k, k, N), (k, ..., N); on the host LAPACK solves each alone."""
+    vectors = right if right.ndim == 3 else right[:, None]
+    if not is_host(matrix):
+        system = np.concatenate([precise(matrix), precise(vectors)], axis=1)
+        return eliminated(system).reshape(right.shape)
+    found = np.linalg.solve(np.moveaxis(matrix, -1, 0), np.moveaxis(vectors, -1, 0))
+    return contiguous(np.moveaxis(found, 0, -1)).reshape(right.shape)

@@ -1,0 +1,1 @@
+"""Reads of the state that handles and terms share: frames, motion, gravity, the ground."""

@@ -1,0 +1,1 @@
+"""Files of a training, without code: states, notes, what the policy was trained in."""

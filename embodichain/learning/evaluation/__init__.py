@@ -1,0 +1,1 @@
+"""Results: of episodes, of policies, of trainings beside each other."""

@@ -1,0 +1,315 @@
+"""Comparison of finished trainings; runs that differ only in their seed form a group."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from embodichain.config.run_folder import SUMMARY
+from embodichain.learning.evaluation.episodes import EPISODE_WINDOW
+from embodichain.learning.evaluation.statistics import SeedEstimate, over_seeds
+from embodichain.utils.env_text import shown
+from embodichain.utils.errors import ConfigError
+
+__all__ = [
+    "Curve",
+    "Group",
+    "TrainedRun",
+    "band",
+    "best_group",
+    "group_runs",
+    "is_training",
+    "read_curves",
+    "read_run",
+    "short_labels",
+    "trainings_in",
+]
+
+PROGRESS = "progress.csv"
+STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
+LENGTH = "rollout/ep_len_mean"
+"""Columns of Stable-Baselines3's logger."""
+_ROW_EPISODES = 100
+"""Episodes that a row of `progress.csv` has its success rate from, once so many have ended."""
+# Keys that may differ in a group: the seed, and keys that change no number. `hydra` configures how
+# a sweep runs: launcher, sweeper, folders.
+_APART = (
+    *("seed", "output_dir", "quiet", "json", "traceback", "record", "viewer", "resume"),
+    *("eval", "video", "wandb", "checkpoint", "sim", "allow_changed", "hydra"),
+)
+_FIRST = re.compile(r"[./@]")
+"""Separators after the first word of a key: ``hydra/launcher``, ``hydra.launcher.n_jobs``."""
+
+F64 = NDArray[np.float64]
+
+
+class Curve(NamedTuple):
+    """One quantity of a training: (n,) increasing environment steps, and (n,) values at these."""
+
+    steps: F64
+    values: F64
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedRun:
+    """The results of one training.
+
+    Attributes:
+        folder: The run folder.
+        parts: Task, algorithm and overrides without the seed.
+        seed: The training's seed.
+        numbers: ``success_rate``, ``mean_return``, ``env_steps_per_second``, ``train_seconds``,
+            ``env_steps``, ``objective``, ``eval_return``, ``eval_success``, as far as known.
+        trials: Episodes behind each of the numbers that is a success rate.
+        curves: Column of `progress.csv` -> curve; empty without that file.
+    """
+
+    folder: Path
+    parts: tuple[str, ...]
+    seed: int | None
+    numbers: dict[str, float]
+    trials: dict[str, int]
+    curves: dict[str, Curve]
+
+    @property
+    def label(self) -> str:
+        """The parts in one line."""
+        return " ".join(self.parts)
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Runs that differ only in their seed, in the order given."""
+
+    label: str
+    runs: tuple[TrainedRun, ...]
+
+    def number(self, name: str) -> SeedEstimate | None:
+        """Summarize a number over the runs; the interval is over seeds."""
+        known = [run for run in self.runs if name in run.numbers]
+        are_rates = any(name in run.trials for run in known)
+        trials = [run.trials.get(name, 0) for run in known] if are_rates else None
+        return over_seeds([run.numbers[name] for run in known], trials)
+
+
+def is_training(folder: Path) -> bool:
+    """Whether a folder contains a finished training, possibly with a damaged summary.
+
+    `read_run` reports the damage.
+    """
+    path = folder / SUMMARY
+    return path.is_file() and "train_seconds" in path.read_text(encoding="utf-8", errors="replace")
+
+
+def trainings_in(folder: Path) -> list[Path]:
+    """The trainings of a folder: the folder itself, or its subfolders, as in a sweep.
+
+    Returns:
+        Folders, the jobs of a sweep ordered by number; empty if there is no training.
+    """
+    if is_training(folder):
+        return [folder]
+    found = [path for path in folder.iterdir() if path.is_dir() and is_training(path)]
+    return sorted(found, key=lambda path: (len(path.name), path.name))
+
+
+def read_run(folder: Path) -> TrainedRun:
+    """Read the results of a training.
+
+    Raises:
+        ConfigError: If the folder is not that of a training, or a file in it is damaged.
+    """
+    summary = _json(folder / SUMMARY)
+    if summary is None or "train_seconds" not in summary:
+        raise ConfigError(f"{folder} has no finished training: no summary.json of one")
+    names = (
+        *("success_rate", "mean_return", "env_steps_per_second", "train_seconds", "env_steps"),
+        "objective",
+    )
+    numbers = {n: float(summary[n]) for n in names if summary.get(n) is not None}
+    evaluated = _evaluated(folder) or summary.get("eval") or {}
+    for name, key, value in (("return", "returns", "mean"), ("success", "success", "rate")):
+        part = evaluated.get(key) or {}
+        if part.get(value) is not None:
+            numbers[f"eval_{name}"] = float(part[value])
+    task, algo = str(summary.get("task")), str(summary.get("algo"))
+    trials: dict[str, int] = {}
+    if "success_rate" in numbers:
+        window = summary.get("num_envs") if algo == "bc" else EPISODE_WINDOW
+        trials["success_rate"] = min(int(summary.get("episodes") or 0), int(window or 0))
+    if "eval_success" in numbers:
+        trials["eval_success"] = int((evaluated.get("success") or {}).get("trials") or 0)
+    objective = numbers.get("objective")
+    same = (n for n in ("eval_success", "success_rate") if n in trials and numbers[n] == objective)
+    rate = next(same, None)  # of tasks without success it is a return
+    if rate is not None:
+        trials["objective"] = trials[rate]
+    return TrainedRun(
+        folder=folder,
+        parts=(task, algo, *_overrides(folder)),
+        seed=summary.get("seed"),
+        numbers=numbers,
+        trials=trials,
+        curves=read_curves(folder / PROGRESS),
+    )
+
+
+def group_runs(runs: Iterable[TrainedRun]) -> list[Group]:
+    """Group runs by label, in the order of each group's first run.
+
+    Raises:
+        ConfigError: If a folder is given twice, or two runs of a group have the same seed: their
+            results are identical, and an interval over them would be too narrow.
+    """
+    found: dict[str, list[TrainedRun]] = {}
+    for run in runs:
+        same = found.setdefault(run.label, [])
+        twin = next((r for r in same if r.seed == run.seed), None)
+        if twin is not None:
+            raise ConfigError(
+                f"{twin.folder} and {run.folder} are the same training with the same seed "
+                f"{run.seed}: name one of them"
+            )
+        same.append(run)
+    return [Group(label, tuple(same)) for label, same in found.items()]
+
+
+def best_group(groups: Sequence[Group], objective: float | None = None) -> Group | None:
+    """Return the group with the largest mean objective; None without any.
+
+    Args:
+        groups: The groups.
+        objective: The best value of a search, which may minimize; its group is returned.
+    """
+    means = {i: found.mean for i, g in enumerate(groups) if (found := g.number("objective"))}
+    if not means:
+        return None
+    if objective is not None:
+        return groups[min(means, key=lambda i: abs(means[i] - objective))]
+    return groups[max(means, key=means.__getitem__)]
+
+
+def short_labels(groups: Sequence[Group]) -> tuple[str, list[str]]:
+    """Return what all groups have in common, and each group's label without it.
+
+    Args:
+        groups: The groups; a single one keeps its whole label.
+    """
+    parts = [group.runs[0].parts for group in groups]
+    if len(parts) < 2:
+        return "", [group.label for group in groups]
+    common = [part for part in parts[0] if all(part in other for other in parts)]
+    labels = [" ".join(part for part in own if part not in common) for own in parts]
+    return " ".join(common), [
+        label or group.label for label, group in zip(labels, groups, strict=True)
+    ]
+
+
+def band(
+    curves: Sequence[Curve], points: int = 200, *, share: bool = False
+) -> tuple[F64, F64, F64 | None, F64 | None]:
+    """Average curves of several seeds.
+
+    Args:
+        curves: At least one; averaged over the range of steps that they share.
+        points: Number of steps at which the curves are linearly interpolated.
+        share: Whether the values are rates.
+
+    Returns:
+        Steps, mean, and low and high end of the 95 % interval of `over_seeds`, each (points,). Too
+        few seeds have no interval: None.
+
+    Raises:
+        ValueError: If the curves have no steps in common.
+    """
+    first = max(float(curve.steps[0]) for curve in curves)
+    last = min(float(curve.steps[-1]) for curve in curves)
+    if first > last:
+        raise ValueError(f"the curves have no steps in common: {first:g} to {last:g}")
+    steps = np.linspace(first, last, points)
+    rows = np.stack([np.interp(steps, curve.steps, curve.values) for curve in curves])
+    mean: F64 = rows.mean(axis=0)
+    trials = np.full(len(curves), _ROW_EPISODES) if share else None
+    found = [over_seeds(column, trials) for column in rows.T]
+    ends = [x.mean_interval for x in found if x is not None and x.mean_interval is not None]
+    if not ends:
+        return steps, mean, None, None
+    low, high = np.array(ends, np.float64).T
+    return steps, mean, low, high
+
+
+def _overrides(folder: Path) -> list[str]:
+    """The overrides, without the task and the keys that may differ in a group."""
+    try:
+        lines = yaml.safe_load((folder / "overrides.yaml").read_text(encoding="utf-8")) or []
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise ConfigError(f"cannot read {folder / 'overrides.yaml'}: {error}") from error
+    # Without the +, which a sweep's jobs have before every override.
+    plain = [shown(str(line)).lstrip("+") for line in lines]
+    keys = {line: line.partition("=")[0].lstrip("~") for line in plain}
+    return sorted(
+        line for line, key in keys.items() if key != "task" and _FIRST.split(key)[0] not in _APART
+    )
+
+
+def _evaluated(folder: Path) -> dict[str, Any] | None:
+    """The newest evaluation of this training among the runs in the same folder."""
+    found: dict[int, dict[str, Any]] = {}
+    for path in folder.parent.parent.glob("*/*/eval.json"):
+        data = _json(path) or {}
+        if Path(str(data.get("policy"))).is_relative_to(folder):
+            found[path.stat().st_mtime_ns] = data
+    return found[max(found)] if found else None
+
+
+def read_curves(
+    path: Path, wanted: Callable[[str], bool] = (RETURN, SUCCESS, LENGTH).__contains__
+) -> dict[str, Curve]:
+    """Read curves over environment steps from a `progress.csv`.
+
+    Args:
+        path: The file.
+        wanted: Picks columns by name; by default return, success and length of episodes.
+
+    Returns:
+        Column -> curve, from rows with both cells filled. Empty without the file.
+
+    Raises:
+        ConfigError: The file is damaged.
+    """
+    if not path.is_file():
+        return {}
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+        found: dict[str, Curve] = {}
+        for name in filter(wanted, filter(None, rows[0] if rows else ())):
+            cells = [(row.get(STEPS), row.get(name)) for row in rows]
+            pairs = [(float(steps), float(value)) for steps, value in cells if steps and value]
+            if pairs:
+                steps, values = np.array(sorted(pairs)).T
+                found[name] = Curve(steps, values)
+    except (OSError, ValueError, csv.Error) as error:
+        raise ConfigError(f"cannot read {path}: {error}") from error
+    return found
+
+
+def _json(path: Path) -> dict[str, Any] | None:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cannot read {path}: {error}") from error
+    return data if isinstance(data, dict) else None

@@ -1,0 +1,1 @@
+"""Learned policies: loaded, exported, checked against their environment."""

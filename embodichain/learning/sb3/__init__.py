@@ -1,0 +1,1 @@
+"""Stable-Baselines3: its environment, its algorithms, and policies for it."""

@@ -1,0 +1,398 @@
+"""`Algorithm`: a config's `algo` as arguments of Stable-Baselines3, checked before a run."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import logging
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box, Dict
+from pydantic import TypeAdapter, ValidationError
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.noise import (
+    ActionNoise,
+    NormalActionNoise,
+    OrnsteinUhlenbeckActionNoise,
+    VectorizedActionNoise,
+)
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+
+from embodichain.config.keys.algorithms import ALGORITHMS, AlgoCfg
+from embodichain.learning.sb3.asymmetric import ASYMMETRIC
+from embodichain.learning.sb3.extractors import EXTRACTORS
+from embodichain.learning.sb3.normalization import number_keys
+from embodichain.learning.sb3.symmetry import Mirror, MirroredMeanStd, SymmetricActorCriticPolicy
+from embodichain.learning.sb3.vec_env import SB3VecEnv
+from embodichain.learning.spaces import observation_columns, require_bounds
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.fields.type_errors import unknown_key, what_is_wrong
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["Algorithm", "action_noise", "algorithm_class"]
+
+_NAMED: dict[str, dict[str, Any]] = {
+    "activation_fn": {
+        "elu": torch.nn.ELU,
+        "gelu": torch.nn.GELU,
+        "leaky_relu": torch.nn.LeakyReLU,
+        "relu": torch.nn.ReLU,
+        "silu": torch.nn.SiLU,
+        "tanh": torch.nn.Tanh,
+    },
+    "features_extractor_class": EXTRACTORS,
+    "optimizer_class": {
+        "adam": torch.optim.Adam,
+        "adamw": torch.optim.AdamW,
+        "rmsprop": torch.optim.RMSprop,
+        "sgd": torch.optim.SGD,
+    },
+}
+"""Keys of ``policy_kwargs`` with the name of a class as value."""
+# Arguments that a user cannot set -> what to use instead.
+_POLICY_INSTEAD = {
+    "observation_space": "it is the task's",
+    "action_space": "it is the task's",
+    "lr_schedule": "use algo.learning_rate",
+    "use_sde": "use algo.use_sde",
+    "chunk_size": "use algo.chunk_size",
+    "ensemble_decay": "use algo.ensemble_decay",
+    "ignored": "use algo.ignore",
+    "mirror": "use algo.symmetric and the task's symmetry",
+}
+_NORMALIZE_INSTEAD = {
+    "venv": "the environment is the task's",
+    "training": "it is true while training",
+    "norm_obs_keys": "every observation that is no image is normalized",
+}
+_LINEAR = "lin_"
+_log = logging.getLogger(__name__)
+_DEFAULT_STD = 0.1
+
+
+def algorithm_class(name: str) -> type[BaseAlgorithm]:
+    """Return an algorithm by name.
+
+    Raises:
+        ConfigError: If the name is unknown (lists all), or a package is not installed (names it).
+    """
+    if name not in ALGORITHMS:
+        message = f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}"
+        raise ConfigError([Problem("algo.name", message, did_you_mean(name, ALGORITHMS).strip())])
+    package, _, attribute = ALGORITHMS[name][0].rpartition(".")
+    try:
+        module = importlib.import_module(package)
+    except ModuleNotFoundError as error:
+        if error.name != package:
+            raise
+        message = f"{name} needs a package: pip install {package.replace('_', '-')}"
+        raise ConfigError([Problem("algo.name", message)]) from error
+    algorithm: type[BaseAlgorithm] = getattr(module, attribute)
+    return algorithm
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """A checked algorithm, not yet built.
+
+    Attributes:
+        name: As in ``algo.name``.
+        arguments: Keyword arguments of its class.
+        normalize: Keyword arguments of `VecNormalize`; None if nothing is normalized.
+        noise: Kind and standard deviation (None is 0.1) of action noise; None without noise.
+        critic_groups: Observation groups of the critic; empty if it reads what the policy reads.
+        symmetric: Whether the policy has the task's symmetry.
+    """
+
+    name: str
+    arguments: dict[str, Any]
+    normalize: dict[str, Any] | None = None
+    noise: tuple[str, float | None] | None = None
+    critic_groups: tuple[str, ...] = ()
+    symmetric: bool = False
+
+    @classmethod
+    def of(cls, cfg: AlgoCfg) -> Algorithm:
+        """Convert schedules and names to objects, and check arguments against signatures.
+
+        Args:
+            cfg: A config that passed the check of types.
+
+        Raises:
+            ConfigError: Every mistake, with paths below ``algo``.
+        """
+        if cfg.name == "dqn":
+            message = "dqn chooses among discrete actions, a task's are continuous: use sac, td3 or"
+            raise ConfigError([Problem("algo.name", f"{message} ppo")])
+        algorithm = algorithm_class(cfg.name)
+        arguments = {name: _scheduled(value) for name, value in cfg.arguments().items()}
+        if cfg.policy not in algorithm.policy_aliases:
+            message = f"{cfg.name} has no {cfg.policy}; allowed: "
+            message += ", ".join(algorithm.policy_aliases)
+            raise ConfigError([Problem("algo.policy", message)])
+        policy = algorithm.policy_aliases[cfg.policy]
+        arguments["policy_kwargs"], problems = _check_policy_kwargs(policy, cfg.policy_kwargs)
+        problems += _check_critic(cfg, policy) + _check_symmetric(cfg, policy)
+        path = "algo.normalize_kwargs"
+        given, found = _check_call(VecNormalize, cfg.normalize_kwargs, _NORMALIZE_INSTEAD, path)
+        problems += found
+        if cfg.normalize_kwargs and not cfg.normalize:
+            message = "nothing is normalized; set algo.normalize to obs, reward or both"
+            problems.append(Problem(path, message))
+        if problems:
+            raise ConfigError(problems)
+        normalize: dict[str, Any] | None = None
+        if cfg.normalize:
+            gamma = getattr(cfg, "gamma", None)
+            normalize = {"gamma": 0.99 if gamma is None else gamma}
+            normalize |= {"norm_obs": cfg.normalize != "reward"}
+            normalize |= {"norm_reward": cfg.normalize != "obs", **given}
+        kind = getattr(cfg, "noise_type", None)
+        noise = None if kind is None else (kind, getattr(cfg, "noise_std", None))
+        groups = tuple(cfg.critic_groups or ())
+        return cls(cfg.name, arguments, normalize, noise, groups, bool(cfg.symmetric))
+
+    @property
+    def flat(self) -> bool:
+        """Whether its policy takes one array instead of a dict."""
+        return not str(self.arguments["policy"]).startswith("MultiInput")
+
+    @property
+    def has_replay_buffer(self) -> bool:
+        """Whether the algorithm learns from a replay buffer."""
+        return issubclass(algorithm_class(self.name), OffPolicyAlgorithm)
+
+    @property
+    def is_cloning(self) -> bool:
+        """Whether the algorithm learns from demonstrations alone."""
+        return self.name == "bc"
+
+    def build(self, vec_env: SB3VecEnv, seed: int | None) -> BaseAlgorithm:
+        """Construct the algorithm for an environment, with `VecNormalize` if configured.
+
+        Args:
+            vec_env: The environment to learn in; actions (A,) in [-1, 1].
+            seed: Seed of the networks, the exploration and the environment's next reset. It seeds
+                the global generators of Python, numpy and torch, which Stable-Baselines3 uses.
+
+        Raises:
+            ConfigError: If the algorithm refuses its arguments.
+        """
+        arguments = dict(self.arguments)
+        squashes = arguments.get("policy_kwargs", {}).get("squash_output", False)
+        if squashes or not issubclass(algorithm_class(self.name), OnPolicyAlgorithm):
+            require_bounds(vec_env.base, self.name)
+        space: Any = vec_env.observation_space
+        vector = isinstance(space, Box) and len(space.shape) == 1
+        if str(arguments["policy"]).startswith("Mlp") and not vector:
+            message = f"{arguments['policy']} takes a flat vector, the observation is an image: "
+            raise ConfigError([Problem("algo.policy", message + "use CnnPolicy")])
+        if arguments.get("optimize_memory_usage"):
+            # Its buffer has no room for the last observation of an episode that is cut off.
+            arguments["replay_buffer_kwargs"] = {"handle_timeout_termination": False}
+            _log.warning(
+                "algo.optimize_memory_usage: an episode that is cut off counts as terminated, as "
+                "its last observation is not kept"
+            )
+        if self.critic_groups:
+            keys = {"actor_keys": vec_env.actor_keys, "critic_keys": vec_env.critic_keys}
+            policy = algorithm_class(self.name).policy_aliases[arguments["policy"]]
+            arguments["policy"] = ASYMMETRIC[policy]
+            arguments["policy_kwargs"] = {**arguments["policy_kwargs"], **keys}
+        mirror = Mirror.of(vec_env.base, vec_env.group) if self.symmetric else None
+        if mirror is not None:
+            arguments["policy"] = SymmetricActorCriticPolicy
+            arguments["policy_kwargs"] = {**arguments["policy_kwargs"], "mirror": mirror.to_list()}
+        if self.noise is not None:
+            (width,) = vec_env.action_space.shape or (0,)
+            arguments["action_noise"] = action_noise(*self.noise, width, vec_env.num_envs)
+        if self.is_cloning:
+            ignored = _ignored(arguments.get("ignore"), vec_env)
+            arguments["policy_kwargs"] = {**arguments["policy_kwargs"], "ignored": ignored}
+        env = self._normalized(vec_env, mirror)
+        algorithm: Callable[..., BaseAlgorithm] = algorithm_class(self.name)
+        try:
+            with warnings.catch_warnings():
+                # `doubtful_scale` has said it, with the key to write.
+                warnings.filterwarnings("ignore", "You have specified a mini-batch size")
+                return algorithm(env=env, seed=seed, device="cpu", **arguments)
+        except (AssertionError, TypeError, ValueError) as error:  # how SB3 refuses
+            raise ConfigError([Problem("algo", f"{self.name} refuses this: {error}")]) from error
+
+    def _normalized(self, vec_env: SB3VecEnv, mirror: Mirror | None) -> VecEnv:
+        if self.normalize is None:
+            return vec_env
+        kwargs, space = dict(self.normalize), vec_env.observation_space
+        if kwargs["norm_obs"]:
+            numbers = number_keys(space)
+            if not numbers:
+                message = "an observation of images is not normalized: use reward, or false"
+                raise ConfigError([Problem("algo.normalize", message)])
+            kwargs |= {"norm_obs_keys": numbers} if isinstance(space, Dict) else {}
+        normalized: Any = VecNormalize(vec_env, **kwargs)  # its obs_rms is declared as a dict
+        if mirror is not None and kwargs["norm_obs"]:
+            normalized.obs_rms = MirroredMeanStd(mirror)
+        return cast(VecEnv, normalized)
+
+
+def action_noise(kind: str, std: float | None, width: int, num_envs: int) -> ActionNoise:
+    """Return noise for actions in [-1, 1], drawn separately for each environment.
+
+    Args:
+        kind: ``normal`` or ``ornstein-uhlenbeck``.
+        std: Standard deviation; None is 0.1.
+        width: Number of action columns.
+        num_envs: Number of environments.
+    """
+    noise = NormalActionNoise if kind == "normal" else OrnsteinUhlenbeckActionNoise
+    base = noise(np.zeros(width), np.full(width, _DEFAULT_STD if std is None else std))
+    return VectorizedActionNoise(base, num_envs) if num_envs > 1 else base
+
+
+def _ignored(names: list[str] | None, vec_env: SB3VecEnv) -> list[int | str]:
+    """What a policy of `ChunkPolicy` does not read: columns of a vector, entries of a dict.
+
+    Args:
+        names: Observations; None are those of the last action.
+        vec_env: The environment.
+
+    Raises:
+        ConfigError: If there is no such observation, or none remains.
+    """
+    manager = vec_env.base.observation_manager
+    entries = manager.group_terms(vec_env.group)
+    if names is None:
+        terms = manager.terms.values()
+        actions = [t.cfg.name or t.name for t in terms if t.spec.name == "last_action"]
+        names = [name for name in actions if name in entries]
+        if names:
+            _log.info("bc does not read %s: algo.ignore=[] would", ", ".join(names))
+    problems = [
+        Problem(
+            "algo.ignore",
+            f"there is no observation {name!r}; there are: {', '.join(entries)}",
+            did_you_mean(name, entries).strip(),
+        )
+        for name in names
+        if name not in entries
+    ]
+    if not problems and len(set(names)) == len(entries):
+        problems = [Problem("algo.ignore", "no observation remains")]
+    if problems:
+        raise ConfigError(problems)
+    if isinstance(vec_env.observation_space, Dict):
+        return list(names)
+    columns = observation_columns(vec_env.base, vec_env.group)
+    owners = [column.partition("[")[0] for column in columns]
+    return [i for i, owner in enumerate(owners) if owner in names]
+
+
+def _scheduled(value: Any) -> Any:
+    """``lin_VALUE`` as a schedule that decays linearly from VALUE to 0 at the end of training."""
+    if isinstance(value, str) and value.startswith(_LINEAR):
+        return LinearSchedule(float(value.removeprefix(_LINEAR)), 0.0, 1.0)
+    return value
+
+
+def _check_critic(cfg: AlgoCfg, policy: type[BasePolicy]) -> list[Problem]:
+    """Check that actor and critic of the policy can read different groups."""
+    if not cfg.critic_groups:
+        return []
+    if not cfg.policy.startswith("MultiInput"):
+        message = "groups of the critic need a dict of observations: algo.policy=MultiInputPolicy"
+        return [Problem("algo.critic_groups", message)]
+    if policy not in ASYMMETRIC:
+        message = f"{cfg.name} has one view of the observation; "
+        message += "ppo, a2c, trpo, sac, td3 and ddpg can have two"
+        return [Problem("algo.critic_groups", message)]
+    if cfg.policy_kwargs.get("share_features_extractor"):
+        message = "actor and critic with groups of their own share no features"
+        return [Problem("algo.policy_kwargs.share_features_extractor", message)]
+    return []
+
+
+def _check_symmetric(cfg: AlgoCfg, policy: type[BasePolicy]) -> list[Problem]:
+    """Check that the policy can be symmetric: Gaussian actions of a flat vector."""
+    path = "algo.symmetric"
+    if not cfg.symmetric:
+        return []
+    if policy is not ActorCriticPolicy:
+        message = f"{cfg.policy} of {cfg.name} cannot be symmetric; "
+        message += "MlpPolicy of ppo, a2c and trpo can; else use algo.symmetric=false"
+        return [Problem(path, message)]
+    if getattr(cfg, "use_sde", None):
+        return [Problem(path, "noise that depends on the state (use_sde) is not symmetric")]
+    return []
+
+
+def _check_policy_kwargs(
+    policy: Callable[..., Any], given: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[Problem]]:
+    path = "algo.policy_kwargs"
+    kwargs, problems = dict(given), list[Problem]()
+    for key, classes in _NAMED.items():
+        if key not in kwargs:
+            continue
+        name = kwargs.pop(key)
+        if isinstance(name, str) and name in classes:
+            kwargs[key] = classes[name]
+            continue
+        message = f"unknown name {name!r}; allowed: {', '.join(classes)}"
+        hint = did_you_mean(str(name), classes).strip()
+        problems.append(Problem(f"{path}.{key}", message, hint))
+    values, found = _check_call(policy, kwargs, _POLICY_INSTEAD, path)
+    critic = "qf" if "n_critics" in inspect.signature(policy).parameters else "vf"
+    found += _check_layers(values.get("net_arch"), critic, f"{path}.net_arch")
+    return values, problems + found
+
+
+def _check_layers(layers: Any, critic: str, path: str) -> list[Problem]:
+    """Check `net_arch`: SB3 ignores unknown keys of a map, and fails late on empty layers."""
+    problems = []
+    for key, widths in layers.items() if isinstance(layers, dict) else [("", layers or [])]:
+        at = f"{path}.{key}" if key else path
+        if key not in ("", "pi", critic):
+            message = f"unknown part; allowed: pi (policy), {critic} (value)"
+            problems.append(Problem(at, message))
+        elif any(width < 1 for width in widths):
+            problems.append(Problem(at, f"layers need a width of at least 1, got {widths}"))
+    return problems
+
+
+def _check_call(
+    function: Callable[..., Any],
+    arguments: Mapping[str, Any],
+    instead: Mapping[str, str],
+    path: str,
+) -> tuple[dict[str, Any], list[Problem]]:
+    """Check arguments against a signature: names, then types.
+
+    Returns:
+        The values converted to the annotated types, and every mistake.
+    """
+    parameters = inspect.signature(function).parameters
+    allowed = [name for name in parameters if name not in instead]
+    values: dict[str, Any] = {}
+    problems: list[Problem] = []
+    for name, value in arguments.items():
+        at = f"{path}.{name}"
+        if name in instead:
+            problems.append(Problem(at, f"cannot be set here: {instead[name]}"))
+        elif name not in parameters:
+            problems.append(Problem(at, *unknown_key(name, allowed)))
+        else:
+            try:
+                values[name] = TypeAdapter(parameters[name].annotation).validate_python(value)
+            except ValidationError as error:
+                errors = error.errors(include_url=False)
+                problems.append(Problem(at, *what_is_wrong(errors)))
+    return values, problems

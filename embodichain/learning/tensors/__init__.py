@@ -1,0 +1,1 @@
+"""Learners that read tensors of the environment: rsl_rl and skrl."""

@@ -1,0 +1,425 @@
+"""`train`: runs a training from its config to the final checkpoint and the summary."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import KVWriter
+
+from embodichain.config import Resolved, make_batch
+from embodichain.config.checks.validation import check_training_keys
+from embodichain.config.keys.algorithms import DEFAULT_ALGORITHM, LEARN_FROM_DATA, AlgoCfg
+from embodichain.config.keys.schema import RootCfg
+from embodichain.config.keys.tensor_algorithms import TensorAlgoCfg
+from embodichain.config.run_folder import SUMMARY
+from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.managers.observation_manager import no_vector
+from embodichain.learning.checkpoints.checkpoint import DIGEST, read_digest, read_note
+from embodichain.learning.checkpoints.task_digest import TaskDigest, check_unchanged
+from embodichain.learning.cloning.behavior_cloning import BehaviorCloning
+from embodichain.learning.cloning.demonstrations import (
+    Demonstration,
+    Demonstrations,
+    fill,
+    learn_scales,
+)
+from embodichain.learning.evaluation.episodes import EPISODE_WINDOW, TrainStatistics
+from embodichain.learning.evaluation.evaluation import Evaluation
+from embodichain.learning.evaluation.plots import draw_curves
+from embodichain.learning.sb3.algorithms import Algorithm
+from embodichain.learning.sb3.training_state import buffer_of
+from embodichain.learning.sb3.vec_env import SB3VecEnv
+from embodichain.learning.tensors.tensor_env import GROUP, TensorEnv
+from embodichain.learning.training.finite import NotFiniteError
+from embodichain.learning.training.keeper import CheckpointKeeper, find_resumable, telling_where
+from embodichain.learning.training.session import Progress, Session
+from embodichain.learning.training.tensor_training import TensorAlgorithm, TensorSession
+from embodichain.learning.training.train_logs import check_wandb, wandb_writers
+from embodichain.utils.env_text import as_written, env_texts
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.system.atomic import write_text
+
+__all__ = [
+    "TORCH_THREADS",
+    "TrainSummary",
+    "add_evaluation",
+    "check_algorithm",
+    "check_episode",
+    "check_training",
+    "train",
+]
+
+DEMONSTRATIONS = "demonstrations"
+"""Key of a checkpoint's note with the checksum of the demonstrations."""
+_EVAL_KEYS = {field.name for field in dataclasses.fields(Evaluation)} - {"per_episode"}
+AnyAlgorithm = Algorithm | TensorAlgorithm
+_log = logging.getLogger(__name__)
+TORCH_THREADS = 1
+"""Threads of torch while learning: one, as networks are small and physics needs the cores."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class TrainSummary:
+    """The results of a training; `summary.json` has the same keys.
+
+    Attributes:
+        env_steps: Environment steps, summed over environments, including those before a resume. Of
+            `bc`: steps of demonstrations in batches.
+        train_seconds: Wall time of learning, without start-up.
+        time_fractions: Shares of the wall time since the start or the resume, see `session.PARTS`.
+        success_rate: Success rate of the last 200 episodes; None without episodes.
+        mean_return: Mean return of the last 200 episodes; None without episodes.
+        checkpoint: Path of the final checkpoint, relative to the run folder.
+        best: Path of the best checkpoint; None if no episode ended.
+        demonstrations: Number of episodes that were learned from; None without `dataset`.
+        resumed_from: The checkpoint that this training was resumed from; None for a new one.
+        eval: Results of the evaluation at the end, see `add_evaluation`; None without one.
+        objective: The objective for a sweeper: the evaluation's success rate, or its mean return
+            for a task without success; without an evaluation, that of the training.
+    """
+
+    task: str
+    algo: str
+    seed: int
+    num_envs: int
+    env_steps: int
+    train_seconds: float
+    env_steps_per_second: float
+    time_fractions: dict[str, float]
+    episodes: int
+    success_rate: float | None
+    mean_return: float | None
+    status: Literal["finished", "interrupted"]
+    checkpoint: str
+    best: str | None = None
+    demonstrations: int | None = None
+    resumed_from: str | None = None
+    eval: dict[str, Any] | None = None
+    objective: float | None = None
+
+
+def train(
+    resolved: Resolved,
+    run_dir: Path,
+    progress: Progress | None = None,
+    attach: Callable[[BaseEnv], object] | None = None,
+    episodes: Callable[[BaseEnv], Iterable[Demonstration]] | None = None,
+) -> TrainSummary:
+    """Train a policy in this process.
+
+    Writes checkpoints, ``summary.json`` (both atomically) and logs into the run folder. With
+    ``resume`` in the config, training continues from the newest checkpoint of that run's folder.
+
+    Args:
+        resolved: A config of the verb `train`.
+        run_dir: The run's folder, which exists.
+        progress: Called after every control step with `TrainStatistics`; may raise
+            KeyboardInterrupt to stop after the current rollout and its update.
+        attach: Called with the built environment, to attach observers such as viewers.
+        episodes: Reads the episodes of the config's `dataset`, for the built environment.
+
+    Returns:
+        The results.
+
+    Raises:
+        ConfigError: If the task cannot be learned or an argument is wrong; nothing was written.
+        KeyboardInterrupt: Raised by `progress` or Ctrl-C; the model is saved first.
+        WriteError: The folder cannot be written; complete checkpoints remain.
+        NotFiniteError: The networks or the losses of an update are not finite; checkpoints of
+            before remain.
+    """
+    algorithm = _checked_algorithm(resolved)
+    if resolved.root.wandb.mode != "disabled":
+        for path, text in env_texts(resolved.tree["wandb"], "wandb"):
+            names = " and ".join(text.names)
+            _log.warning("%s holds the value of %s: Weights & Biases keeps it", path, names)
+    env = make_batch(resolved)
+    try:
+        env.run_dir = run_dir
+        if attach is not None:
+            attach(env)
+        vec_env = _vec_env(env, algorithm)
+        found = None
+        if resolved.root.dataset is not None:
+            if episodes is None:
+                raise ConfigError([Problem("dataset", "give its episodes: train(episodes=...)")])
+            found = Demonstrations.of(episodes(env), _sb3(vec_env))
+        with (
+            _torch_threads(TORCH_THREADS),
+            wandb_writers(resolved.root.wandb, run_dir, as_written(resolved.tree)) as writers,
+            telling_where(run_dir),
+        ):
+            return _learn(resolved, algorithm, vec_env, run_dir, progress, writers, found)
+    finally:
+        env.close()
+
+
+def add_evaluation(run_dir: Path, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Add an evaluation of the final checkpoint to a training's `summary.json`.
+
+    Args:
+        run_dir: The training's folder.
+        found: `Evaluation.as_dict()`; `per_episode` is left out.
+
+    Returns:
+        The summary.
+    """
+    summary: dict[str, Any] = json.loads((run_dir / SUMMARY).read_text(encoding="utf-8"))
+    summary["eval"] = {name: value for name, value in found.items() if name in _EVAL_KEYS}
+    success, returns = found["success"], found["returns"]
+    if found["complete"]:
+        summary["objective"] = success["rate"] if success is not None else returns["mean"]
+    _write(run_dir, summary)
+    return summary
+
+
+def check_training(resolved: Resolved) -> None:
+    """Run the checks of `train` that need no environment.
+
+    Args:
+        resolved: A config of the verb `train`.
+
+    Raises:
+        ConfigError: Lists every mistake.
+    """
+    _checked_algorithm(resolved)
+
+
+def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
+    """Build the algorithm of a training on its environment, as a check, without training.
+
+    Args:
+        resolved: A config of the verb `train`.
+        env: Its environment.
+
+    Raises:
+        ConfigError: If the task cannot be learned or an argument is wrong.
+    """
+    algorithm = _checked_algorithm(resolved)
+    _build(algorithm, _vec_env(env, algorithm), resolved.root.seed)
+
+
+def check_episode(resolved: Resolved, env: BaseEnv, episode: Demonstration) -> None:
+    """Check that a training can learn from an episode of its data set.
+
+    Args:
+        resolved: A config of the verb `train`.
+        env: Its environment.
+        episode: The episode.
+
+    Raises:
+        ConfigError: If the episode's observations or actions are not the task's.
+    """
+    Demonstrations.of([episode], _sb3(_vec_env(env, _checked_algorithm(resolved))))
+
+
+def _vec_env(env: BaseEnv, algorithm: AnyAlgorithm) -> SB3VecEnv | TensorEnv:
+    """The environment as the algorithm's policy takes it."""
+    manager = env.observation_manager
+    images = manager.image_terms(GROUP) if GROUP in manager.groups else ()
+    if images and isinstance(algorithm, TensorAlgorithm):
+        message = f"its networks take vectors, and {', '.join(images)} in group {GROUP!r} "
+        message += "is an image" if len(images) == 1 else "are images"
+        raise ConfigError([Problem("algo", f"{message}: use algo=ppo")])
+    if algorithm.flat and images and len(manager.group_terms(GROUP)) > 1:
+        message = f"{no_vector(GROUP, images)}: use MultiInputPolicy"
+        raise ConfigError([Problem("algo.policy", message)])
+    unknown = [
+        Problem(
+            "algo.critic_groups",
+            f"no observation is in group {group!r}; there are: {', '.join(manager.groups)}",
+            did_you_mean(group, manager.groups).strip(),
+        )
+        for group in algorithm.critic_groups
+        if group not in manager.groups
+    ]
+    if unknown:
+        raise ConfigError(unknown)
+    if isinstance(algorithm, TensorAlgorithm):
+        return TensorEnv(env, algorithm.critic_groups, algorithm.cfg.action_scale)
+    return SB3VecEnv(env, GROUP, flatten=algorithm.flat, critic_groups=algorithm.critic_groups)
+
+
+def _sb3(vec_env: SB3VecEnv | TensorEnv) -> SB3VecEnv:
+    """The environment of an algorithm that takes demonstrations."""
+    if isinstance(vec_env, TensorEnv):
+        raise TypeError("only algorithms of Stable-Baselines3 take demonstrations")
+    return vec_env
+
+
+def _build(algorithm: AnyAlgorithm, vec_env: SB3VecEnv | TensorEnv, seed: int | None) -> Any:
+    """Construct the algorithm, a `BaseAlgorithm` or a `Learner`, for the result of `_vec_env`."""
+    if isinstance(algorithm, TensorAlgorithm):
+        if not isinstance(vec_env, TensorEnv):
+            raise TypeError(f"{algorithm.name} takes a TensorEnv")
+        return algorithm.build(vec_env, seed)
+    return algorithm.build(_sb3(vec_env), seed)
+
+
+def _checked_algorithm(resolved: Resolved) -> AnyAlgorithm:
+    """Check the config keys for learning, before building."""
+    root = resolved.root
+    problems = check_training_keys(root) + check_wandb(root.wandb)
+    if root.resume is not None and not Path(root.resume).is_dir():
+        problems.append(Problem("resume", f"there is no run folder {root.resume!r}"))
+    if root.video and not root.eval.episodes:
+        problems.append(Problem("video", "there is no evaluation to film: eval.episodes is 0"))
+    try:
+        algorithm = _algorithm(root.algo or AlgoCfg(name=DEFAULT_ALGORITHM))
+    except ConfigError as error:
+        raise ConfigError([*problems, *error.problems]) from error
+    if root.checkpoint.replay_buffer and not algorithm.has_replay_buffer:
+        message = f"{algorithm.name} learns from no replay buffer"
+        problems.append(Problem("checkpoint.replay_buffer", message))
+    problems += _check_dataset(root)
+    if problems:
+        raise ConfigError(problems)
+    return algorithm
+
+
+def _algorithm(cfg: AlgoCfg | TensorAlgoCfg) -> AnyAlgorithm:
+    return TensorAlgorithm.of(cfg) if isinstance(cfg, TensorAlgoCfg) else Algorithm.of(cfg)
+
+
+def _check_dataset(root: RootCfg) -> list[Problem]:
+    """Check that there are demonstrations if the algorithm needs them, and only if it takes any."""
+    algo = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
+    if root.dataset is None:
+        message = "bc learns from demonstrations: dataset=FOLDER of `embodichain collect`, or a log"
+        return [Problem("dataset", message)] if algo == "bc" else []
+    if algo not in LEARN_FROM_DATA:
+        message = f"{algo} learns from its own steps alone; what takes demonstrations: "
+        return [Problem("dataset", message + ", ".join(LEARN_FROM_DATA))]
+    paths = [root.dataset] if isinstance(root.dataset, str) else root.dataset
+    missing = [path for path in paths if not Path(path).exists()]
+    return [Problem("dataset", f"there is no file or folder {path!r}") for path in missing]
+
+
+def _learn(
+    resolved: Resolved,
+    algorithm: AnyAlgorithm,
+    vec_env: SB3VecEnv | TensorEnv,
+    run_dir: Path,
+    progress: Progress | None,
+    writers: tuple[KVWriter, ...],
+    demonstrations: Demonstrations | None,
+) -> TrainSummary:
+    root, task = resolved.root, resolved.task_name
+    total, seed = root.total_timesteps or 0, root.seed or 0
+    found = None if root.resume is None else find_resumable(Path(root.resume))
+    if found is not None and found[1]["env_steps"] >= total:
+        message = f"{found[0]} has {found[1]['env_steps']} steps already: give more than these"
+        raise ConfigError([Problem("total_timesteps", message)])
+    if found is not None:
+        before = read_digest(read_note(found[0]), found[0])
+        check_unchanged(str(found[0]), before, vec_env.base, GROUP, allow=root.allow_changed)
+    digest = TaskDigest.of(vec_env.base, GROUP)
+    model, every = _build(algorithm, vec_env, seed), _between_checkpoints(root)
+    note: dict[str, Any] = {"algo": algorithm.name, "group": GROUP, "task": task}
+    note[DIGEST] = digest.to_json()
+    if demonstrations is not None and isinstance(model, BaseAlgorithm):
+        note[DEMONSTRATIONS] = demonstrations.checksum
+        if found is not None:
+            _check_same(note, found[0])
+        _give(demonstrations, model, every)
+    # An evaluation while cloning is one episode in each environment.
+    window = vec_env.num_envs if algorithm.is_cloning else EPISODE_WINDOW
+    statistics = TrainStatistics(total, window)
+    session: Session | TensorSession
+    if isinstance(vec_env, TensorEnv):
+        session = TensorSession(model, vec_env, statistics, run_dir, writers, seed)
+    else:
+        buffer = root.checkpoint.replay_buffer
+        session = Session(model, vec_env, statistics, run_dir, writers, buffer)
+    keeper = CheckpointKeeper(session, note, every, root.checkpoint.keep)
+    if found is not None:
+        session.resume(*found)
+        keeper.resume(found[0])
+    try:
+        interrupt, resumable = session.learn(keeper.boundary, progress)
+        checkpoint = keeper.final(finished=interrupt is None, resumable=resumable)
+    except NotFiniteError as error:
+        rate = (resolved.tree["algo"] or {}).get("learning_rate")
+        given = "" if rate is None else f", {rate},"
+        message = f"{error}; the learning rate{given} may be too large (algo.learning_rate)"
+        raise NotFiniteError(message) from error
+    summary = TrainSummary(
+        task=task,
+        algo=algorithm.name,
+        seed=seed,
+        num_envs=vec_env.num_envs,
+        env_steps=statistics.env_steps,
+        train_seconds=statistics.seconds,
+        env_steps_per_second=statistics.env_steps_per_second,
+        time_fractions={name: round(v, 4) for name, v in statistics.fractions.items()},
+        episodes=statistics.episodes,
+        success_rate=statistics.success_rate,
+        mean_return=statistics.mean_return,
+        status="finished" if interrupt is None else "interrupted",
+        checkpoint=checkpoint,
+        best=keeper.best,
+        demonstrations=None if demonstrations is None else len(demonstrations.lengths),
+        resumed_from=None if found is None else str(found[0]),
+        objective=(
+            statistics.mean_return if statistics.success_rate is None else statistics.success_rate
+        ),
+    )
+    _write(run_dir, resolved.record(dataclasses.asdict(summary)))
+    draw_curves(run_dir)
+    if interrupt is not None:
+        raise interrupt
+    return summary
+
+
+def _between_checkpoints(root: RootCfg) -> int:
+    return root.checkpoint.every_steps or max(1, (root.total_timesteps or 0) // 10)
+
+
+def _give(demonstrations: Demonstrations, model: BaseAlgorithm, every: int) -> None:
+    """Let a model learn from demonstrations, or fill its replay buffer with them."""
+    count, steps = len(demonstrations.lengths), demonstrations.steps
+    if isinstance(model, BehaviorCloning):
+        model.set_demonstrations(demonstrations)
+        model.play_every = every
+        _log.info("%d demonstrations of %s steps to learn from", count, f"{steps:,}")
+        return
+    buffer, normalizer = buffer_of(model), model.get_vec_normalize_env()
+    if buffer is None:
+        raise ValueError(f"{type(model).__name__} has no replay buffer to fill")
+    added = fill(buffer, demonstrations)
+    if normalizer is not None:
+        learn_scales(normalizer, demonstrations, rewards=True)
+    again = f", {added - steps} of them twice" if added > steps else ""
+    what = f"{added:,} transitions{again}, of {count} demonstrations"
+    _log.info("the replay buffer begins with %s", what)
+
+
+def _check_same(note: Mapping[str, Any], checkpoint: Path) -> None:
+    """Check that a training continues with the demonstrations that it began with."""
+    if read_note(checkpoint).get(DEMONSTRATIONS) != note[DEMONSTRATIONS]:
+        message = f"it has other demonstrations than those that {checkpoint} was made with"
+        raise ConfigError([Problem("dataset", message)])
+
+
+def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:
+    write_text(run_dir / SUMMARY, json.dumps(summary, indent=2) + "\n")
+
+
+@contextmanager
+def _torch_threads(count: int) -> Iterator[None]:
+    """Set the number of torch's threads inside the context; it applies to the whole process."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

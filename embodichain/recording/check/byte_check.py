@@ -1,0 +1,447 @@
+"""`check_bytes`: whether every byte of a log is the one that its recorder wrote.
+
+Each file is read once from its first byte to its last, without simulating or believing any of it.
+What covers which bytes:
+
+| bytes | what covers them |
+|---|---|
+| magic at both ends | they are compared |
+| everything between the first and `DATA_END` | the checksum in `DATA_END` |
+| attachments | their checksum; the digest that the metadata list |
+| metadata | their digest |
+| chunks | the checksum of their content; their times are those of their messages |
+| message indexes | they are made anew from the chunk |
+| the index at the end, the footer | the checksum in the footer |
+
+So a file without an end has checksums and digests of all but its `HEADER`, and damage that only
+the checksum of the whole shows can mostly be placed. Logs of versions up to 0.1.0 have neither
+digests nor a checksum of everything: what they leave uncovered is counted.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Metadata
+from mcap.records import Header as FileHeader
+
+from embodichain.recording.format.header import (
+    METADATA,
+    METADATA_END,
+    METADATA_RECOVERED,
+    Header,
+    check_header,
+)
+from embodichain.recording.format.log_error import LONGEST_CHUNK, DamageError
+from embodichain.recording.format.mcap_records import LIBRARIES, chunk_content, parse
+from embodichain.recording.format.parts import first_file
+from embodichain.recording.format.seals import SEAL, check_seal, digest_of
+from embodichain.recording.read.chunks import MAGIC, LogReader
+
+__all__ = ["ByteReport", "Damage", "check_bytes"]
+
+_HEAD = struct.Struct("<BQ")
+_TIMES = struct.Struct("<QQ")
+_CRC = struct.Struct("<I")
+_FOOTER = struct.Struct("<QQI")
+_MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
+_INDEX_HEAD = struct.Struct("<HI")  # channel, bytes of the entries
+_INDEX_ENTRY = struct.Struct("<QQ")  # log time, offset in the chunk
+_LONGEST = {Opcode.CHUNK: LONGEST_CHUNK}
+_LONGEST_OTHER = 2**31
+_BEGIN = 256
+"""Bytes in which the header is, with the name of the recorder."""
+_NAMED = 5
+"""Damaged records that are named; of more only the number is."""
+_OURS = (METADATA_END, METADATA_RECOVERED)
+_Index = dict[int, list[tuple[int, int]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """A part of a file whose bytes are not those that were written.
+
+    Attributes:
+        file: The file's name.
+        kind: Kind of the record: ``metadata``, ``attachment``, ``chunk``, ``message index``, ...
+        name: Its name, or its number within the file; empty for what is there once.
+        offset: Its first byte in the file.
+        nbytes: Its bytes, those that one checksum covers together.
+        why: What shows the damage.
+    """
+
+    file: str
+    kind: str
+    name: str
+    offset: int
+    nbytes: int
+    why: str
+
+    def __str__(self) -> str:
+        """Return which record it is, where, and why."""
+        return f"{self.kind}{self.name and f' {self.name}'} at byte {self.offset} ({self.why})"
+
+
+@dataclass(slots=True)
+class ByteReport:
+    """Result of `check_bytes`.
+
+    Attributes:
+        nbytes: Bytes that were read.
+        damage: The damaged parts, in the order of the files.
+        uncovered: Bytes that nothing covers: headers and metadata of earlier versions.
+        unsealed: Whether the log's metadata have no digest: an earlier version wrote them.
+    """
+
+    nbytes: int = 0
+    damage: list[Damage] = field(default_factory=list)
+    uncovered: int = 0
+    unsealed: bool = False
+
+    @property
+    def problem(self) -> str:
+        """What is damaged and where, in one line; empty if nothing is."""
+        if not self.damage:
+            return ""
+        several = len({damage.file for damage in self.damage}) > 1
+        told = [f"{d.file}: {d}" if several else str(d) for d in self.damage[:_NAMED]]
+        if len(self.damage) > _NAMED:
+            told.append(f"and {len(self.damage) - _NAMED} more")
+        nbytes = sum(damage.nbytes for damage in self.damage)
+        return f"{nbytes} bytes of the file are damaged: {'; '.join(told)}"
+
+    @property
+    def note(self) -> str:
+        """What is not covered, in one line; empty if every byte is."""
+        if not self.unsealed:
+            return ""
+        which = "an earlier version wrote this log, whose metadata have no digest"
+        if not self.uncovered:
+            return f"{which}: a change before it was recovered is not found"
+        return f"{which}: a change in {self.uncovered} bytes of metadata and headers is not found"
+
+
+def check_bytes(path: str | Path) -> ByteReport:
+    """Read every byte of a log and compare it with the checksums and digests in it.
+
+    A file that only ends early is not damaged: what is there is checked.
+
+    Args:
+        path: A file, the manifest of several files, or a run's folder.
+
+    Raises:
+        ConfigError: If the file is missing, empty or not MCAP.
+        LogError: If it has no metadata of a log, or those of another version.
+    """
+    first = first_file(path)
+    report = ByteReport()
+    if first.is_file():
+        file = _File(first, report)
+        file.check()
+        if report.damage and not file.looks_like_a_log:
+            with LogReader(first) as reader:
+                reader.require_header()  # another program's file is not a damaged log
+    if report.damage:
+        return report
+    with LogReader(path) as reader:  # the first file's metadata are as they were written
+        for later in reader.files[1:]:
+            _File(later, report).check()
+    return report
+
+
+class _File:
+    """One file of a log.
+
+    Args:
+        path: The file.
+        report: Where to add what is found.
+    """
+
+    def __init__(self, path: Path, report: ByteReport) -> None:
+        self._path, self._report = path, report
+        self._damage: list[Damage] = []
+        self._crc = 0
+        self._chunks = 0
+        self._index: _Index | None = {}  # of the last chunk, less what was there; None: damaged
+        self._chunk_at = 0
+        self._header_is_ours = False
+        self.looks_like_a_log = False
+        """Whether a metadata record, or the recorder's name at the beginning, was found."""
+        self._header_bytes = self._unsealed_bytes = 0
+        self._sealed: bool | None = None  # whether the log's metadata have a digest
+        self._listed: dict[str, tuple[int, str]] = {}
+        self._attached: dict[str, list[tuple[int, int, str]]] = defaultdict(list)
+        self._data_end_at = 0
+        self._stated: int | None = None  # the checksum in DATA_END, if the file has one
+
+    def check(self) -> None:
+        """Read the file, and add damage and what is not covered to the report."""
+        with self._path.open("rb") as stream:
+            size = os.fstat(stream.fileno()).st_size
+            closed = self._ends_with_magic(stream, size)
+            stream.seek(0)
+            self.looks_like_a_log = LIBRARIES[0].encode() in stream.read(_BEGIN)
+            stream.seek(0)
+            magic = stream.read(len(MAGIC))
+            if magic == MAGIC or closed:
+                self._crc = zlib.crc32(magic)
+                if magic != MAGIC:
+                    self._add("opening magic", "", 0, len(MAGIC), "it is not that of MCAP")
+                self._records(stream, size, closed)
+        self._compare_attachments()
+        self._check_whole()
+        self._report.nbytes += size
+        self._report.damage += self._damage
+        self._report.unsealed |= self._sealed is False
+
+    @staticmethod
+    def _ends_with_magic(stream: BinaryIO, size: int) -> bool:
+        stream.seek(max(0, size - len(MAGIC)))
+        return stream.read(len(MAGIC)) == MAGIC and size > len(MAGIC)
+
+    def _add(self, kind: str, name: str, offset: int, nbytes: int, why: str) -> None:
+        self._damage.append(Damage(self._path.name, kind, name, offset, nbytes, why))
+
+    def _records(self, stream: BinaryIO, size: int, closed: bool) -> None:
+        """Check record after record up to the footer, or to where a broken file ends."""
+        first = True
+        while True:
+            at = stream.tell()
+            head = stream.read(_HEAD.size)
+            if len(head) < _HEAD.size:
+                if closed:
+                    self._add("record", "", at, len(head), "a footer should be here")
+                return
+            opcode, length = _HEAD.unpack(head)
+            longest = _LONGEST.get(opcode, _LONGEST_OTHER)
+            if not opcode or length > size - at - _HEAD.size:
+                if closed or length > longest:  # else it is where the file was cut
+                    why = f"it says that its kind is {opcode} and that it has {length} bytes"
+                    self._add("head of a record", "", at, _HEAD.size, why)
+                return
+            if length > longest:
+                self._add("record", "", at, length, f"{length} bytes are more than a log has")
+                return
+            if first and opcode != Opcode.HEADER:
+                self._add("head of a record", "", at, _HEAD.size, "the first one is the header")
+                return
+            data = stream.read(length)
+            if opcode == Opcode.DATA_END:
+                self._data_end(at, data)
+                self._summary(stream, size, closed)
+                return
+            self._crc = zlib.crc32(data, zlib.crc32(head, self._crc))
+            self._record(opcode, at, data, first)
+            first = False
+
+    def _record(self, opcode: int, at: int, data: bytes, first: bool) -> None:
+        """Check a record of the data section."""
+        if opcode == Opcode.MESSAGE_INDEX:
+            self._message_index(at, data)
+            return
+        self._end_of_indexes()
+        if opcode == Opcode.HEADER and first:
+            self._file_header(data)
+        elif opcode == Opcode.ATTACHMENT:
+            self._attachment(at, data)
+        elif opcode == Opcode.METADATA:
+            self._metadata(at, data)
+        elif opcode == Opcode.CHUNK:
+            self._chunk(at, data)
+        else:
+            why = f"a record of kind {opcode}, which no log has here"
+            self._add("record", "", at, _HEAD.size + len(data), why)
+
+    def _file_header(self, data: bytes) -> None:
+        known = (_encoded(FileHeader("", library)) for library in LIBRARIES)
+        self._header_is_ours = data in known
+        self._header_bytes = len(data)
+
+    def _attachment(self, at: int, data: bytes) -> None:
+        nbytes = _HEAD.size + len(data)
+        if zlib.crc32(memoryview(data)[:-4]) != int.from_bytes(data[-4:], "little"):
+            self._add("attachment", _name_in(data, 16), at, nbytes, "its checksum is wrong")
+            return
+        try:
+            found: Attachment = parse(Opcode.ATTACHMENT, data)
+        except DamageError as error:
+            self._add("attachment", "", at, nbytes, str(error))
+            return
+        self._attached[found.name].append((at, nbytes, digest_of(found.data)))
+
+    def _compare_attachments(self) -> None:
+        """Compare the attachments with the list in the metadata."""
+        damaged = {damage.name for damage in self._damage if damage.kind == "attachment"}
+        for name, (_, digest) in self._listed.items():
+            found = self._attached[name]
+            for at, nbytes, other in found:
+                if other != digest:
+                    self._add("attachment", repr(name), at, nbytes, "its digest is wrong")
+            if not found and repr(name) not in damaged:
+                self._add("attachment", repr(name), 0, 0, "the metadata list it, it is not there")
+
+    def _metadata(self, at: int, data: bytes) -> None:
+        nbytes, name = _HEAD.size + len(data), _name_in(data, 0)
+        self.looks_like_a_log = True
+        try:
+            found: Metadata = parse(Opcode.METADATA, data)
+            if _encoded(found) != data:
+                raise DamageError("its lengths are wrong")
+            if found.name == METADATA:
+                has_seal = check_header(found.metadata)
+                self._sealed = has_seal
+                if has_seal:
+                    self._listed = Header.from_metadata(found.metadata).attachments
+            else:
+                has_seal = check_seal(found.name, found.metadata)
+                if self._sealed and not has_seal and found.name in _OURS:
+                    raise DamageError(f"it has no {SEAL!r}")
+        except DamageError as error:
+            self._add("metadata", name, at, nbytes, str(error))
+            return
+        if not has_seal:
+            self._unsealed_bytes += len(data)
+
+    def _chunk(self, at: int, data: bytes) -> None:
+        number, self._chunk_at = str(self._chunks), at
+        self._chunks += 1
+        try:
+            _, content = chunk_content(data)
+            index = _index_of(content)
+            times = [time for entries in index.values() for time, _ in entries] or [0]
+            if _TIMES.unpack_from(data) != (min(times), max(times)):
+                raise DamageError("its times are not those of its messages")
+        except (DamageError, struct.error) as error:
+            self._add("chunk", number, at, _HEAD.size + len(data), str(error))
+            self._index = None  # nothing can be said of its indexes
+            return
+        self._index = index
+
+    def _message_index(self, at: int, data: bytes) -> None:
+        """Compare a message index with the chunk that it follows."""
+        if self._index is None:
+            return
+        nbytes = _HEAD.size + len(data)
+        try:
+            channel, length = _INDEX_HEAD.unpack_from(data)
+            entries = list(_INDEX_ENTRY.iter_unpack(data[_INDEX_HEAD.size :]))
+        except struct.error:
+            channel, length, entries = -1, 0, []
+        same = length == len(data) - _INDEX_HEAD.size
+        if not same or self._index.pop(channel, None) != entries:
+            self._add("message index", "", at, nbytes, "it is not that of the chunk before it")
+            self._index = None
+
+    def _end_of_indexes(self) -> None:
+        """After the last index of a chunk: every channel in it must have had one."""
+        if self._index:
+            channels = ", ".join(map(str, self._index))
+            why = f"there is none of channel {channels} of the chunk"
+            self._add("message index", "", self._chunk_at, 0, why)
+        self._index = {}
+
+    def _data_end(self, at: int, data: bytes) -> None:
+        self._end_of_indexes()
+        self._data_end_at = at
+        if len(data) == _CRC.size:
+            (self._stated,) = _CRC.unpack(data)
+        else:
+            self._add("DATA_END", "", at, _HEAD.size + len(data), "its length is wrong")
+
+    def _check_whole(self) -> None:
+        """Check what only the checksum of everything covers, and count what nothing covers.
+
+        That checksum says nothing of where: it is told only if nothing else shows the damage.
+        """
+        if not self._stated and not self._sealed:
+            self._report.uncovered += self._header_bytes + self._unsealed_bytes
+            return
+        if self._stated == self._crc or self._damage:
+            return
+        at = self._data_end_at
+        if not self._header_is_ours:
+            nbytes = _HEAD.size + self._header_bytes
+            self._add("header", "", len(MAGIC), nbytes, "it is not that of a recorder")
+        elif self._stated == 0:
+            self._add("DATA_END", "", at, _HEAD.size + _CRC.size, "it has no checksum")
+        elif self._stated is not None:
+            nbytes = at + _HEAD.size + _CRC.size
+            why = "its checksum is wrong, although that of each record in it is right"
+            self._add("data section", "", 0, nbytes, why)
+
+    def _summary(self, stream: BinaryIO, size: int, closed: bool) -> None:
+        """Check the index at the end, the footer, and that nothing follows."""
+        begin, crc = stream.tell(), 0
+        while True:
+            at = stream.tell()
+            head = stream.read(_HEAD.size)
+            opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, 0)
+            if not opcode or length > size - at - _HEAD.size or length > _LONGEST_OTHER:
+                if closed:
+                    self._add("index", "", begin, size - begin, "a record in it has a wrong head")
+                return
+            data = stream.read(length)
+            if opcode == Opcode.FOOTER:
+                break
+            crc = zlib.crc32(data, zlib.crc32(head, crc))
+        if length != _FOOTER.size:
+            self._add("footer", "", at, _HEAD.size + length, "its length is wrong")
+            return
+        crc = zlib.crc32(data[: -_CRC.size], zlib.crc32(head, crc))
+        if crc != _FOOTER.unpack(data)[2]:
+            nbytes = at + _HEAD.size + length - begin
+            self._add("index and footer", "", begin, nbytes, "their checksum is wrong")
+        end = stream.tell()
+        magic = stream.read(len(MAGIC))
+        if len(magic) == len(MAGIC) and magic != MAGIC:
+            self._add("closing magic", "", end, len(MAGIC), "it is not that of MCAP")
+        left = size - stream.tell()
+        if left and magic == MAGIC:
+            self._add("rest", "", stream.tell(), left, "the file ends before it")
+
+
+def _encoded(record: Metadata | FileHeader) -> bytes:
+    """The content of a record as the `mcap` library writes it."""
+    builder: Any = RecordBuilder()
+    record.write(builder)
+    content: bytes = builder.end()
+    return content[_HEAD.size :]
+
+
+def _name_in(data: bytes, at: int) -> str:
+    """The text with its length at `at`, for a message; empty if it cannot be one."""
+    try:
+        (length,) = struct.unpack_from("<I", data, at)
+        name = data[at + 4 : at + 4 + length].decode()
+    except (struct.error, UnicodeDecodeError):
+        return ""
+    return repr(name) if length < 200 else ""
+
+
+def _index_of(content: bytes) -> _Index:
+    """Channel to log time and offset of its messages in a chunk.
+
+    Raises:
+        DamageError: If the chunk contains what no log has in chunks.
+    """
+    found: _Index = defaultdict(list)
+    at, size = 0, len(content)
+    while at < size:
+        opcode, length = _HEAD.unpack_from(content, at)
+        if length > size - at - _HEAD.size:
+            raise DamageError("a record in it is longer than the chunk")
+        if opcode == Opcode.MESSAGE:
+            channel, _, time_ns = _MESSAGE.unpack_from(content, at + _HEAD.size)
+            found[channel].append((time_ns, at))
+        elif opcode not in (Opcode.CHANNEL, Opcode.SCHEMA):
+            raise DamageError(f"it contains a record of kind {opcode}")
+        at += _HEAD.size + length
+    return dict(found)

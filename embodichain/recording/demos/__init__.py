@@ -1,0 +1,1 @@
+"""Demonstrations: collected, augmented, read as the policy saw them."""

@@ -1,0 +1,348 @@
+"""`Reenactment`: the task of a log, built again and stepped through the recorded actions.
+
+Observations are not in a log. The environment that its config describes draws the same numbers from
+the same seed, so the recorded actions give the same observations again: with noise, delays and
+histories, and images as the task's cameras see them.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
+
+import mujoco
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from embodichain.config.composition.environment import as_reader, notes_of_today
+from embodichain.config.environments.host_arrays import with_arrays
+from embodichain.config.resolved import Resolved, resolve_tree
+from embodichain.lab.gym.envs.observation import Observation
+from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver
+from embodichain.lab.sim.engine.api import F64, PhysicsEvent
+from embodichain.lab.sim.engine.fields import row_layout
+from embodichain.recording.format.block import CallKind
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.read.recorded_log import RecordedLog
+from embodichain.recording.read.simulation import Simulation
+from embodichain.recording.read.trajectory import Rows, Span, changes, follow, outcomes
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["Reenactment", "Step", "config_of"]
+
+_SAME_TASK = 1e-4
+"""Positions (m or rad) that differ by more at an episode's start are those of another task; smaller
+differences are of another processor."""
+_log = logging.getLogger(__name__)
+
+
+def config_of(log: RecordedLog) -> Resolved:
+    """The log's config without recording and viewer; no module that it names is imported.
+
+    Arrays are on the host, where states can be compared with the recorded ones.
+
+    Raises:
+        ConfigError: If the log contains no config, or the config has mistakes.
+    """
+    tree = log.written_config
+    if "task" not in tree:
+        raise ConfigError(f"{log.path} contains no config: it was not recorded by `run`")
+    own = {"seed": log.seed, "num_envs": log.num_envs, "policy": None}
+    here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
+    here |= {"trust": False}  # whoever made the log does not say whom to trust
+    changed = {**tree, **own, **{name: value for name, value in here.items() if name in tree}}
+    source = f"{log.path}: config.yaml"
+    found = resolve_tree(as_reader(changed), source, "run", task_name=log.task)
+    for note in notes_of_today(found.tree):
+        _log.warning("%s", note)
+    return with_arrays(found, "host")
+
+
+class Step(NamedTuple):
+    """A control step of all N environments.
+
+    Attributes:
+        number: Control step of the log.
+        row: (N, nstate) recorded full state before its physics.
+        action: (N, A) recorded action, float64.
+        reward: (N,) recorded reward.
+        terminated: (N,) bool, recorded.
+        truncated: (N,) bool, recorded.
+        episodes: (N,) episode that the step belongs to.
+        seen: Observation after the step.
+        next: The same after the reset of environments whose episode ended; `seen` if none did.
+    """
+
+    number: int
+    row: F64
+    action: F64
+    reward: NDArray[np.float32]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    episodes: NDArray[np.int64]
+    seen: Observation
+    next: Observation
+
+
+class Reenactment:
+    """Steps the environment of a log through the recorded actions. Close it, or use `with`.
+
+    Before the physics of each step, the simulation's states are compared with the recorded ones.
+    With the software and the processor of the recording all are the same, bit for bit, and so are
+    the observations. Where they differ, the recorded states are put in, so that errors do not
+    grow; `corrected` counts these states, and a warning is logged at the end.
+
+    Args:
+        log: The log; it must begin with the first episodes of all environments, without gaps.
+        numbers: (environment, episode) to the number of the random stream that it drew from
+            (`RandomStreams.renumber`); other episodes are played with the wrong draws, and not
+            compared. None: every environment drew from its own.
+
+    Attributes:
+        env: The environment.
+        first: The observation after the first reset.
+        corrected: Number of states, over environments and steps, that were not the recorded ones.
+
+    Raises:
+        ConfigError: If the log contains no config, or one with mistakes; if it does not begin with
+            first episodes; if its task has other rows than the recorded scene.
+        LogError: If the log has no states or no steps, or is damaged.
+    """
+
+    env: BaseEnv
+    first: Observation
+
+    def __init__(
+        self, log: RecordedLog, numbers: Mapping[tuple[int, int], int] | None = None
+    ) -> None:
+        from embodichain.config.environments.factory import make_env
+
+        self._log, self._numbers = log, numbers
+        self.corrected = 0
+        log.header.require_states(log.path)
+        _require_beginning(log)
+        self.env = make_env(config_of(log), autoreset_mode=AutoresetMode.DISABLED)
+        try:
+            self._rows = self._follower()
+            self._check_scene()
+            self._comparison = _Comparison(log, self._rows)
+            self.env.add_observer(self._comparison)
+            self.first = self._reset(np.arange(self.env.num_envs))
+        except BaseException:
+            self.env.close()
+            raise
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.env.close()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the environment."""
+        self.close()
+
+    def steps(self, last: int | None = None) -> Iterator[Step]:
+        """Yield the control steps of the log. Can be called once.
+
+        Args:
+            last: The last one, included; None is the end of the log.
+
+        Raises:
+            ConfigError: If the environment begins or ends its episodes in another way than
+                recorded: the code of the task or of its terms was changed.
+            LogError: If the log is damaged.
+        """
+        number = self._log.header.first_step
+        for run, t in follow(self._log.reader, self._rows, Span(0, last), _changes_or_outcomes):
+            if run.first + t != number:
+                raise LogError(f"{self._log.path} lacks control step {number}")
+            yield self._step(number, {n: a[t] for n, a in run.calls[-1].arrays.items()})
+            number += 1
+        self.corrected = self._comparison.corrected
+        if self.corrected:
+            self._warn(number)
+
+    def _step(self, number: int, recorded: dict[str, NDArray[Any]]) -> Step:
+        env, terminated, truncated = self.env, recorded["terminated"], recorded["truncated"]
+        if truncated.any():
+            env.truncate(np.flatnonzero(truncated))
+        episodes = env.episodes.ids.copy()
+        if not np.array_equal(episodes, recorded["episode_ids"]):
+            raise ConfigError(f"{self._log.path}: step {number} is of other episodes: {_CHANGED}")
+        known = self._known(episodes)
+        self._comparison.expect(number, known, env.episodes.elapsed == 0)
+        row = self._rows.rows.copy()
+        seen, _, *ends, _ = env.step(_action(recorded["action"]))
+        for name, here in zip(("terminated", "truncated"), ends, strict=True):
+            self._check_ends(number, name, here.numpy() & known, recorded[name] & known)
+        done = np.flatnonzero(terminated | truncated)
+        return Step(
+            number,
+            row,
+            recorded["action"],
+            recorded["reward"],
+            terminated,
+            truncated,
+            episodes,
+            cast("Observation", seen),
+            self._reset(done) if len(done) else cast("Observation", seen),
+        )
+
+    def _reset(self, ids: NDArray[np.int64]) -> Observation:
+        """Begin the next episodes of environments (n,); return the observation of all."""
+        env, numbers = self.env, self._numbers
+        if numbers is not None:
+            coming = zip(ids.tolist(), (env.episodes.ids[ids] + 1).tolist(), strict=True)
+            found = {key[0]: numbers[key] for key in coming if key in numbers}
+            env.streams.renumber(
+                np.array([*found], np.int64), np.array([*found.values()], np.int64)
+            )
+        obs, _ = env.reset(options={"reset_ids": ids})
+        return cast("Observation", obs)
+
+    def _known(self, episodes: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """(N,) environments whose current episode draws as when it was recorded."""
+        if self._numbers is None:
+            return np.ones(len(episodes), np.bool_)
+        return np.array([key in self._numbers for key in enumerate(episodes.tolist())])
+
+    def _check_ends(
+        self, number: int, name: str, here: NDArray[np.bool_], there: NDArray[np.bool_]
+    ) -> None:
+        differs = np.flatnonzero(here != there)
+        if len(differs):
+            env = int(differs[0])
+            when = "when recorded, not here" if there[env] else "here, not when recorded"
+            raise ConfigError(
+                f"{self._log.path}: step {number}: the episode of environment {env} is {name} "
+                f"{when}: {_CHANGED}"
+            )
+
+    def _follower(self) -> Rows:
+        log = self._log
+        if log.header.keyframe_every:
+            return Simulation(log.reader, log.model_to_simulate)
+        return Rows(log.reader)
+
+    def _check_scene(self) -> None:
+        log, model = self._log, self.env.sim.engine.model
+        layout = {name: (part.start, part.stop) for name, part in row_layout(model).items()}
+        if layout != dict(log.header.layout):
+            raise ConfigError(f"{log.path}: its scene has other joints or bodies: {_CHANGED}")
+
+    def _warn(self, steps: int) -> None:
+        header = self._log.header
+        why = "it was recorded on another kind of processor, or terms were changed"
+        if not header.has_writes:
+            why = "it has states of a device, in float32; these were computed on the host"
+        if header.mujoco_version != mujoco.__version__:
+            why = f"it was recorded with MuJoCo {header.mujoco_version}, not {mujoco.__version__}"
+        _log.warning(
+            "%s: %d of %d states differ from the recorded ones, by %.3g in positions (m, rad) at "
+            "most; the recorded ones were used, and observations are as exact as that: %s",
+            self._log.path,
+            self.corrected,
+            steps * header.num_envs,
+            self._comparison.largest,
+            why,
+        )
+
+
+_CHANGED = "the code of the task or of its terms was changed since"
+
+
+def _changes_or_outcomes(kind: CallKind) -> bool:
+    return changes(kind) or outcomes(kind)
+
+
+def _require_beginning(log: RecordedLog) -> None:
+    """Refuse a log from which the draws of its environment cannot be repeated."""
+    if log.header.every > 1:
+        raise ConfigError(
+            f"{log.path} was recorded with record.every={log.header.every}: observations can only "
+            "be computed again from a log of all episodes"
+        )
+    begun = [e for e in log.episodes if e.first_step == log.header.first_step]
+    if not begun:
+        raise LogError(f"{log.path} has no complete control step")
+    if log.header.first_step or any(episode.episode for episode in begun):
+        raise ConfigError(
+            f"{log.path} does not begin with first episodes: observations can only be computed "
+            "again from the run's start (of a log in several files, name the first)"
+        )
+
+
+def _action(recorded: F64) -> torch.Tensor:
+    """The action as the policy gave it: float32 unless that would lose digits."""
+    narrow = recorded.astype(np.float32)
+    return torch.from_numpy(narrow if (narrow == recorded).all() else recorded.copy())
+
+
+class _Comparison(StepObserver):
+    """Compares the states before physics with the recorded ones; puts those in if they differ.
+
+    Args:
+        log: The log.
+        rows: Its follower, which is at the same step.
+
+    Attributes:
+        corrected: Number of states that differed.
+        largest: Largest difference of a position.
+    """
+
+    def __init__(self, log: RecordedLog, rows: Rows) -> None:
+        self._path, self._rows = log.path, rows
+        places = ("qpos", "mocap_pos", "mocap_quat")
+        found = [np.arange(*log.header.layout[p]) for p in places if p in log.header.layout]
+        self._positions = np.concatenate(found)
+        self._same_version = log.header.mujoco_version == mujoco.__version__
+        self._expected: tuple[int, NDArray[np.bool_], NDArray[np.bool_]] | None = None
+        self.corrected = 0
+        self.largest = 0.0
+
+    def expect(self, number: int, known: NDArray[np.bool_], begins: NDArray[np.bool_]) -> None:
+        """Compare before the next physics.
+
+        Args:
+            number: Its control step.
+            known: (N,) environments whose states should be the recorded ones.
+            begins: (N,) environments whose episode begins with it.
+        """
+        self._expected = number, known, begins
+
+    def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
+        """Compare, once a control step."""
+        if event.phase != "before" or self._expected is None:
+            return
+        (number, known, begins), self._expected = self._expected, None
+        here, there = event.rows, self._rows.rows
+        differs = (here.view(np.uint64) != there.view(np.uint64)).any(axis=1)
+        if not differs.any():
+            return
+        wrong = np.flatnonzero(differs)
+        apart = np.abs(here[wrong] - there[wrong])[:, self._positions].max(axis=1, initial=0.0)
+        apart[~known[wrong]] = 0.0
+        started = wrong[(apart > _SAME_TASK) & begins[wrong]]
+        if len(started) and self._same_version:
+            raise ConfigError(
+                f"{self._path}: step {number}: the episode of environment {int(started[0])} begins "
+                f"in another state than recorded: {_CHANGED}"
+            )
+        self.corrected += int(known[wrong].sum())
+        self.largest = max(self.largest, float(np.nanmax(apart, initial=0.0)))
+        env.sim.engine.write("row", there[wrong], wrong)

@@ -1,0 +1,169 @@
+"""`film_log`: renders a recorded environment to a film; needs OpenGL (EGL), MP4 the extra `video`.
+
+It draws the recorded states; only states between keyframes are simulated.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+from embodichain.lab.sim.drawing.views import View, Viewpoint
+from embodichain.recording.film.frames import FilmCamera, cameras_of, frames
+from embodichain.recording.read.api import Log
+from embodichain.recording.read.playback import Playback, Span, span_of
+from embodichain.recording.shards import joining
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.system.video import GIF, Film, film_file, need_encoder
+
+__all__ = ["FASTEST", "Filmed", "film_log"]
+
+FASTEST = 60.0
+"""Largest frame rate (1/s) that is chosen; above it, control steps are skipped."""
+_FASTEST_GIF = 25.0
+"""The same of a GIF, whose pictures are hardly compressed."""
+_CAMERA = "default"
+_FRONT = (1.0, -0.8, 0.6)
+"""Direction from the scene's centre to the eye if the scene has no camera."""
+
+
+@dataclass(frozen=True, slots=True)
+class Filmed:
+    """Result or progress of a film.
+
+    Attributes:
+        pictures: Number of pictures in the file.
+        step: Control step of the last picture; -1 if there is none.
+        whole: Whether all requested steps were drawn.
+        total: Number of pictures of the whole film.
+    """
+
+    pictures: int
+    step: int
+    whole: bool
+    total: int = 0
+
+
+def film_log(
+    log: Log | str | Path,
+    out: str | Path,
+    env: int = 0,
+    episode: int | None = None,
+    first: int | None = None,
+    last: int | None = None,
+    speed: float = 1.0,
+    size: tuple[int, int] = (640, 480),
+    camera: str | None = None,
+    progress: Callable[[Filmed], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    every: int | None = None,
+    max_seconds: float | None = None,
+) -> Filmed:
+    """Render an environment of a log to an MP4 or a GIF, one picture for each control step.
+
+    Args:
+        log: A log, its file, or the folder of a run.
+        out: A new file, ``.gif`` or MP4; it gets this name when it is complete.
+        env: The environment.
+        episode: One of its episodes; None is all.
+        first: First control step, counted from the start of the log; None is the first.
+        last: Last control step, included; None is the last.
+        speed: Multiple of simulated time.
+        size: Width and height in pixels, both even.
+        camera: A camera of the scene; None is its ``default`` if it exists, else a front view.
+        progress: Called after each picture.
+        stop: Called before each picture; if it returns True, the film ends there and is saved.
+        every: Draw every `every`-th control step. None is the least that gives at most `FASTEST`
+            pictures per second, 25 in a GIF.
+        max_seconds: Length of the film in seconds, at most; None is no limit.
+
+    Returns:
+        What was drawn; without pictures, no file was written.
+
+    Raises:
+        ConfigError: If the file exists; if the environment, episode, steps or camera do not exist;
+            if a number is out of range; or if the encoder is not installed.
+        LogError: If the log has no states, or its model cannot be loaded.
+        RenderError: If no OpenGL library works here.
+    """
+    out = Path(out)
+    need_encoder(out.suffix)
+    if not isinstance(log, Log):
+        with joining.open(log) as opened:
+            part = opened, out, env, episode, first, last
+            return film_log(*part, speed, size, camera, progress, stop, every, max_seconds)
+    if os.path.lexists(out):
+        raise ConfigError(f"{out} exists; it is never replaced")
+    if not (math.isfinite(speed) and speed > 0):
+        raise ConfigError(f"a film's speed must be positive, got {speed}")
+    if min(size) < 16 or any(length % 2 for length in size):
+        raise ConfigError(f"a film's width and height must be even, 16 or more, got {size}")
+    span = span_of(log, env, episode, first, last)
+    playback = Playback(log, env)
+    cameras = [FilmCamera(_look(log, camera), size)]
+    rate = speed / log.dt
+    every = every or max(1, math.ceil(rate / _fastest(out) - 1e-9))
+    stopped = stop or (lambda: False)
+    most = math.inf
+    if max_seconds is not None:
+        most = max(1, math.floor(max_seconds * rate / every + 1e-9))
+    total = _count(log, env, span, every, most, stopped)
+    if not total:
+        raise ConfigError(f"{log.path} has no such steps: there is nothing to film")
+    filmed = Filmed(0, -1, whole=False, total=total)
+    if stopped():
+        return filmed
+    with ExitStack() as stack:
+        renderer = stack.enter_context(closing(OffscreenRenderer(playback.engine.model)))
+        drawn = islice(frames(renderer, playback, cameras, span, every), total)
+        video: Film | None = None
+        for frame in drawn:
+            if stopped():
+                return filmed
+            if video is None:
+                video = stack.enter_context(film_file(out, size, rate / every))
+            video.write(frame.pictures[0])
+            filmed = replace(filmed, pictures=filmed.pictures + 1, step=frame.step)
+            if progress is not None:
+                progress(filmed)
+    return replace(filmed, whole=True)
+
+
+def _fastest(out: Path) -> float:
+    return _FASTEST_GIF if out.suffix == GIF else FASTEST
+
+
+def _count(
+    log: Log, env: int, span: Span, every: int, most: float, stopped: Callable[[], bool]
+) -> int:
+    """How many pictures the steps of a log give, up to `most`; fewer if it is stopped."""
+    steps, end = 0, None if span.last is None else span.last + 1
+    for part in log.parts("rewards", env, None, span.first, end):
+        steps += len(part)
+        if steps >= most * every or stopped():
+            break
+    return int(min(most, math.ceil(steps / every)))
+
+
+def _look(log: Log, camera: str | None) -> str | Viewpoint | View:
+    """The camera or viewpoint to render.
+
+    Raises:
+        ConfigError: If there is no such camera.
+    """
+    model = log.model
+    if camera is None and _CAMERA in [model.camera(i).name for i in range(model.ncam)]:
+        return _CAMERA
+    if camera is None:
+        middle, extent = np.asarray(model.stat.center), float(model.stat.extent)
+        eye = middle + 1.2 * extent * np.asarray(_FRONT)
+        return Viewpoint.look_at(eye.tolist(), middle.tolist())
+    return cameras_of(log, [camera])[camera].camera

@@ -1,0 +1,172 @@
+"""`frames`: pictures of one recorded environment, several control steps in a call.
+
+`cameras_of` finds the cameras of a log.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.compiler.sensing.cameras import picture_names
+from embodichain.lab.sim.configs.sensor_cfg import CameraCfg, SensorCfg
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+from embodichain.lab.sim.drawing.states import StoredStates
+from embodichain.lab.sim.drawing.views import Look, View, Viewpoint, camera_size, view_of
+from embodichain.recording.read.api import Log
+from embodichain.recording.read.playback import Playback, Span
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["FilmCamera", "Frame", "Placed", "cameras_of", "frames"]
+
+_PIXELS = 200_000
+"""Pixels of a call: more control steps at once are not cheaper per picture."""
+
+
+class FilmCamera(NamedTuple):
+    """What films an environment.
+
+    Attributes:
+        camera: Name of a camera of the scene, a viewpoint, or a view.
+        size: Width and height in pixels.
+        look: ``fast`` or ``full``.
+        near: Metres along the axis; None is the scene's.
+        far: Likewise.
+    """
+
+    camera: str | Viewpoint | View
+    size: tuple[int, int]
+    look: Look = "full"
+    near: float | None = None
+    far: float | None = None
+
+
+class Placed(NamedTuple):
+    """Where a camera is in a control step.
+
+    Attributes:
+        position: (3,) in metres.
+        axes: (3, 3) rotation matrix: columns are right, up and backwards.
+        lens: (4,) fx, fy, cx, cy in pixels.
+    """
+
+    position: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    lens: NDArray[np.float64]
+
+
+class Frame(NamedTuple):
+    """The pictures of a control step.
+
+    Attributes:
+        step: The control step.
+        pictures: (height, width, 3) RGB of each camera.
+        cameras: Where each camera is.
+    """
+
+    step: int
+    pictures: list[NDArray[np.uint8]]
+    cameras: list[Placed]
+
+
+def frames(
+    renderer: OffscreenRenderer,
+    playback: Playback,
+    cameras: Sequence[FilmCamera],
+    span: Span,
+    every: int = 1,
+) -> Iterator[Frame]:
+    """Draw the environment at each step.
+
+    Args:
+        renderer: Of the playback's scene.
+        playback: The environment, at its start.
+        cameras: What films it.
+        span: The control steps.
+        every: Draw every `every`-th step, beginning with the first.
+
+    Raises:
+        LogError: See `Playback.steps`.
+        RenderError: If colour cannot be drawn here.
+        ValueError: If there is no such camera, or it is no pinhole camera.
+    """
+    most = max(1, _PIXELS // sum(math.prod(camera.size) for camera in cameras))
+    states, steps = StoredStates(playback.engine.model), list[int]()
+
+    def drawn() -> Iterator[Frame]:
+        views = [_view(states, camera) for camera in cameras]
+        colors = [found["color"][..., :3] for found in renderer.draw(states, views)]
+        for row, step in enumerate(steps):
+            yield Frame(step, [color[row] for color in colors], [_placed(v, row) for v in views])
+        states.clear()
+        steps.clear()
+
+    for step in playback.steps(span, every):
+        states.append(playback.engine)
+        steps.append(step)
+        if len(steps) == most:
+            yield from drawn()
+    if steps:
+        yield from drawn()
+
+
+def _placed(view: View, row: int) -> Placed:
+    values = view.position, view.axes, view.lens  # those that do not change have one row
+    return Placed(*(np.asarray(of_rows[min(row, len(of_rows) - 1)]) for of_rows in values))
+
+
+def _view(states: StoredStates, camera: FilmCamera) -> View:
+    name, (width, height), look, near, far = camera
+    if isinstance(name, View):
+        return name
+    return view_of(states, name, width, height, near=near, far=far, look=look)
+
+
+def cameras_of(
+    log: Log, names: Sequence[str] | None = None, size: tuple[int, int] | None = None
+) -> dict[str, FilmCamera]:
+    """Cameras of a log's task by name, to be drawn from states.
+
+    Args:
+        log: The log.
+        names: Camera sensors, drawn in their look, or cameras of the scene, in full look; None is
+            all camera sensors.
+        size: Width and height in pixels; None is that of the sensor, or of the scene's camera.
+
+    Raises:
+        ConfigError: If there is no such camera.
+    """
+    sensors, model = _camera_sensors(log), log.model
+    scene = {model.camera(i).name: camera_size(model, i) for i in range(model.ncam)}
+    known = {**scene, **sensors}
+    found = {}
+    for name in sensors if names is None else dict.fromkeys(names):
+        if name not in known:
+            there = ", ".join(known) or "none"
+            hint = did_you_mean(name, known)
+            raise ConfigError(f"no camera {name!r}.{hint} Cameras: {there}")
+        if name in sensors:
+            camera, cfg = sensors[name]
+            pixels = size or (cfg.width, cfg.height)
+            found[name] = FilmCamera(camera, pixels, cfg.look, cfg.near, cfg.far)
+        else:
+            found[name] = FilmCamera(name, size or scene[name])
+    return found
+
+
+def _camera_sensors(log: Log) -> dict[str, tuple[str, CameraCfg]]:
+    """Name of each picture of a log's camera sensors to the camera in the model, and the config."""
+    task = log.config.get("task")
+    declared = task.get("sensors") if isinstance(task, dict) else None
+    found: dict[str, tuple[str, CameraCfg]] = {}
+    for uid, values in (declared or {}).items():
+        cfg = SensorCfg.from_dict(values)
+        if isinstance(cfg, CameraCfg):
+            named = picture_names(uid, cfg).items()
+            found |= {name: (camera, cfg) for name, camera in named}
+    return found

@@ -1,0 +1,1 @@
+"""Reading a log: its chunks, its steps, its episodes, its physics once more."""

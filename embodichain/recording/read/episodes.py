@@ -1,0 +1,316 @@
+"""Episodes: the channel `/episode`, which records how they ended, and the episodes of a log.
+
+The channel has one message for each control step in which episodes of any environment ended:
+returns, sums of each reward term, metrics, and the reasons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.observers import StepRecord
+from embodichain.recording.format.log_error import DamageError
+from embodichain.recording.format.schema import message_class
+from embodichain.recording.read.arrays import LogArrays
+from embodichain.utils.errors import ConfigError
+
+__all__ = [
+    "EPISODE_TOPIC",
+    "Ends",
+    "EpisodeSums",
+    "LogEpisode",
+    "decode_ends",
+    "encode_ends",
+    "episode_of",
+    "find_episodes",
+]
+
+EPISODE_TOPIC = "/episode"
+_OUTCOMES = {"success": "success_terminated", "fail": "fail", "diverged": "diverged"}
+"""Reason of an end -> the entry of ``info`` that says so."""
+
+Table = tuple[list[str], NDArray[Any]]
+"""Names, and a column for each: (n, K)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """Episodes that end in a control step, as copies.
+
+    Attributes:
+        env_ids: (n,) environments.
+        terminated: (n,) bool.
+        truncated: (n,) bool.
+        success: (n,) bool; None if the task does not define it.
+        reasons: Termination terms that fired, success, fail, diverged: (n, K) bool.
+        rewards: Weighted sums over the episode by reward term: (n, K).
+        metrics: Metrics at the episode's end: (n, K).
+    """
+
+    env_ids: NDArray[np.int64]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    success: NDArray[np.bool_] | None
+    reasons: Table
+    rewards: Table
+    metrics: Table
+
+    @classmethod
+    def of(cls, step: StepRecord, terms: Mapping[str, Any], *, judged: bool) -> Ends | None:
+        """The ends of a step; None if no episode ends in it.
+
+        Args:
+            step: The step.
+            terms: Termination term to its (N,) values in this step.
+            judged: Whether the task defines success.
+        """
+        # Searching the bytes is 10 times faster than `any`, and this runs in every step.
+        if 1 not in step.terminated.tobytes() and 1 not in step.truncated.tobytes():
+            return None
+        ids, info = np.flatnonzero(step.terminated | step.truncated), step.info
+        success = info.get("success") if judged else None
+        reasons = {**terms, **{name: info[key] for name, key in _OUTCOMES.items() if key in info}}
+        return cls(
+            ids,
+            step.terminated[ids],
+            step.truncated[ids],
+            None if success is None else np.asarray(success)[ids] != 0,
+            _table(reasons, ids, np.bool_),
+            _table(info.get("episode_sums", {}), ids, np.float64),
+            _table(info.get("metrics", {}), ids, np.float64),
+        )
+
+
+def _table(values: Mapping[str, Any], ids: NDArray[np.int64], dtype: Any) -> Table:
+    found = np.empty((len(ids), len(values)), dtype)
+    for column, value in enumerate(values.values()):
+        found[:, column] = np.asarray(value)[ids]
+    return list(values), found
+
+
+class EpisodeSums:
+    """Returns and lengths of the episodes in progress, of all environments.
+
+    Args:
+        num_envs: Number of environments N.
+    """
+
+    def __init__(self, num_envs: int) -> None:
+        self._episodes = np.full(num_envs, -1, np.int64)
+        self._known = self._episodes.tobytes()
+        self.returns = np.zeros(num_envs)
+        """(N,) sums of rewards, in the order of the steps."""
+        self.lengths = np.zeros(num_envs, np.int64)
+        """(N,) numbers of control steps."""
+
+    @property
+    def episodes(self) -> NDArray[np.int64]:
+        """(N,) the episodes of the last step; -1 before the first."""
+        return self._episodes
+
+    def load(
+        self, episodes: NDArray[np.int64], returns: NDArray[Any], lengths: NDArray[np.int64]
+    ) -> None:
+        """Continue with these episodes, sums and numbers, (N,) each."""
+        self._episodes, self._known = episodes.copy(), episodes.tobytes()
+        self.returns[:], self.lengths[:] = returns, lengths
+
+    def add(self, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
+        """Add a control step: (N,) rewards, and the episodes it belongs to."""
+        if episode_ids.tobytes() != self._known:  # faster than comparing small arrays
+            self._known = episode_ids.tobytes()
+            new = self._episodes != episode_ids
+            self.returns[new] = self.lengths[new] = 0
+            self._episodes = episode_ids.copy()
+        self.returns += reward
+        self.lengths += 1
+
+
+def encode_ends(step: int, ends: Ends, sums: EpisodeSums, episode_ids: NDArray[np.int64]) -> bytes:
+    """The message of `EPISODE_TOPIC` for episodes that ended in a control step.
+
+    Args:
+        step: The control step.
+        ends: The episodes that ended.
+        sums: Returns and lengths, including this step.
+        episode_ids: (N,) episodes of this step.
+    """
+    ids = ends.env_ids
+    message = message_class("Episodes")(
+        step=step,
+        env_ids=ids.tolist(),
+        episode_id=episode_ids[ids].tolist(),
+        length=sums.lengths[ids].tolist(),
+        total_reward=sums.returns[ids].tolist(),
+        terminated=ends.terminated.tobytes(),
+        truncated=ends.truncated.tobytes(),
+        success=b"" if ends.success is None else ends.success.tobytes(),
+        reason=ends.reasons[0],
+        reasons=ends.reasons[1].tobytes(),
+        reward_term=ends.rewards[0],
+        reward_sums=ends.rewards[1].ravel().tolist(),
+        metric=ends.metrics[0],
+        metrics=ends.metrics[1].ravel().tolist(),
+    )
+    data: bytes = message.SerializeToString()
+    return data
+
+
+@dataclass(frozen=True, slots=True)
+class LogEpisode:
+    """One episode of one environment, possibly only the part that is in the log.
+
+    Attributes:
+        env: The environment.
+        episode: Its episode id, from 0 within the environment.
+        first_step: Its first control step in the log.
+        last_step: Its last control step in the log, included.
+        total_reward: Undiscounted sum of rewards over these steps.
+        terminated: As in Gymnasium.
+        truncated: As in Gymnasium. Both are False if the log ended first.
+        success: Whether its last step was a success: by the metric `success` (above 0) of a task
+            that has one, else by a termination of kind success; None if the task does not define
+            it, or the log ended first.
+        reasons: What ended it: termination terms that fired, `success`, `fail`, `diverged`; empty
+            if it reached the time limit or the log ended first.
+        rewards: Term to its weighted sum over the episode; empty if the log ended first.
+        metrics: Metric to its value at the episode's end; empty if the log ended first.
+        counted: Whether the run's results have it: `run` and `eval` count the first episodes of
+            each environment, `collect` what it lists as success or failure; None if the log does
+            not say (a program's own, or an older one).
+    """
+
+    env: int
+    episode: int
+    first_step: int
+    last_step: int
+    total_reward: float
+    terminated: bool
+    truncated: bool
+    success: bool | None = None
+    reasons: tuple[str, ...] = ()
+    rewards: Mapping[str, float] = field(default_factory=dict)
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    counted: bool | None = None
+
+    @property
+    def steps(self) -> int:
+        """Number of control steps."""
+        return self.last_step - self.first_step + 1
+
+
+def decode_ends(data: bytes | memoryview) -> list[LogEpisode]:
+    """Read a message of `EPISODE_TOPIC`: the episodes that ended in its control step.
+
+    Raises:
+        DamageError: If the message is damaged.
+    """
+    message = message_class("Episodes")()
+    try:
+        message.ParseFromString(bytes(data))
+    except DecodeError as error:
+        raise DamageError(f"an end of episodes is damaged: {error}") from error
+    n, last = len(message.env_ids), message.step
+    success: list[bool | None] = [*_flags(message.success)] or [None] * n
+    fired = _rows(message.reason, _flags(message.reasons), n)
+    metrics = _rows(message.metric, message.metrics, n)
+    if "success" in message.metric:  # logs of older versions have the termination in `success`
+        success = [row["success"] > 0 for row in metrics]
+    columns = (
+        message.env_ids,
+        message.episode_id,
+        [last - length + 1 for length in message.length],
+        [last] * n,
+        message.total_reward,
+        _flags(message.terminated),
+        _flags(message.truncated),
+        success,
+        [tuple(name for name, value in row.items() if value) for row in fired],
+        _rows(message.reward_term, message.reward_sums, n),
+        metrics,
+    )
+    if any(len(column) != n for column in columns):
+        raise DamageError("an end of episodes lacks some of them")
+    return [LogEpisode(*values) for values in zip(*columns, strict=True)]
+
+
+def _flags(data: bytes) -> list[bool]:
+    flags: list[bool] = (np.frombuffer(data, np.uint8) != 0).tolist()
+    return flags
+
+
+def _rows(names: Sequence[str], values: Sequence[Any], n: int) -> list[dict[str, Any]]:
+    """Name to value for each of n episodes; `values` is (n, names), row-major."""
+    width = len(names)
+    if len(values) != n * width:
+        raise DamageError(f"{len(values)} values of {width} names in {n} episodes")
+    return [dict(zip(names, values[i * width : (i + 1) * width], strict=True)) for i in range(n)]
+
+
+def episode_of(episodes: Sequence[LogEpisode], env: int, episode: int) -> LogEpisode:
+    """The episode of an environment with this id.
+
+    Raises:
+        ConfigError: If there is none.
+    """
+    mine = {e.episode: e for e in episodes if e.env == env}
+    if episode not in mine:
+        there = f"there are {min(mine)} to {max(mine)}" if mine else "there is none"
+        raise ConfigError(f"no episode {episode} of environment {env} in the log: {there}")
+    return mine[episode]
+
+
+def find_episodes(
+    ends: Iterable[LogEpisode], data: LogArrays | None, every: int = 1
+) -> list[LogEpisode]:
+    """Episodes, sorted by environment, then by time.
+
+    Args:
+        ends: Episodes that ended.
+        data: `episodes`, `rewards`, `terminated` and `truncated` of all recorded steps; None for
+            a log without steps.
+        every: k if only every k-th episode was recorded; the others are listed too.
+    """
+    ended: dict[tuple[int, int], LogEpisode] = {}
+    for end in ends:
+        ended.setdefault((end.env, end.episode), end)
+    found = {} if data is None else {(e.env, e.episode): e for e in _in_steps(data, ended)}
+    if data is None or every > 1:
+        found |= ended
+    return [found[key] for key in sorted(found)]
+
+
+def _in_steps(data: LogArrays, ended: Mapping[tuple[int, int], LogEpisode]) -> Iterator[LogEpisode]:
+    """The episodes of recorded steps, complete or not."""
+    for column, env in enumerate(data.env_ids.tolist()):
+        ids = data["episodes"][:, column]
+        if not len(ids):
+            continue
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(ids)) + 1])
+        lasts = np.concatenate([starts[1:], [len(ids)]]) - 1
+        for first, last in zip(starts.tolist(), lasts.tolist(), strict=True):
+            episode = LogEpisode(
+                env,
+                int(ids[first]),
+                int(data.steps[first]),
+                int(data.steps[last]),
+                float(np.add.accumulate(data["rewards"][first : last + 1, column])[-1]),
+                bool(data["terminated"][last, column]),
+                bool(data["truncated"][last, column]),
+            )
+            end = ended.get((env, episode.episode))
+            if end is not None:
+                episode = replace(
+                    episode,
+                    success=end.success,
+                    reasons=end.reasons,
+                    rewards=end.rewards,
+                    metrics=end.metrics,
+                )
+            yield episode

@@ -1,0 +1,130 @@
+"""Content of a log besides states and steps: events, writes, metrics of viewed environments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from google.protobuf import descriptor_pb2
+from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.recording.format.block import DRAWN, CallKind
+from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.schema import scalars_class
+from embodichain.recording.read.chunks import LogReader
+from embodichain.recording.read.trajectory import columns_of, runs
+
+__all__ = ["LogEvent", "LogWrite", "read_events", "read_metrics", "read_writes"]
+
+
+@dataclass(frozen=True, slots=True)
+class LogEvent:
+    """A term of the event manager fired.
+
+    Attributes:
+        step: Number of control steps finished before.
+        term: The term.
+        mode: ``startup``, ``reset``, ``interval``, ``command``.
+        env_ids: (n,) environments; None is all.
+        drawn: Drawn values: name to (n, ...) array.
+    """
+
+    step: int
+    term: str
+    mode: str
+    env_ids: EnvIndex | None
+    drawn: dict[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True)
+class LogWrite:
+    """A write to the simulation outside physics.
+
+    Attributes:
+        step: Number of control steps finished before.
+        op: ``state``, ``model``, ``reset`` or ``set_const``, as in `lab.sim.engine.api.Write`.
+        field: Component of the state, or model field; empty for ``set_const``.
+        env_ids: (n,) environments; None is all.
+        columns: (k,) columns within the field, or a slice of them.
+        values: (n, k) values; for ``reset`` the resulting rows; None for ``set_const``.
+    """
+
+    step: int
+    op: str
+    field: str
+    env_ids: EnvIndex | None
+    columns: NDArray[np.int64] | slice
+    values: F64 | None
+
+
+def read_events(reader: LogReader) -> Iterator[LogEvent]:
+    """Yield the events of a log.
+
+    Raises:
+        LogError: If a message is damaged.
+    """
+    for step, kind, arrays in _calls(reader, "event"):
+        ids = arrays.pop("env_ids", None)
+        drawn = {name.removeprefix(DRAWN): values for name, values in arrays.items()}
+        yield LogEvent(step, kind.name, kind.mode, ids, drawn)
+
+
+def read_writes(reader: LogReader) -> Iterator[LogWrite]:
+    """Yield the writes of a log.
+
+    Raises:
+        LogError: If a message is damaged.
+    """
+    for step, kind, arrays in _calls(reader, "write"):
+        ids, columns, values = arrays.get("env_ids"), columns_of(kind.columns), arrays.get("values")
+        yield LogWrite(step, kind.mode, kind.name, ids, columns, values)
+
+
+def _calls(reader: LogReader, kind: str) -> Iterator[tuple[int, CallKind, dict[str, Any]]]:
+    """Control step, kind and arrays of every call of a kind."""
+    for run in runs(reader, wanted=lambda call: call.kind == kind):
+        calls = run.of_kind(kind)
+        for t in range(run.count):
+            for call in calls:
+                arrays = {name: values[t] for name, values in call.arrays.items()}
+                yield run.first + t, call.kind, arrays
+
+
+def read_metrics(
+    reader: LogReader, env: int
+) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
+    """(S,) sampled steps of an environment, and name to (S,) values; empty if it has none.
+
+    Raises:
+        LogError: If a message or the schema is damaged.
+    """
+    header, topic = reader.require_header(), f"/env_{env}/metrics"
+    found = [(time_ns, data) for this, time_ns, data in reader.messages() if this == topic]
+    try:
+        names = _names(reader, topic)
+        message = scalars_class("Metrics", names)
+        rows = [message.FromString(bytes(data)) for _, data in found]
+    except (DecodeError, TypeError, ValueError) as error:
+        raise LogError(f"{reader.path}: a message of {topic} is damaged: {error}") from error
+    times = np.array([time_ns for time_ns, _ in found], np.uint64).astype(np.int64)
+    values = {name: np.array([getattr(row, name) for row in rows], np.float64) for name in names}
+    return (times - header.start_ns) // header.period_ns, values
+
+
+def _names(reader: LogReader, topic: str) -> Sequence[str]:
+    """Names of the fields, in order of their numbers, from the schema of a channel."""
+    for channel in reader.channels.values():
+        if channel.topic == topic and channel.schema_id in reader.schemas:
+            declared = descriptor_pb2.FileDescriptorSet()
+            declared.ParseFromString(reader.schemas[channel.schema_id].data)
+            if len(declared.file) != 1 or len(declared.file[0].message_type) != 1:
+                raise ValueError("its schema is not of one message")
+            fields = declared.file[0].message_type[0].field
+            if [field.number for field in fields] != list(range(1, len(fields) + 1)):
+                raise ValueError("the fields of its schema are not numbered from 1")
+            return [field.name for field in fields]
+    return ()

@@ -1,0 +1,110 @@
+"""`Playback`: one environment of a log, step after step, on a separate engine.
+
+The engine has the recorded rows and model fields; only states between keyframes are simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from embodichain.lab.sim.engine.api import Engine
+from embodichain.recording.read.episodes import episode_of
+from embodichain.recording.read.recorded_log import RecordedLog
+from embodichain.recording.read.simulation import Simulation, always, never
+from embodichain.recording.read.trajectory import Span, follow
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["Playback", "Span", "follower_of", "span_of"]
+
+
+def span_of(
+    log: RecordedLog,
+    env: int,
+    episode: int | None = None,
+    first: int | None = None,
+    last: int | None = None,
+) -> Span:
+    """The selected control steps.
+
+    Args:
+        log: The log.
+        env: The environment.
+        episode: One of its episodes; None is all.
+        first: First control step, counted from the start of the log; None is the first.
+        last: Last control step, included; None is the last.
+
+    Raises:
+        ConfigError: If the environment or the episode does not exist, or the range is empty.
+    """
+    log.header.check_env(env)
+    start, end = first or 0, last
+    if episode is not None:
+        found = episode_of(log.episodes, env, episode)
+        start = max(start, found.first_step)
+        end = found.last_step if end is None else min(end, found.last_step)
+    if start < 0 or (end is not None and end < start):
+        raise ConfigError(f"no control steps from {start} to {end}")
+    return Span(start, end)
+
+
+def follower_of(log: RecordedLog, env: int) -> Simulation:
+    """One environment of a log on an engine, which simulates only states between keyframes.
+
+    Raises:
+        ConfigError: If there is no such environment.
+        LogError: If the log has no states, or its model cannot be loaded.
+    """
+    log.header.check_env(env)
+    log, env = log.part_of(env)
+    log.header.require_states(log.path)
+    simulates = log.header.keyframe_every > 0
+    model = log.model_to_simulate if simulates else log.model
+    active = always(1) if simulates else never(1)
+    return Simulation(log.reader, model, np.array([env], np.int64), active, num_threads=1)
+
+
+class Playback:
+    """Plays back one recorded environment.
+
+    Args:
+        log: The log; it must have states.
+        env: The environment.
+
+    Attributes:
+        engine: The engine with the state of the current step; it has one environment, 0.
+
+    Raises:
+        ConfigError: If there is no such environment.
+        LogError: If the log has no states, or its model cannot be loaded.
+    """
+
+    def __init__(self, log: RecordedLog, env: int) -> None:
+        log.header.check_env(env)
+        self.log, self.env = log.part_of(env)
+        self._simulation = follower_of(self.log, self.env)
+        self.engine: Engine = self._simulation.engine
+
+    @property
+    def changes(self) -> int:
+        """Number of writes to the environment's model so far."""
+        return self._simulation.changes
+
+    def steps(self, span: Span, every: int = 1) -> Iterator[int]:
+        """Yield control steps; at each, the engine has the input state of its physics.
+
+        Can be called once.
+
+        Args:
+            span: The control steps.
+            every: Yield every `every`-th step, beginning with the first.
+
+        Raises:
+            LogError: If a message is damaged or does not match the model, or simulating between
+                keyframes does not give the recorded states.
+        """
+        for run, t in follow(self.log.reader, self._simulation, span):
+            step = run.first + t
+            if not (step - span.first) % every:
+                yield step

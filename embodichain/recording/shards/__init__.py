@@ -1,0 +1,1 @@
+"""Logs of a batch in shards; `open`, `inspect` and `verify` for any log."""

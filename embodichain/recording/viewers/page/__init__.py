@@ -1,0 +1,1 @@
+"""MuJoCo Studio's page: the process that serves it, and who may ask it."""

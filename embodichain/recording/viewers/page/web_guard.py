@@ -1,0 +1,128 @@
+"""`Guard`: checks every request to a page of `viewer=web`, and serves the operator's part of it.
+
+MuJoCo's web server answers pages of other sites, and takes files; see `web_process.py`.
+"""
+
+from __future__ import annotations
+
+import functools
+import socket
+import threading
+from collections.abc import Callable
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from mujoco.studio.web import web_server
+
+from embodichain.recording.viewers.door import Door, forbidden, harden
+from embodichain.recording.viewers.operators.operator_pages import SCRIPT, OperatorPages
+
+__all__ = ["GUARDS", "Guard", "guard_serving"]
+
+_TELEOP = "/teleop"
+_SWITCHING = 101
+_HEAD_END = b"</head>"
+_TELEOP_TAG = f'<script src="{SCRIPT.name}"></script>'.encode()
+_FORGET = b"<script>history.replaceState(null, '', location.pathname)</script>"
+"""Takes the token out of the address, once the cookie is set: it is not for bookmarks."""
+
+
+class Guard:
+    """Checks the requests to one socket, and answers those for the operator's operators.
+
+    Args:
+        door: Decides who may use the page.
+        operators: The operator's place; None serves Studio's page as it is.
+
+    Attributes:
+        serving: Set once requests are checked.
+        connections: Paths of open WebSockets.
+    """
+
+    def __init__(self, door: Door, operators: OperatorPages | None = None) -> None:
+        self._door = door
+        self._operators = operators
+        self.serving = threading.Event()
+        self.connections: list[str] = []
+
+    async def count(self, handler: Callable[[Any], Any], websocket: Any) -> None:
+        """Handle a connection; it is in `connections` while it is open."""
+        path = websocket.request.path.partition("?")[0]
+        self.connections.append(path)
+        operators = self._operators
+        try:
+            await (operators.handle if operators is not None and path == _TELEOP else handler)(
+                websocket
+            )
+        finally:
+            self.connections.remove(path)
+
+    def answer(self, answer: Callable[[Any, Any], Any], connection: Any, request: Any) -> Any:
+        """The response to a request that is not refused; None opens a WebSocket."""
+        response = self._content(answer, connection, request)
+        if response is not None:
+            self._door.greet(request, response)
+        return response
+
+    def _content(self, answer: Callable[[Any, Any], Any], connection: Any, request: Any) -> Any:
+        path, _, query = request.path.partition("?")
+        if self._operators is not None:
+            if path == _TELEOP:
+                return None
+            if path == f"/{SCRIPT.name}":
+                return _response(SCRIPT.read_bytes(), "text/javascript")
+        response = answer(connection, request)
+        if path not in ("/", "/index.html"):
+            return response
+        tags = (_FORGET if "token=" in query else b"") + (_TELEOP_TAG if self._operators else b"")
+        page = response.body.replace(_HEAD_END, tags + _HEAD_END, 1)
+        return _response(page, "text/html; charset=utf-8")
+
+    def refusal(self, request: Any) -> Any:
+        """The response if a request is refused, else None."""
+        refused = self._door.refusal(request)
+        if refused is None and request.path.partition("?")[0].endswith("/drop"):
+            return forbidden("this viewer takes no files")
+        return refused
+
+
+GUARDS: WeakKeyDictionary[socket.socket, Guard] = WeakKeyDictionary()
+"""The guard of each socket that has one."""
+
+
+def guard_serving() -> None:
+    """Make MuJoCo's server check requests to guarded sockets first."""
+    plain: Callable[..., Any] = web_server.serve
+
+    def serve(handler: Callable[[Any], Any], *args: Any, **kwargs: Any) -> Any:
+        guard = GUARDS.get(kwargs.get("sock"))  # type: ignore[arg-type]
+        if guard is None:
+            return plain(handler, *args, **kwargs)
+        answer = kwargs["process_request"]
+
+        def checked(connection: Any, request: Any) -> Any:
+            refused = guard.refusal(request)
+            return guard.answer(answer, connection, request) if refused is None else refused
+
+        finish = kwargs["process_response"]
+
+        def finished(connection: Any, request: Any, response: Any) -> Any:
+            """MuJoCo opens every response to other pages, for proxies; a WebSocket's stays so."""
+            made = finish(connection, request, response) or response
+            return made if made.status_code == _SWITCHING else harden(made)
+
+        guard.serving.set()
+        kwargs["process_request"], kwargs["process_response"] = checked, finished
+        return plain(functools.partial(guard.count, handler), *args, **kwargs)
+
+    web_server.serve = serve
+
+
+def _response(body: bytes, kind: str) -> Any:
+    """A response with the headers that the page's shared memory needs."""
+    headers = web_server.Headers()
+    headers["Content-Type"], headers["Content-Length"] = kind, str(len(body))
+    headers["Cache-Control"] = "no-store"
+    headers["Cross-Origin-Opener-Policy"] = "same-origin"
+    headers["Cross-Origin-Embedder-Policy"] = "require-corp"
+    return web_server.Response(200, "OK", headers, body)

@@ -1,0 +1,455 @@
+"""The process that serves a page of `viewer=web`: ``python -m ...web_process FD PROCESS``.
+
+MuJoCo Studio is native code with one user interface per process; a failure there must not end a
+training. The run's process (`web_page.py`) sends models, states and facts through a socket; this
+process sends back the controls. It ends when the socket closes, and with the run's process, of
+which a fork could hold the socket open.
+
+MuJoCo 4.0's web viewer listens on every interface, accepts files dropped on its page, answers
+pages of other sites, asks for no token, and has a second port, to which its own native code
+connects. `_Viewer` sets the address, `web_guard.py` checks every request first, and `own_socket.py`
+refuses other processes at the second port. If a version of MuJoCo does not allow these changes,
+nothing is served.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import socket
+import sys
+import threading
+import time
+from collections import deque
+from multiprocessing.connection import Connection
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.studio import launch_thread, messages, plugin, ux, viewer_protocol, web_viewer
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+from mujoco.studio.implot import implot
+
+from embodichain.lab.sim.compiler.sensing.views import DEFAULT_VIEW
+from embodichain.recording.viewers.door import Door
+from embodichain.recording.viewers.operators.operator_pages import (
+    OperatorPages,
+    View,
+    look_like,
+    view_of,
+)
+from embodichain.recording.viewers.page.own_socket import OwnSocket
+from embodichain.recording.viewers.page.web_guard import GUARDS, Guard, guard_serving
+from embodichain.recording.viewers.page.web_page import SPEEDS, Controls, Facts, PageOptions
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.system.addresses import reachable
+from embodichain.utils.system.processes import ProcessId, end_with
+
+__all__ = ["Panel", "Studio", "main"]
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_POLL_SECONDS = 1.0 / 60.0
+_START_SECONDS = 20.0
+_IDLE_SECONDS = 0.05
+_WIDTH, _HEIGHT, _MARGIN = 330.0, 640.0, 8.0
+_BUTTON = imgui.Vec2(70.0, 0.0)
+_THEIR_ADVICE = "Pass a different --port"
+"""Where MuJoCo's message goes on with an option of its own program."""
+_HISTORY = 400
+"""Number of steps with plotted rewards."""
+
+
+def main(descriptor: int) -> None:
+    """Serve until the run closes the socket or sends an end.
+
+    Args:
+        descriptor: Descriptor of a socket; the first message is options, number of environments,
+            controls and model.
+    """
+    with Connection(descriptor) as run:
+        options, num_envs, controls, model = run.recv()
+        changed = threading.Event()
+        operators = OperatorPages(changed) if options.teleop else None
+        panel = Panel(options, num_envs, controls, operators)
+        try:
+            studio = Studio(model, options, panel, operators=operators)
+        except ConfigError as error:
+            problem = error.problems[0]
+            run.send(("failed", (problem.path, problem.message, problem.hint)))
+            return
+        run.send(("ready", (studio.url, studio.url_once)))
+        reason = "The run has ended."
+        try:
+            reason = _serve(run, studio, panel, operators, changed)
+        except (EOFError, OSError):
+            reason = "The run is gone."
+        finally:
+            studio.close(reason)
+
+
+def _serve(
+    run: Connection,
+    studio: Studio,
+    panel: Panel,
+    operators: OperatorPages | None,
+    changed: threading.Event,
+) -> str:
+    """Forward messages until there are no more; return why it ended."""
+    sent, pauses = panel.controls, 0
+    while True:
+        # Poll instead of waiting on the socket, so that a step does not have to wake this process.
+        changed.wait(_POLL_SECONDS)
+        changed.clear()
+        state = None
+        while run.poll():
+            kind, value = run.recv()
+            if kind == "close":
+                return str(value)
+            if kind == "model":
+                studio.send(messages.ModelEvent(model=value))
+                continue
+            if kind == "status":
+                if operators is not None:
+                    operators.tell(value)
+                continue
+            state, facts = value
+            if facts is not None:
+                panel.add(Facts(*facts))
+        if state is not None:
+            row = np.frombuffer(state).copy()
+            studio.send(messages.StateSnapshot(state=row, state_sig=_STATE))
+        if panel.controls.paused and not studio.controlled:
+            panel.resume()
+        controls = dataclasses.replace(panel.controls, watched=studio.watched)
+        if operators is not None:
+            if operators.pauses != pauses:
+                pauses = operators.pauses
+                panel.pause()
+            command, operated = operators.command, operators.operated
+            controls = dataclasses.replace(controls, command=command, operated=operated)
+        if controls != sent:
+            sent = controls
+            run.send(controls)
+
+
+# -- serving ---------------------------------------------------------------------------------------
+
+
+class Studio:
+    """Serves a model's page on its own threads until it is closed; at most once in a process.
+
+    Args:
+        model: The first model to show; copied.
+        options: Address, port and title, and who may use it.
+        plugins: Studio's viewer plugins.
+        operators: The operator's place, if the page moves a robot.
+
+    Attributes:
+        url: Address of the page, with its token.
+        url_once: An address that opens the page once.
+
+    Raises:
+        ConfigError: If the address cannot be listened on, `options.access` does not fit it, or
+            this version of MuJoCo's viewer cannot be restricted to it.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        options: PageOptions,
+        *plugins: Any,
+        operators: OperatorPages | None = None,
+    ) -> None:
+        door = Door(options.host, options.access)
+        made: list[_Viewer] = []
+        ready = threading.Event()
+
+        def run(endpoint: Any) -> None:
+            try:
+                config = viewer_protocol.ViewerConfig(
+                    title=options.title, gfx="web", http_port=options.port or 0
+                )
+                viewer = _Viewer(
+                    *(options.host, door, operators, config, endpoint),
+                    model=model,
+                    plugins=[*plugins],
+                )
+                made.append(viewer)
+            finally:
+                ready.set()
+            viewer_protocol.run_viewer_loop(viewer)
+
+        guard_serving()
+        self._handle = launch_thread.launch_thread(run)
+        ready.wait(_START_SECONDS)
+        if not made:
+            try:
+                self._handle.close()  # raises the error of its thread
+                raise RuntimeError("MuJoCo's viewer does not start")
+            except Exception as error:
+                port = f":{options.port}" if options.port else ""
+                reason = str(error).partition(_THEIR_ADVICE)[0].strip()
+                why = f"cannot listen on {options.host}{port}: {reason}"
+                hint = "viewer.port=N is another; without it a free one is taken"
+                raise ConfigError([Problem("viewer.port", why, hint)]) from error
+        self._guard = made[0].guard
+        self.url = f"{made[0].url}{door.query}"
+        self.url_once = f"{made[0].url}{door.query_once()}"
+
+    @property
+    def watched(self) -> bool:
+        """Whether a browser has the page open."""
+        return bool(self._guard.connections)
+
+    @property
+    def controlled(self) -> bool:
+        """Whether a browser has the panel; further browsers only show the scene."""
+        return "/ui" in self._guard.connections
+
+    def send(self, message: Any) -> None:
+        """Send the viewer one of Studio's messages."""
+        self._handle.send_to_viewer(message)
+
+    def close(self, reason: str) -> None:
+        """Stop serving; open pages show the reason."""
+        self._handle.close(reason)
+
+
+class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
+    """Studio's web viewer, which listens on `_host`; here that is the configured address."""
+
+    guard: Guard
+    _tcp_sock: socket.socket
+
+    def __init__(
+        self, host: str, door: Door, operators: OperatorPages | None, *args: Any, **kwargs: Any
+    ) -> None:
+        self._address, self._door, self._operators = host, door, operators
+        self._scene: tuple[Any, mujoco.MjvScene] | None = None  # a model, and what was made for it
+        super().__init__(*args, **kwargs)
+
+    @property
+    def _host(self) -> str:
+        return self._address
+
+    @_host.setter
+    def _host(self, every_interface: str) -> None:
+        """Ignore the address that MuJoCo would listen on."""
+
+    @property
+    def url(self) -> str:
+        """Address of the page, for a browser on this machine."""
+        return f"http://{reachable(self._address)}:{self._http_sock.getsockname()[1]}/"
+
+    def _start_server(self) -> None:
+        """Start serving, if the socket is the expected one and requests are checked."""
+        bound = self._http_sock.getsockname()[0]
+        if bound not in {found[4][0] for found in socket.getaddrinfo(self._address, None)}:
+            raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
+        self._http_sock.listen()  # fails here, not in the server's thread, if the port is in use
+        self._tcp_sock = OwnSocket(self._tcp_sock)
+        self.guard = GUARDS[self._http_sock] = Guard(self._door, self._operators)
+        super()._start_server()
+        if self._web_server.tcp_sock is not self._tcp_sock:
+            self._web_server.stop()
+            raise RuntimeError(f"MuJoCo {mujoco.__version__} draws its panel in another way")
+        if not self.guard.serving.wait(_START_SECONDS):
+            self._web_server.stop()
+            raise RuntimeError(f"requests to MuJoCo {mujoco.__version__}'s viewer are not checked")
+
+    def prepare_next_frame(self) -> bool:
+        """Draw only if a page is open."""
+        if not self.guard.connections:
+            time.sleep(_IDLE_SECONDS)
+            return False
+        ready: bool = super().prepare_next_frame()
+        if self._operators is not None:
+            self._operators.view = self._view()
+        return ready
+
+    def _view(self) -> View:
+        """The camera of the page, which the controlling browser moves."""
+        if self._scene is None or self._scene[0] is not self.model:
+            self._scene = self.model, mujoco.MjvScene(self.model, 1)
+        return view_of(self.model, self.data, self.camera, self._scene[1])
+
+    def get_drop_file(self) -> str:
+        """Ignore dropped files."""
+        return ""
+
+
+# -- the panel -------------------------------------------------------------------------------------
+
+
+class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
+    """Controls for environment, pause, step, reset and speed; rewards per term; view options.
+
+    Args:
+        options: Title, and whether resets are offered.
+        num_envs: Number of environments to choose from.
+        controls: The initial controls.
+        operators: The operator's place, whose keys replace the panel's.
+
+    Attributes:
+        controls: Current controls; the object is replaced in the viewer's thread, by `pause` and by
+            `resume`.
+    """
+
+    def __init__(
+        self,
+        options: PageOptions,
+        num_envs: int,
+        controls: Controls,
+        operators: OperatorPages | None = None,
+    ) -> None:
+        self._options, self._num_envs, self.controls = options, num_envs, controls
+        self._operators = operators
+        self._changing = threading.Lock()
+        self._facts: Facts | None = None
+        self._history: deque[Facts] = deque(maxlen=_HISTORY)
+        self._camera = ux.UxState()
+        self._open = True
+
+    def add(self, facts: Facts) -> None:
+        """Show the facts of a step."""
+        self._facts = facts
+        self._history.append(facts)
+
+    def resume(self) -> None:
+        """End a pause."""
+        self._change(paused=False)
+
+    def _choose(self, env_id: int) -> None:
+        chosen = min(max(env_id, 0), self._num_envs - 1)
+        if chosen != self.controls.env_id:
+            self._history.clear()
+            self._change(env_id=chosen)
+
+    def pause(self) -> None:
+        """Begin or end a pause."""
+        self._change(paused=not self.controls.paused)
+
+    def _step(self) -> None:
+        self._change(paused=True, steps=self.controls.steps + self.controls.paused)
+
+    def _reset(self) -> None:
+        if self._operators is not None:
+            self._operators.discard()
+        elif self._options.resets:
+            self._change(resets=self.controls.resets + 1, reset_env=self.controls.env_id)
+
+    def _change(self, **changed: Any) -> None:
+        with self._changing:
+            self.controls = dataclasses.replace(self.controls, **changed)
+
+    @messages.handler(priority=messages.Priority.CRITICAL)  # type: ignore[untyped-decorator]
+    def _on_init(self, _: plugin.ViewerInitEvent) -> None:
+        ux.setup_theme(ux.GuiTheme.DARK)
+        self._camera.camera_index = ux.set_camera(
+            self.viewer.model, self.viewer.camera, ux.TUMBLE_CAMERA_IDX
+        )
+        if self._operators is not None:
+            look_like(self.viewer.model, self.viewer.camera, DEFAULT_VIEW)
+
+    @messages.handler  # type: ignore[untyped-decorator]
+    def _on_update(self, _: messages.UpdateEvent) -> None:
+        if self._operators is not None:
+            return  # the page has keys of its own
+        if imgui.GetIO().WantCaptureKeyboard:
+            return
+        if imgui.IsKeyChordPressed(imgui.Key.Space):
+            self.pause()
+        elif imgui.IsKeyChordPressed(imgui.Key.RightArrow):
+            self._step()
+        elif imgui.IsKeyChordPressed(imgui.Key.Backspace):
+            self._reset()
+        elif imgui.IsKeyChordPressed(imgui.Key.P):
+            self._open = not self._open
+
+    @messages.handler  # type: ignore[untyped-decorator]
+    def _on_build_gui(self, _: messages.BuildGuiEvent) -> None:
+        self.viewer.camera_index = self._camera.camera_index
+        if not self._open:
+            return
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _MARGIN), int(imgui.Cond.FirstUseEver))
+        imgui.SetNextWindowSize(imgui.Vec2(_WIDTH, _HEIGHT), int(imgui.Cond.FirstUseEver))
+        expanded, self._open = imgui.Begin(self._options.title, self._open)
+        if expanded:
+            self._draw_controls()
+            if self._facts is not None:
+                _draw_facts(self._facts, list(self._history))
+            if imgui.CollapsingHeader("View"):
+                self._draw_view()
+        imgui.End()
+
+    def _draw_controls(self) -> None:
+        if self._num_envs > 1:
+            changed, chosen = imgui.InputInt("environment", self.controls.env_id)
+            if changed:
+                self._choose(chosen)
+        if imgui.Button("Resume" if self.controls.paused else "Pause", _BUTTON):
+            self.pause()
+        imgui.SetItemTooltip("Space" if self._operators is None else "Esc")
+        imgui.SameLine()
+        if imgui.Button("Step", _BUTTON):
+            self._step()
+        key = "Right arrow: " if self._operators is None else ""
+        imgui.SetItemTooltip(f"{key}one control step, then a pause")
+        imgui.SameLine()
+        imgui.BeginDisabled(not self._options.resets)
+        if imgui.Button("Reset", _BUTTON):
+            self._reset()
+        imgui.EndDisabled()
+        imgui.SetItemTooltip("Backspace: this environment's episode ends, as truncated")
+        names = ["as fast as possible", *(f"{speed:g} x real time" for speed in SPEEDS if speed)]
+        changed, chosen = imgui.Combo("speed", SPEEDS.index(self.controls.speed), names)
+        if changed:
+            self._change(speed=SPEEDS[chosen])
+
+    def _draw_view(self) -> None:
+        """Draw Studio's widgets for cameras and view options."""
+        viewer = self.viewer
+        ux.camera_selection_gui(viewer.model, viewer.data, viewer.camera, self._camera)
+        if imgui.TreeNodeEx("Rendering"):
+            ux.rendering_gui(viewer.model, viewer.vis_options, viewer.render_flags)
+            imgui.TreePop()
+        if imgui.TreeNodeEx("Groups"):
+            ux.groups_gui(viewer.model, viewer.vis_options)
+            imgui.TreePop()
+        if imgui.TreeNodeEx("Visualization"):
+            ux.visualization_gui(viewer.model, viewer.vis_options, viewer.camera)
+            imgui.TreePop()
+
+
+def _draw_facts(facts: Facts, history: list[Facts]) -> None:
+    """Draw lines, a table of reward terms, and a plot of their latest values."""
+    imgui.TextUnformatted(f"step {facts.step}   {facts.seconds:.2f} s of the episode")
+    for name, text in facts.lines:
+        imgui.TextUnformatted(f"{name} {text}")
+    if not facts.rewards:
+        return
+    imgui.SeparatorText("Rewards per term")
+    flags = int(imgui.TableFlags.RowBg) | int(imgui.TableFlags.SizingStretchProp)
+    if imgui.BeginTable("rewards", 3, flags):
+        for name in ("term", "step", "episode"):
+            imgui.TableSetupColumn(name)
+        imgui.TableHeadersRow()
+        for name, value in facts.rewards.items():
+            imgui.TableNextRow()
+            for text in (name, f"{value:+.4g}", f"{facts.sums.get(name, 0.0):+.4g}"):
+                imgui.TableNextColumn()
+                imgui.TextUnformatted(text)
+        imgui.EndTable()
+    implot.SetNextAxesToFit()
+    if implot.BeginPlot("##rewards", imgui.Vec2(-1.0, 180.0)):
+        implot.SetupAxes("control step", "")
+        steps = [past.step for past in history]
+        for name in facts.rewards:
+            implot.PlotLine(name, steps, [past.rewards.get(name, 0.0) for past in history])
+        implot.EndPlot()
+
+
+if __name__ == "__main__":
+    run = ProcessId.parse(sys.argv[2])
+    if run is not None:
+        end_with(run)
+    main(int(sys.argv[1]))

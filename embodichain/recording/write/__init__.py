@@ -1,0 +1,1 @@
+"""Writing the log of an environment that is stepped."""

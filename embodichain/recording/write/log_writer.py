@@ -1,0 +1,230 @@
+"""`LogWriter`: writes the content of a log: header, starts, runs, ends of episodes, parts."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.recording.format.attachments import Attachment
+from embodichain.recording.format.block import ArrayKind, CallKind, Recorded, pack_steps
+from embodichain.recording.format.header import METADATA, METADATA_END, Header
+from embodichain.recording.format.parts import LogPlace, Manifest, part_name
+from embodichain.recording.format.schema import START_TOPIC, STEPS_TOPIC
+from embodichain.recording.format.seals import sealed
+from embodichain.recording.format.unpacking import listed
+from embodichain.recording.read.counted import COUNTED_TOPIC, encode_counted
+from embodichain.recording.read.episodes import EPISODE_TOPIC, Ends, EpisodeSums, encode_ends
+from embodichain.recording.write.log_file import LogFile
+
+__all__ = ["LAYOUT_FILE", "LogWriter", "Queue"]
+
+LAYOUT_FILE = "foxglove_layout.json"
+
+
+class Queue:
+    """Messages for viewers that are written together with the next steps.
+
+    It is the sink of `views.Views`.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[int, Iterable[tuple[str, bytes]]]] = deque()
+        self._channels: deque[tuple[str, str, bytes | None]] = deque()
+
+    def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
+        """Declare a channel: see `LogFile.channel`."""
+        self._channels.append((topic, schema, data))
+
+    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
+        """Queue messages of one time, each with its topic."""
+        self._waiting.append((time_ns, messages))
+
+    def write(self, file: LogFile) -> None:
+        """Write all queued messages; others may be queued by another thread meanwhile."""
+        while True:
+            entry = self._waiting.popleft() if self._waiting else None
+            # Taken after the message: its channels were declared before it was queued.
+            while self._channels:
+                file.channel(*self._channels.popleft())
+            if entry is None:
+                return
+            time_ns, messages = entry
+            for topic, data in messages:
+                file.write(topic, time_ns, data)
+
+
+class LogWriter:
+    """A log in progress. Building it creates the file.
+
+    Args:
+        path: A new file.
+        compression: As in `RecordOptions`.
+        header: Metadata of the first file.
+        attachments: Attachments of every file.
+        layout: The viewers' layout, for a file next to the log.
+        place: Where to continue a log; None begins it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        compression: str,
+        header: Header,
+        attachments: Sequence[Attachment],
+        layout: Mapping[str, Any],
+        place: LogPlace | None = None,
+    ) -> None:
+        part, step = (0, 0) if place is None else (place.part, place.step)
+        self.file = LogFile(path, compression, part)
+        self.views = Queue()
+        if place is not None:
+            header = replace(header, log_id=place.log_id)
+        header = replace(header, attachments=listed(attachments))
+        self._header, self._attachments = header, attachments
+        self._sums = EpisodeSums(header.num_envs)
+        self._ends: dict[int, Ends] = {}
+        self._manifest = Manifest(
+            self.file.folder, path.name, header.log_id, header.period_ns * 1e-9
+        )
+        if place is not None:
+            self._sums.load(place.episodes, place.returns, place.lengths)
+            self._manifest.files = [replace(entry) for entry in place.files]
+            self._manifest.begun(part_name(path.name, part), step)
+        self._head_bytes = 0
+        self._write_head(part, step)
+        if header.state != "none":
+            self.file.channel(STEPS_TOPIC, "embodichain.Steps")
+            self.file.channel(START_TOPIC, "embodichain.Steps")
+        self.file.channel(EPISODE_TOPIC, "embodichain.Episodes")
+        if header.lists_counted:
+            self.file.channel(COUNTED_TOPIC, "embodichain.Counted")
+        self.file.put_beside(LAYOUT_FILE, json.dumps(layout, indent=1))
+
+    def _write_head(self, part: int, first_step: int) -> None:
+        for name, media_type, data in self._attachments:
+            self.file.attach(name, media_type, data, self._header.start_ns)
+        header = replace(self._header, part=part, first_step=first_step)
+        self.file.metadata(METADATA, header.to_metadata())
+
+    def _time_of(self, step: int) -> int:
+        return self._header.start_ns + step * self._header.period_ns
+
+    def start(self, step: int, row: NDArray[Any], fields: Mapping[str, NDArray[Any]]) -> int:
+        """Write the state of the simulation before a control step; return the message's size.
+
+        Args:
+            step: The control step.
+            row: (N, nstate) rows.
+            fields: Name to (N, ...) values of randomized model fields.
+        """
+        arrays = {"row": np.array(row, np.float64, order="C")}
+        for name, values in fields.items():
+            flat = np.asarray(values).reshape(len(row), -1)
+            arrays[name] = np.ascontiguousarray(flat, np.float64)
+        kinds = tuple(ArrayKind(name, "<f8", a.shape) for name, a in arrays.items())
+        data = pack_steps(step, [[(CallKind("start", arrays=kinds), tuple(arrays.values()))]])
+        return self.file.write(START_TOPIC, self._time_of(step), data)
+
+    def end_episodes(self, step: int, ends: Ends) -> None:
+        """Queue the ends of episodes; they are written with their control step."""
+        self._ends[step] = ends
+
+    def count(self, step: int, env_ids: Sequence[int], episodes: Sequence[int]) -> None:
+        """After a control step: list episodes that count; their ends were written before."""
+        self.file.write(COUNTED_TOPIC, self._time_of(step), encode_counted(env_ids, episodes))
+
+    def skip(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
+        """After a control step that is not recorded: write only the ends of its episodes."""
+        self._add(step, reward, episode_ids)
+
+    def _add(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
+        self._sums.add(reward, episode_ids)
+        ends = self._ends.pop(step, None)
+        if ends is not None:
+            data = encode_ends(step, ends, self._sums, episode_ids)
+            self.file.write(EPISODE_TOPIC, self._time_of(step), data)
+
+    def write(self, first: int, steps: Sequence[Sequence[Recorded]]) -> int:
+        """Write control steps, the ends of their episodes, and the viewers' messages.
+
+        Args:
+            first: Number of the first step.
+            steps: The calls of each step; without a ``step``, those after the last step.
+
+        Returns:
+            Size of their message.
+        """
+        size, ended = 0, bool(steps and steps[-1]) and steps[-1][-1][0].kind == "step"
+        if steps and self._header.state != "none":
+            last = first + len(steps) - 1 if ended else None
+            data = pack_steps(first, steps)
+            size = self.file.write(STEPS_TOPIC, self._time_of(first), data, last)
+        for number, calls in enumerate(steps if ended else (), first):
+            _, (_, reward, _, _, episode_ids) = calls[-1]
+            self._add(number, reward, episode_ids)
+        self.views.write(self.file)
+        return size
+
+    def flush(self) -> None:
+        """Write everything to the file, so that it can be read.
+
+        Raises:
+            OSError: If it cannot be written, or was removed.
+        """
+        self.views.write(self.file)
+        self.file.flush()
+
+    def began(self) -> None:
+        """Flush the header and the start of this file, so that they can be read."""
+        self.flush()
+        self._head_bytes = self.file.size
+
+    def is_full(self, max_bytes: float) -> bool:
+        """Whether the current file has reached this size, and twice the size of its header."""
+        return self.file.size > max(max_bytes, 2 * self._head_bytes)
+
+    def roll(self, step: int) -> None:
+        """Continue in a new file from this control step; the caller writes a start next."""
+        part = self.file.part + 1
+        name = part_name(self.file.name, part)
+        self.views.write(self.file)
+        end = sealed(METADATA_END, {"steps": str(step), "next": name})
+        self._manifest.closed(
+            step, self.file.roll(name, lambda: self.file.metadata(METADATA_END, end))
+        )
+        self._write_head(part, step)
+        self._manifest.begun(name, step)
+        self._manifest.write(complete=False)
+
+    def place(self, step: int) -> LogPlace:
+        """Where the current file began, for a recorder that continues there; after `roll`."""
+        sums, header = self._sums, self._header
+        return LogPlace(
+            header.log_id,
+            self.file.part,
+            step,
+            header.start_ns,
+            tuple(replace(entry) for entry in self._manifest.files[:-1]),
+            *(sums.episodes.copy(), sums.returns.copy(), sums.lengths.copy()),
+        )
+
+    def finish(self, steps: int) -> None:
+        """Write the end of a log with this number of control steps, and close the file.
+
+        Raises:
+            OSError: If it could not be written.
+        """
+        self.views.write(self.file)
+        self.file.metadata(METADATA_END, sealed(METADATA_END, {"steps": str(steps)}))
+        size = self.file.finish()
+        if self.file.part:
+            self._manifest.closed(steps, size)
+            self._manifest.write(complete=True)
+        self.file.close()

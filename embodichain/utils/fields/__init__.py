@@ -1,0 +1,1 @@
+"""Kinds of fields of config classes, and plain messages about their values."""
