@@ -1,5 +1,8 @@
 """`BaseEnv`: N environments of one task, stepped together. The step contract is in `BaseEnv.step`.
 
+The class reads from top to bottom: how it is built, reset and stepped; the hooks that a subclass
+may override, each with its default; recorded moments; then what users, terms and observers read.
+
 Its parts: `Episodes` (counters), `ObservationLayout` (columns of the observation), `judging`
 (success and the end of episodes), `scene_setup` (config to entities), `restoring` (recorded
 moments), `StateDump` (environments that diverged), and the managers of terms.
@@ -7,8 +10,9 @@ moments), `StateDump` (environments that diverged), and the managers of terms.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,28 +24,34 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs import scene_setup
-from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg
 from embodichain.lab.gym.envs.closed import require_open
-from embodichain.lab.gym.envs.env_reads import EnvReads
-from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks, set_extensions
 from embodichain.lab.gym.envs.managers.action_manager import (
     ActionCheck,
     ActionManager,
     action_space,
     default_actions,
+    drive_robot,
     is_passive,
     no_action,
 )
 from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
 from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity, resolve_entity
 from embodichain.lab.gym.envs.managers.value_managers import (
     MetricManager,
     RewardManager,
     TerminationManager,
 )
-from embodichain.lab.gym.envs.observation import Observation, observation_space
-from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
+from embodichain.lab.gym.envs.observation import Observation, flat_space, observation_space
+from embodichain.lab.gym.envs.observers import (
+    EngineRelay,
+    EventRecord,
+    ObservedEnv,
+    StepObserver,
+    StepRecord,
+)
 from embodichain.lab.gym.envs.on_device.step_graph import StepGraph
 from embodichain.lab.gym.envs.restoring import restored as restoring
 from embodichain.lab.gym.envs.restoring.snapshot import Snapshot, SnapshotSource
@@ -53,19 +63,23 @@ from embodichain.lab.gym.envs.step.judging import (
     as_mask,
     none_set,
     reset_ids,
+    task_state,
     zeroed,
 )
 from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.step.step_observation import StepObservation, observe
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
-from embodichain.utils.arrays import as_env_ids, tensor_of
+from embodichain.utils.arrays import Arrays, as_env_ids, tensor_of, to_tensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import first_seed
+from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.uncopied import Uncopied
 
 if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.on_device.step_copies import StepCopies
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.objects.robot import Robot
 
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
@@ -73,9 +87,11 @@ Step = tuple[EnvObs, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 Mask = NDArray[np.bool_]
 Info = dict[str, Any]
 _ZERO = np.float32(0.0)
+_SUCCESS_HOOKS = frozenset({"compute_task_state", "evaluate", "get_info"})
+"""Hooks of a class that may say what success is."""
 
 
-class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
+class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     """N environments of one task, declared in an `EnvCfg`, built by overridden hooks, or both.
 
     Observations are nested mappings of float32 tensors (N, ...), see `TensorMapping`;
@@ -90,13 +106,30 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         run_dir: Folder for the states of environments that diverge; None writes none.
         **kwargs: Passed to the hooks that build the scene.
 
+    Managers and declared entities do not depend on hooks: an override need not call ``super()``.
+
     Attributes:
+        cfg: The environment's copy of its config, with derived values filled in.
+        sim: The simulation of all N environments.
+        robot: The robot, or None.
+        active_joint_ids: Its joints that ``obs["robot"]`` contains and actions move.
+        sensors: Sensors by uid.
+        episodes: Counters of the episodes.
+        observation_buffer: Makes observations.
+        overridden: Names of those optional hooks that the class overrides.
+        drives_robot: Whether actions are joint targets of the declared robot, without action terms.
         sim_steps_per_control: K, physics steps a control step.
         control_step: Control steps since the environment was built.
         arrays_moved: Whether code outside of steps may have replaced arrays (see `StepGraph`).
         managers: All managers by section of the config.
         single_action_space: Actions of one environment, as `single_observation_space` has its
             observations; those of all N are `action_space` and `observation_space`.
+        copies: Copies what observers see of each step, with arrays on a device; None without
+            observers.
+        affordance_datas: Values shared by a task's code; `state_dict` contains only the entries
+            that event terms write.
+        rollout_buffer, action_bank: Always None, and `current_rollout_step` 0: names of EmbodiChain
+            without a function here (learners have their own buffers).
 
     Raises:
         ConfigError: If the task is wrong; lists every mistake that can be found.
@@ -107,12 +140,27 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         "render_modes": ["rgb_array"],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
+    active_joint_ids: list[int] = []
+    sensors: dict[str, Any] = {}
+    drives_robot: bool = False
+    copies: StepCopies | None = None
+    rollout_buffer: None = None
+    current_rollout_step: int = 0
+    action_bank: None = None
+    # Set while it is built:
+    robot: Robot | None
     single_action_space: gym.Space[Any]
     single_observation_space: gym.Space[Any]
     managers: dict[str, Manager[Any]]
     command_manager: CommandManager
     observation_manager: ObservationManager
     event_manager: EventManager
+    action_manager: ActionManager
+    reward_manager: RewardManager
+    termination_manager: TerminationManager
+    metric_manager: MetricManager
+    curriculum_manager: CurriculumManager
+    observation_buffer: ObservationBuffer
 
     def __init__(
         self,
@@ -123,11 +171,13 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         run_dir: Path | None = None,
         **kwargs: Any,
     ) -> None:
-        self.affordance_datas = {}
+        self.affordance_datas: dict[str, Any] = {}
         self.cfg = cfg = scene_setup.frozen_cfg(cfg, num_envs)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
-        self.render_mode, self.run_dir, self.control_step = render_mode, run_dir, 0
+        self.render_mode = render_mode
+        self.run_dir = run_dir
+        self.control_step = 0
         self.sim_steps_per_control = cfg.sim_steps_per_control
         self.metadata = {**type(self).metadata, "autoreset_mode": parse_mode(autoreset_mode)}
         self.metadata["render_fps"] = self.control_frequency
@@ -139,10 +189,13 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self.observers: list[StepObserver] = []
         # EmbodiChain shares one class-level list between all environments of a process.
         self.active_joint_ids = list(type(self).active_joint_ids)
-        self.sensors, self._detached_uids = {}, []
+        self.sensors = {}
+        self._detached_uids: list[str] = []
         self.overridden = overridden_hooks(self)
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool, device=self.device)
-        self._closed = self.arrays_moved = self._startup_due = False
+        self._closed = False
+        self.arrays_moved = False
+        self._startup_due = False
         self.sim.physics_steps_per_control = cfg.sim_steps_per_control
         self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
@@ -413,7 +466,7 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         action = self._act(self._preprocess_action(action))
         if self.run_dir is not None and self._dump is not None:
             self._dump.keep()
-        self.action_manager.step_physics(self.sim_steps_per_control)
+        self._step_physics()
         self._update_sim_state(**kwargs)
         episodes.advance()
         self.control_step += 1
@@ -465,6 +518,15 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
                 observer.on_step(self, record)
         return obs, rewards, *flags, info
 
+    def _step_physics(self) -> None:
+        """Take the K physics steps of a control step, at once unless action terms act in each."""
+        if not self.action_manager.acts_in_physics:
+            self.sim.update(step=self.sim_steps_per_control)
+            return
+        for _ in range(self.sim_steps_per_control):
+            self.action_manager.act_in_physics()
+            self.sim.update(step=1)
+
     def _going_on(self, terminated: Mask, truncated: Mask, pending: Mask | None) -> EnvIndex | None:
         """Environments whose episode goes on after this step, None for all."""
         ended = terminated | truncated
@@ -499,7 +561,168 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         self._reset_rows(ids, {})
         return self._observe_reset(ids, {})
 
-    # -- the rest ------------------------------------------------------------------------------
+    # -- hooks of a subclass: building ---------------------------------------------------------
+
+    def _setup_robot(self, **kwargs: Any) -> Robot | None:
+        """Add the robot to ``self.sim`` and return it, or None without one.
+
+        An override may set ``self.single_action_space``. The default adds what the config declares
+        under ``robot`` and ``robots``; declared robots that an override does not add are added
+        after it.
+        """
+        return scene_setup.add_declared_robots(self.sim, self.cfg)
+
+    def _prepare_scene(self, **kwargs: Any) -> None:
+        """Add all other entities, after `_setup_robot`. The default adds the declared ones."""
+        scene_setup.add_declared_scene(self.sim, self.cfg)
+
+    def _setup_sensors(self, **kwargs: Any) -> dict[str, Any]:
+        """Return sensors by uid, each with ``get_data()``; called after `_prepare_scene`.
+
+        The default adds what the config declares. Declared sensors that an override does not add
+        are added after it.
+        """
+        return dict(scene_setup.add_declared_sensors(self.sim, self.cfg))
+
+    def _init_sim_state(self, **kwargs: Any) -> None:
+        """Prepare the compiled scene once, before startup events."""
+
+    # -- hooks of a subclass: resetting --------------------------------------------------------
+
+    def _initialize_episode(self, env_ids: torch.Tensor, **kwargs: Any) -> None:
+        """Set the initial state of environments; entities have their configured state before.
+
+        Args:
+            env_ids: (n,) int64, sorted.
+            **kwargs: All other options of `reset`.
+        """
+
+    def is_task_success(self, **kwargs: Any) -> torch.Tensor:
+        """(N,) bool: whether the episode ended by a reset was a success.
+
+        The default is ``info["success"]`` of the last step.
+        """
+        return tensor_of(self.episodes.success.copy())
+
+    # -- hooks of a subclass: stepping ---------------------------------------------------------
+
+    def _preprocess_action(self, action: EnvAction) -> EnvAction:
+        """Return the action to apply, from the one given to `step`."""
+        return action
+
+    def _step_action(self, action: EnvAction) -> EnvAction | None:
+        """Apply an action; return the action that rewards receive (None: the same one).
+
+        The default moves a declared robot that has no action terms: a tensor (N, A) is absolute
+        joint targets, a mapping has any of ``qpos``, ``qvel``, ``qf``. With action terms, they run
+        first and an override runs after them.
+        """
+        if self.drives_robot:
+            period = self.sim.sim_config.physics_dt * self.cfg.sim_steps_per_control
+            drive_robot(self.robot, self.active_joint_ids, action, period)
+        return action
+
+    def _postprocess_action(self, action: EnvAction) -> EnvAction:
+        """Return the action that `_hook_after_sim_step` receives; called after the rewards."""
+        return action
+
+    def _update_sim_state(self, **kwargs: Any) -> None:
+        """Change the scene after physics and before the observation."""
+
+    def _hook_after_sim_step(
+        self,
+        obs: EnvObs,
+        action: EnvAction,
+        rewards: torch.Tensor,
+        dones: torch.Tensor,
+        info: dict[str, Any],
+        **kwargs: Any,
+    ) -> None:
+        """Process a finished step before environments that are done are reset.
+
+        Args:
+            obs: The observation, final for environments that are done.
+            action: From `_postprocess_action`.
+            rewards: (N,) float32.
+            dones: (N,) bool, terminated or truncated.
+            info: As `step` returns it, without the final entries.
+            **kwargs: ``terminateds`` and ``truncateds`` (N,) bool, and the kwargs of `step`.
+        """
+
+    # -- hooks of a subclass: observing --------------------------------------------------------
+
+    @cached_property
+    def observes_sensors(self) -> bool:
+        """Whether ``obs["sensor"]`` exists: there is a sensor or an overriding hook."""
+        if "_get_sensor_obs" in self.overridden:
+            return bool(self.sensors)
+        return any(getattr(sensor, "observe", True) for sensor in self.sensors.values())
+
+    def get_obs(self, **kwargs: Any) -> EnvObs:
+        """Observe all environments: robot, sensors, `_extend_obs`, observation terms.
+
+        Returns:
+            Batch size N; ``obs["robot"]`` has ``qpos``, ``qvel``, ``qf``, (N, A) float32 each.
+        """
+        sensors = self._get_sensor_obs(**kwargs) if self.observes_sensors else {}
+        extends = "_extend_obs" in self.overridden
+        extend = partial(self._extend_obs, **kwargs) if extends else None
+        return self.observation_buffer.observe(sensors, extend)
+
+    def _get_sensor_obs(self, **kwargs: Any) -> Mapping[str, Any]:
+        """Return ``obs["sensor"]``: each sensor's data by uid.
+
+        Called only if there are sensors. The default leaves out those whose `observe` is False.
+        """
+        return {u: s.get_data() for u, s in self.sensors.items() if getattr(s, "observe", True)}
+
+    def _extend_obs(self, obs: EnvObs, **kwargs: Any) -> EnvObs:
+        """Return the observation with entries added; observation terms run after this."""
+        return obs
+
+    # -- hooks of a subclass: judging ----------------------------------------------------------
+
+    def get_info(self, **kwargs: Any) -> dict[str, Any]:
+        """Return ``elapsed_steps`` (N,) int32 and the entries of the class's hooks."""
+        info = {"elapsed_steps": tensor_of(self.episodes.count)}
+        if "compute_task_state" in self.overridden:
+            name = f"{type(self).__name__}.compute_task_state"
+            info |= task_state(self.compute_task_state(**kwargs), self.cfg.num_envs, name)
+        info.update(self.evaluate(**kwargs))
+        return info
+
+    def compute_task_state(
+        self, **kwargs: Any
+    ) -> tuple[torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
+        """Return success (N,) bool, failure (N,) bool, and metrics, (N,) each, by name.
+
+        Either ends the episode. Declared terminations and metrics are added to them.
+        """
+        none = torch.zeros(self.cfg.num_envs, dtype=torch.bool, device=self.sim.device)
+        return none, none.clone(), {}
+
+    def evaluate(self, **kwargs: Any) -> Mapping[str, Any]:
+        """Return entries of ``info``; ``success`` and ``fail``, (N,) bool, end the episode.
+
+        They override those of `compute_task_state`.
+        """
+        return {}
+
+    def get_reward(self, obs: EnvObs, action: EnvAction, info: dict[str, Any]) -> torch.Tensor:
+        """Return (N,) rewards; those of reward terms are added to them."""
+        return torch.zeros(self.cfg.num_envs, device=self.sim.device)
+
+    def _extend_reward(
+        self, rewards: torch.Tensor, obs: EnvObs, action: EnvAction, info: dict[str, Any]
+    ) -> torch.Tensor:
+        """Return the final rewards, from the sum that includes reward terms."""
+        return rewards
+
+    def check_truncated(self, obs: EnvObs, info: dict[str, Any]) -> torch.Tensor:
+        """Return (N,) bool: episodes to truncate besides those at `max_episode_steps`."""
+        return torch.zeros(self.cfg.num_envs, dtype=torch.bool, device=self.sim.device)
+
+    # -- pictures, recorded moments, the end ---------------------------------------------------
 
     def render(self, view: str = "default") -> NDArray[np.uint8] | None:
         """Draw environment 0 as (480, 640, 3) RGB; None unless `render_mode` is ``rgb_array``.
@@ -580,6 +803,359 @@ class BaseEnv(Uncopied, EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
             for observer in reversed(self.observers):
                 stack.callback(observer.on_close, self)
 
+    # -- size and clock ------------------------------------------------------------------------
+
+    @property
+    def num_envs(self) -> int:
+        """N."""
+        return self.cfg.num_envs
+
+    @property
+    def device(self) -> torch.device:
+        """Device of tensors."""
+        return self.sim.device
+
+    @property
+    def arrays(self) -> Arrays:
+        """Makes the arrays that terms keep, where the simulation has its arrays."""
+        return self.sim.arrays
+
+    @property
+    def revision(self) -> tuple[int, ...]:
+        """Numbers that change when a step is computed in another way: limit, terms, model."""
+        managers = (manager.revision for manager in self.managers.values())
+        watched = len(self.observers)
+        return self.episodes.limit, getattr(self.sim.engine, "revision", 0), watched, *managers
+
+    @property
+    def physics_dt(self) -> float:
+        """Seconds per physics step."""
+        return self.cfg.sim_cfg.physics_dt
+
+    @property
+    def step_dt(self) -> float:
+        """Seconds per control step."""
+        return self.physics_dt * self.sim_steps_per_control
+
+    @property
+    def physics_steps_per_call(self) -> int:
+        """Physics steps of each physics call of a control step: all, or 1 (`ActionTerm`)."""
+        return 1 if self.action_manager.acts_in_physics else self.sim_steps_per_control
+
+    @property
+    def physics_frequency(self) -> float:
+        """Physics steps per second."""
+        return 1.0 / self.physics_dt
+
+    @property
+    def control_frequency(self) -> float:
+        """Control steps per second."""
+        return 1.0 / self.step_dt
+
+    # -- counters ------------------------------------------------------------------------------
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Control steps after which an episode is truncated; 2**31 - 1 is no limit."""
+        return self.episodes.limit
+
+    @max_episode_steps.setter
+    def max_episode_steps(self, steps: int) -> None:
+        if steps < 1 and steps != -1:
+            raise ValueError(f"max_episode_steps must be at least 1, or -1 for never, got {steps}")
+        limit = NO_LIMIT if steps == -1 else min(int(steps), NO_LIMIT)
+        self.episodes.limit = self.cfg.max_episode_steps = limit
+
+    @property
+    def elapsed_steps(self) -> torch.Tensor:
+        """(N,) int32 control steps of the current episodes; a copy.
+
+        From the end of physics on the present step counts, wherever a term reads it. The hooks that
+        observe, judge and reward (`BaseEnv.step`) see it without the present step, as in
+        EmbodiChain.
+        """
+        return tensor_of(self.episodes.count)
+
+    @elapsed_steps.setter
+    def elapsed_steps(self, steps: torch.Tensor) -> None:
+        counted, given = self.episodes.elapsed, torch.as_tensor(steps)
+        if given.shape != counted.shape:
+            raise ValueError(f"elapsed_steps must be {tuple(counted.shape)}, got {given.shape}")
+        if not self.arrays.on_device and (given < 0).any():
+            raise ValueError("elapsed_steps must not be negative")
+        counted[:] = self.arrays.of(given.to(torch.int32))
+
+    @property
+    def episode_ids(self) -> torch.Tensor:
+        """(N,) int64 number of the current episode, from 0; -1 before the first reset. A copy."""
+        return tensor_of(self.episodes.ids.copy())
+
+    @property
+    def last_action(self) -> torch.Tensor:
+        """(N, A) float32 action as last given to `step`; zeros after a reset. A copy."""
+        return to_tensor(self.episodes.last_action)
+
+    def read_last_action(self) -> F64:
+        """(N, A) action as last given to `step`; do not write to it."""
+        return self.episodes.last_action
+
+    def truncate(self, env_ids: Any) -> None:
+        """Truncate the episodes of environments at the next step.
+
+        Args:
+            env_ids: (n,) which of the N.
+        """
+        self.episodes.truncate(env_ids)
+
+    # -- random numbers ------------------------------------------------------------------------
+
+    @property
+    def seed_value(self) -> int:
+        """The seed in use."""
+        return self.streams.seed
+
+    def rand(
+        self,
+        name: str,
+        shape: Sequence[int] = (),
+        low: Any = 0.0,
+        high: Any = 1.0,
+        env_ids: Any = None,
+    ) -> torch.Tensor:
+        """Draw uniformly from [low, high), each environment from its own stream.
+
+        The numbers of environment *i* depend only on the seed, *i*, the name and the number of its
+        earlier draws.
+
+        Args:
+            name: The stream: one name for one purpose.
+            shape: Shape of one environment's draw.
+            low: Scalar, or an array that broadcasts to ``shape``.
+            high: Likewise.
+            env_ids: The n environments that draw (sorted unique, or a mask); None is all N.
+
+        Returns:
+            (n, *shape) float32.
+        """
+        ids = as_env_ids(env_ids, self.num_envs)
+        return to_tensor(self.streams.uniform(name, shape, low, high, ids))
+
+    def randn(self, name: str, shape: Sequence[int] = (), env_ids: Any = None) -> torch.Tensor:
+        """Draw standard normal numbers, (n, *shape) float32; see `rand`."""
+        return to_tensor(self.streams.normal(name, shape, as_env_ids(env_ids, self.num_envs)))
+
+    # -- the scene -----------------------------------------------------------------------------
+
+    def scene_entity(self, cfg: Any) -> ResolvedEntity:
+        """Look up the entity of a `SceneEntityCfg` (or of a mapping with its keys).
+
+        Raises:
+            ConfigError: If the entity, a joint or a link does not exist; lists those that do.
+        """
+        require_open(self._closed)
+        return resolve_entity(self.sim, cfg)
+
+    @property
+    def has_sensors(self) -> bool:
+        """Whether there are sensors."""
+        return bool(self.sensors)
+
+    def get_sensor(self, name: str) -> Any:
+        """Return a sensor by uid.
+
+        Raises:
+            ConfigError: If there is none; lists the sensors.
+        """
+        if name not in self.sensors:
+            message = f"no sensor {name!r}; there are: {', '.join(self.sensors) or 'none'}"
+            raise ConfigError([Problem("", message, did_you_mean(name, self.sensors).strip())])
+        return self.sensors[name]
+
+    def add_detached_uids_for_reset(self, uids: Sequence[str]) -> None:
+        """Exclude entities from the reset of states.
+
+        Raises:
+            ValueError: If an entity does not exist; lists those that do.
+        """
+        unknown = [uid for uid in uids if uid not in self.sim.asset_uids]
+        if unknown:
+            raise ValueError(f"no entities {unknown}; there are: {self.sim.asset_uids}")
+        known = self._detached_uids
+        known += [uid for uid in dict.fromkeys(uids) if uid not in known]
+
+    @property
+    def observation_paths(self) -> list[tuple[str, ...]]:
+        """Paths of the floating point entries of an observation, in its order."""
+        return list(self.observation_buffer.layout.paths)
+
+    @property
+    def flattened_observation_space(self) -> gym.spaces.Box:
+        """Box of all N observations, each as one vector (N, W)."""
+        return flat_space(self.observation_space, self.num_envs)
+
+    def curriculum_stage(self) -> dict[str, Any]:
+        """The stage that the curriculum has reached (copies), for `hold_curriculum` elsewhere."""
+        return self.curriculum_manager.stage_dict()
+
+    def hold_curriculum(self, stage: Mapping[str, Any] | None = None) -> None:
+        """Keep the curriculum at a stage: its terms are called no more.
+
+        Evaluations do this, so that what they judge depends neither on their length nor on the
+        number of environments. The next resets apply it to environments.
+
+        Args:
+            stage: Of `curriculum_stage`, of any number of environments; None is the present one.
+        """
+        require_open(self._closed)
+        self.curriculum_manager.hold(stage)
+
+    def release_curriculum(self) -> None:
+        """Let the curriculum go on."""
+        require_open(self._closed)
+        self.curriculum_manager.release()
+
+    @property
+    def judges_success(self) -> bool:
+        """Whether the task defines success: by a metric, a termination, or its class."""
+        declared = self.metric_manager.has_success or self.termination_manager.has_success
+        return declared or not self.overridden.isdisjoint(_SUCCESS_HOOKS)
+
+    # -- observers -----------------------------------------------------------------------------
+
+    def add_observer(self, observer: StepObserver) -> None:
+        """Attach an observer; it is called after those attached before.
+
+        Raises:
+            ConfigError: If arrays are on the device, and it may not be called late.
+        """
+        require_open(self._closed)
+        if self.arrays.on_device:
+            if not observer.may_lag:
+                self.arrays.require_host("observers that may not be called late")
+            self._copied().observers.append(observer)
+            return
+        self._attach(observer)
+
+    def _attach(self, observer: StepObserver) -> None:
+        if not self.observers:
+            self.sim.engine.listeners.append(EngineRelay(self))
+        self.observers.append(observer)
+
+    @property
+    def observed(self) -> ObservedEnv:
+        """What observers are called with: the environment, or with arrays on a device its copy.
+
+        A `CopiedEnv` is made when it is first asked for; from then on each step is copied.
+        """
+        return self._copied() if self.arrays.on_device else self
+
+    def _copied(self) -> Any:
+        if self.copies is None:
+            from embodichain.lab.gym.envs.on_device.step_copies import StepCopies
+
+            self.copies = StepCopies(self)
+            self._attach(self.copies)
+        return self.copies.host
+
+    def remove_observer(self, observer: StepObserver) -> None:
+        """Detach an observer; ValueError if it is not attached."""
+        found: StepObserver = observer
+        if self.copies is not None:
+            self.copies.flush()
+            self.copies.host.observers.remove(observer)
+            if self.copies.host.observers:
+                return
+            found, self.copies = self.copies, None
+        self.observers.remove(found)
+        if not self.observers:
+            self.sim.engine.listeners.remove(EngineRelay(self))
+
+    def log_event(
+        self,
+        term: str,
+        mode: str,
+        env_ids: EnvIndex | None,
+        drawn: Mapping[str, NDArray[Any]] | None = None,
+    ) -> None:
+        """Report to observers that a term fired and what it drew."""
+        if self.observers:
+            record = EventRecord(term, mode, env_ids, drawn or {})
+            for observer in self.observers:
+                observer.on_event(self, record)
+
+    # -- names of EmbodiChain 0.2.1 ------------------------------------------------------------
+
+    @property
+    def sim_freq(self) -> float:
+        """Physics steps per second."""
+        return self.physics_frequency
+
+    @property
+    def control_freq(self) -> float:
+        """Control steps per second."""
+        return self.control_frequency
+
+    @property
+    def _elapsed_steps(self) -> torch.Tensor:
+        return self.elapsed_steps
+
+    def add_camera_group_id(self, group_id: int) -> None:
+        """Accept a camera group, which EmbodiChain's renderer needs; no effect here."""
+
+    def set_affordance(self, key: str, value: Any) -> None:
+        """Set a value of `affordance_datas`."""
+        self.affordance_datas[key] = value
+
+    def get_affordance(self, key: str, default: Any = None) -> Any:
+        """Return a value of `affordance_datas`."""
+        return self.affordance_datas.get(key, default)
+
 
 EmbodiedEnv = BaseEnv
 """EmbodiChain's name for an environment built from its config."""
+
+
+OPTIONAL_HOOKS = (
+    *("get_obs", "_extend_obs", "_get_sensor_obs", "_step_action", "get_reward", "_extend_reward"),
+    *("check_truncated", "_hook_after_sim_step", "compute_task_state", "evaluate", "get_info"),
+    *("_setup_robot", "_prepare_scene", "_initialize_episode"),
+)
+"""Hooks with special treatment where a class does not override them: most are not called."""
+
+
+def overridden_hooks(env: BaseEnv) -> frozenset[str]:
+    """Return which of `OPTIONAL_HOOKS` an environment's class overrides.
+
+    Raises:
+        ConfigError: If arrays are on the device, where environments are masks, and it takes
+            indices of environments, or resets in the next step.
+    """
+    cls, arrays = type(env), env.sim.arrays
+    found = frozenset(
+        name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(BaseEnv, name)
+    )
+    if "_initialize_episode" in found:
+        arrays.require_host(
+            f"indices of environments, which {cls.__name__}._initialize_episode takes,"
+        )
+    if env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
+        arrays.require_host("steps of some environments, as of autoreset mode NEXT_STEP,")
+    return found
+
+
+def set_extensions(env: object, extensions: dict[str, Any]) -> None:
+    """Set ``extensions`` as attributes of an environment.
+
+    Raises:
+        ConfigError: If the environment has an attribute of that name already.
+    """
+    taken = [key for key in extensions if not key.isidentifier() or hasattr(env, key)]
+    if taken:
+        raise ConfigError(
+            [
+                Problem(f"extensions.{key}", "taken by the environment, or not a name")
+                for key in taken
+            ]
+        )
+    for key, value in extensions.items():
+        setattr(env, key, value)

@@ -332,15 +332,10 @@ class ActionManager(Manager[ActionTermCfg]):
         """Whether a term acts before every physics step."""
         return bool(self._before_physics)
 
-    def step_physics(self, count: int) -> None:
-        """Advance physics by ``count`` steps; one by one if a term acts before every step."""
-        if not self._before_physics:
-            self.env.sim.update(step=count)
-            return
-        for _ in range(count):
-            for act in self._before_physics:
-                act()
-            self.env.sim.update(step=1)
+    def act_in_physics(self) -> None:
+        """Let the terms act that act before every physics step."""
+        for act in self._before_physics:
+            act()
 
     @property
     def has_metrics(self) -> bool:
