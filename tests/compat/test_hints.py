@@ -97,7 +97,7 @@ def test_a_card_is_chosen_by_its_number(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     robot = {"fpath": "CartPole/cart_pole.urdf", "uid": "cart"}
-    config = {"id": "CartPoleRL", "robot": robot, "env": {"sim_steps_per_control": 4}}
+    config = {"robot": robot, "env": {"sim_steps_per_control": 4}}
     (tmp_path / "gym.yaml").write_text(yaml.safe_dump(config))
     words = ["run-env", "--gym_config", "gym.yaml", "--gpu_id", "99", "max_steps=2"]
     assert main([*words, "--device", "cuda"]) == 2
