@@ -72,7 +72,7 @@ from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.arrays import Arrays, as_env_ids, tensor_of, to_tensor
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.random import first_seed
+from embodichain.utils.random import RandomStreams, first_seed
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.uncopied import Uncopied
 
@@ -147,7 +147,18 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     rollout_buffer: None = None
     current_rollout_step: int = 0
     action_bank: None = None
-    # Set while it is built:
+    # Set while it is built. Events that store what they register take none of these names.
+    cfg: EnvCfg
+    sim: SimulationManager
+    streams: RandomStreams
+    episodes: Episodes
+    observers: list[StepObserver]
+    overridden: frozenset[str]
+    affordance_datas: dict[str, Any]
+    run_dir: Path | None
+    sim_steps_per_control: int
+    control_step: int
+    arrays_moved: bool
     robot: Robot | None
     single_action_space: gym.Space[Any]
     single_observation_space: gym.Space[Any]
@@ -171,7 +182,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         run_dir: Path | None = None,
         **kwargs: Any,
     ) -> None:
-        self.affordance_datas: dict[str, Any] = {}
+        self.affordance_datas = {}
         self.cfg = cfg = scene_setup.frozen_cfg(cfg, num_envs)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
@@ -186,7 +197,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         if cfg.seed is not None:
             seed_globals(self, self.streams.seed)
         self.episodes = Episodes(cfg.num_envs, cfg.max_episode_steps, self.arrays)
-        self.observers: list[StepObserver] = []
+        self.observers = []
         # EmbodiChain shares one class-level list between all environments of a process.
         self.active_joint_ids = list(type(self).active_joint_ids)
         self.sensors = {}
