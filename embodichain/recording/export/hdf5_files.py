@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -42,12 +43,24 @@ def new_hdf5(path: Path, format: str) -> Iterator[tuple[Any, Callable[[], None]]
         OSError: If the file cannot be written.
     """
     h5py: Any = required("h5py", format)
+    others = {file.id for file in _open_files(h5py)}
     with _Stream(path) as stream:
         try:
             with h5py.File(stream, "w", libver=("v108", "latest")) as file:
                 yield file, stream.check
-        finally:  # instead of what HDF5 makes of it
-            stream.check()
+        finally:
+            # A signal may end the opening or the closing in the middle: what HDF5 has still open
+            # would be written when Python ends, to a stream that is closed.
+            for left in _open_files(h5py):
+                if left.id not in others:
+                    left.close()
+            stream.check()  # instead of what HDF5 makes of it
+
+
+def _open_files(h5py: Any) -> list[Any]:
+    """The files that HDF5 has open."""
+    found: list[Any] = h5py.h5f.get_obj_ids(h5py.h5f.OBJ_ALL, h5py.h5f.OBJ_FILE)
+    return found
 
 
 class _Stream(io.FileIO):
@@ -69,12 +82,16 @@ class _Stream(io.FileIO):
         if self._error is not None:
             raise self._error
 
+    def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
+        """Go to a place, unless the file is closed."""
+        return 0 if self.closed else super().seek(offset, whence)
+
     def write(self, data: Any) -> int:
         """Write all bytes, unless there was a failure."""
         left = memoryview(data).cast("B")
         size = len(left)
         try:
-            while left and self._error is None:
+            while left and self._error is None and not self.closed:
                 done = super().write(left)  # writes less if the disk is nearly full
                 left = left[done:]
         except OSError as error:
@@ -84,10 +101,14 @@ class _Stream(io.FileIO):
     def truncate(self, size: int | None = None) -> int:
         """Set the size of the file, unless there was a failure."""
         try:
-            return size or 0 if self._error is not None else super().truncate(size)
+            if self._error is None and not self.closed:
+                return super().truncate(size)
         except OSError as error:
             self._error = error
-            return size or 0
+        return size or 0
+
+    def flush(self) -> None:
+        """Do nothing: nothing is buffered."""
 
 
 def describe_root(root: Any, log: RecordedLog) -> None:
