@@ -50,5 +50,6 @@ def access_given(options: Mapping[str, Any]) -> Any:
     """Return the `Access` of these options; those that were not given have its defaults."""
     from embodichain.utils.system.access import AUTO, Access
 
-    token, origins = options["token"], options["allow_origins"]
-    return Access(AUTO if token is None else token, options["allow_hosts"], origins or None)
+    token = AUTO if options["token"] is None else options["token"]
+    origins = options["allow_origins"] or None
+    return Access(token, options["allow_hosts"], origins)

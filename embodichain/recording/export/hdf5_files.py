@@ -43,24 +43,12 @@ def new_hdf5(path: Path, format: str) -> Iterator[tuple[Any, Callable[[], None]]
         OSError: If the file cannot be written.
     """
     h5py: Any = required("h5py", format)
-    others = {file.id for file in _open_files(h5py)}
     with _Stream(path) as stream:
         try:
             with h5py.File(stream, "w", libver=("v108", "latest")) as file:
                 yield file, stream.check
-        finally:
-            # A signal may end the opening or the closing in the middle: what HDF5 has still open
-            # would be written when Python ends, to a stream that is closed.
-            for left in _open_files(h5py):
-                if left.id not in others:
-                    left.close()
-            stream.check()  # instead of what HDF5 makes of it
-
-
-def _open_files(h5py: Any) -> list[Any]:
-    """The files that HDF5 has open."""
-    found: list[Any] = h5py.h5f.get_obj_ids(h5py.h5f.OBJ_ALL, h5py.h5f.OBJ_FILE)
-    return found
+        finally:  # instead of what HDF5 makes of it
+            stream.check()
 
 
 class _Stream(io.FileIO):
@@ -68,6 +56,8 @@ class _Stream(io.FileIO):
 
     HDF5 frees what it could not write, and frees it again when it is closed: a disk that is full
     would end the process. Here it goes on; the first failure is kept, and nothing written any more.
+    Nor is anything written after it is closed: a signal in the middle of opening leaves HDF5 with
+    an open file, which it writes when the last reference to it is gone.
 
     Args:
         path: The file.
