@@ -35,9 +35,9 @@ _BEFORE_FIRST_PHASE = -1
 _ARRIVAL_TIMEOUT_S = 2.0
 """Time after the end of its path in which the tool must arrive."""
 _EXACT_TURN = 0.03
-"""Rad: how exact the tool's orientation must be where its position must be exact."""
+"""Angle in rad within which the tool must be turned where its position must be exact."""
 _COARSE_TURN = 0.2
-"""Rad: how exact it must be elsewhere."""
+"""Angle in rad elsewhere."""
 _SHORTEST_GRIP_STEPS = 3
 """Control steps before fingers are asked whether they rest: at first they have not moved yet."""
 _LONGEST_GRIP_S = 2.0
