@@ -12,13 +12,13 @@ import dataclasses
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg, EventCfg
 from embodichain.lab.gym.envs.managers.param_types import NamedEntity
 from embodichain.lab.gym.envs.managers.scene_entity import references_in
-from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.terms.check import check_terms
+from embodichain.lab.gym.envs.managers.terms.physics_draws import PhysicsDraw, physics_draws
 from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS, TERMS
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
@@ -36,7 +36,6 @@ from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
 from embodichain.lab.sim.compiler.robot.articulation import parse_with_problems
 from embodichain.lab.sim.compiler.robot.drives.pd_drives import (
     DriveChange,
-    DriveOperation,
     PhysicsStep,
     physics_step,
 )
@@ -333,70 +332,46 @@ def _check_light(path: str, uid: str, known: Known, open_scene: bool) -> list[Pr
 # -- draws of events -------------------------------------------------------------------------------
 
 
-def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]]:
-    """Return the drive changes that events may draw, by uid; malformed parameters are left out.
-
-    A term class declares them in a class attribute ``drive_ranges``: parameter -> quantity of
-    `DriveChange`. Terms without it, such as functions, are ignored.
+def drive_changes(
+    events: Mapping[str, EventCfg], *, allow_import: bool = True
+) -> dict[str, list[DriveChange]]:
+    """Return what events declare to draw for drives and links, by articulation uid.
 
     Args:
         events: The task's events.
+        allow_import: Whether events named ``package.module:function`` are imported.
     """
-    found: dict[str, list[DriveChange]] = {}
-    for event in events.values():
-        func, params = event.func, event.params
-        spec = TERMS["event"].get(func) if isinstance(func, str) else None
-        if spec is not None:
-            func = spec.func
-            params = {meant: params[name] for name, meant in spec.written(params).items()}
-        if isinstance(spec, AliasSpec):
-            own = {key: params[name] for key, name in spec.names.items() if name in params}
-            params = {**params, **own}
-        entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
-        for param, quantity in getattr(func, "drive_ranges", {}).items():
-            bounds, operation = _bounds(params.get(param)), _operation(params, quantity)
-            if quantity == "com" and params.get(param) is not None:
-                bounds, operation = (0.0, 0.0), "add"
-            for entity in entities if bounds is not None and operation is not None else ():
-                fields = entity if isinstance(entity, Mapping) else getattr(entity, "__dict__", {})
-                if fields:
-                    names = _names(fields, quantity, params)
-                    change = DriveChange(quantity, names, bounds, operation)
-                    found.setdefault(str(fields.get("uid")), []).append(change)
-    return found
+    changes: dict[str, list[DriveChange]] = {}
+    for draw in physics_draws(events, allow_import=allow_import):
+        change = DriveChange(
+            quantity=draw.quantity,
+            names=_picked_names(draw),
+            ranges=_bounds(draw.range),
+            # A strength is a factor of the gains, and no compiled value to replace or to add to.
+            operation="abs" if draw.quantity == "strength" else draw.operation,
+        )
+        changes.setdefault(draw.entity.uid, []).append(change)
+    return changes
 
 
-def _names(
-    fields: Mapping[str, Any], quantity: str, params: Mapping[str, Any]
-) -> tuple[str, ...] | None:
+def _picked_names(draw: PhysicsDraw) -> tuple[str, ...] | None:
     """The patterns of the picked links or joints; None is all."""
-    if quantity in ("mass", "com"):
-        given = [params.get("link_names") or fields.get("link_names") or fields.get("link")]
+    entity = draw.entity
+    if draw.quantity in ("mass", "com"):
+        given = [entity.link_names or entity.link]
     else:
-        given = [fields.get("joint_names"), fields.get("control_parts")]
+        given = [entity.joint_names, entity.control_parts]
     names = [n for value in given if value for n in ([value] if isinstance(value, str) else value)]
     return tuple(names) or None
 
 
-def _operation(params: Mapping[str, Any], quantity: str) -> Any:
-    if quantity == "strength":  # always factors, unlike the other fields
-        return "abs"
-    default = "add" if quantity == "mass" and params.get("relative") else "abs"
-    given = params.get("operation") or default
-    return given if given in get_args(DriveOperation) else None
-
-
-def _bounds(given: Any) -> Any:
-    """[low, high] as a pair, {regex: [low, high]} as a map of pairs; None for anything else."""
-    if isinstance(given, Mapping):
-        pairs = {str(key): _pair(value) for key, value in given.items()}
-        return None if None in pairs.values() else pairs
-    return _pair(given)
-
-
-def _pair(given: Any) -> tuple[float, float] | None:
-    numbers = isinstance(given, Sequence) and all(isinstance(x, (int, float)) for x in given)
-    return (float(given[0]), float(given[1])) if numbers and len(given) == 2 else None
+def _bounds(
+    limits: Sequence[float] | Mapping[str, Sequence[float]],
+) -> tuple[float, float] | dict[str, tuple[float, float]]:
+    if isinstance(limits, Mapping):
+        return {name: (float(low), float(high)) for name, (low, high) in limits.items()}
+    low, high = limits
+    return float(low), float(high)
 
 
 # -- building --------------------------------------------------------------------------------------
