@@ -24,7 +24,7 @@ from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 
 
 def declared(of, factor):
-    return [PhysicsDraw(of, "stiffness", factor, "scale"), PhysicsDraw(of, "damping", factor, "scale")]
+    return [PhysicsDraw(of, gain, factor, "scale") for gain in ("stiffness", "damping")]
 
 
 @register_term("event", draws=declared)

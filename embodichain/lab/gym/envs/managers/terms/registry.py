@@ -127,8 +127,8 @@ class TermSpec:
     doc: str
     open_params: bool = False
     lead: tuple[str, ...] | None = None
-    draws: Draws | None = None
     _hints: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    draws: Draws | None = field(default=None, kw_only=True)
 
     @property
     def is_class(self) -> bool:
