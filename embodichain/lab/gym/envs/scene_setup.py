@@ -47,7 +47,7 @@ from embodichain.lab.sim.compiler.scene.furniture import check_furniture, furnit
 from embodichain.lab.sim.compiler.scene.known import known_entities
 from embodichain.lab.sim.compiler.scene.physics_options import check_options
 from embodichain.lab.sim.compiler.scene.rigid_objects import check_object
-from embodichain.lab.sim.compiler.scene.world import WORLD, read_world
+from embodichain.lab.sim.compiler.scene.world import WORLD, World, read_world
 from embodichain.lab.sim.compiler.scene_parts import SceneParts
 from embodichain.lab.sim.compiler.sensing.scene_sensors import plan_sensors
 from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan
@@ -118,14 +118,17 @@ def _surroundings(cfg: EnvCfg) -> list[_Entity]:
 
 def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
     scene = _scene(cfg)
-    found = check_ground(scene)
-    found += check_furniture(scene, _base(cfg)) if scene.table or scene.pedestal else []
-    return [problem.below("scene") for problem in found]
+    problems = check_ground(scene)
+    if scene.table or scene.pedestal:
+        problems += check_furniture(scene, _base(cfg))
+    return [problem.below("scene") for problem in problems]
 
 
 def _scene(cfg: EnvCfg) -> SceneCfg:
-    given: SimulationManagerCfg | None = cfg.sim_cfg
-    return cfg.scene or (SceneCfg() if given is None else given.scene)
+    sim_cfg: SimulationManagerCfg | None = cfg.sim_cfg
+    if cfg.scene is not None or sim_cfg is None:
+        return cfg.scene or SceneCfg()
+    return sim_cfg.scene
 
 
 def _base(cfg: EnvCfg) -> F64 | None:
@@ -171,13 +174,14 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
 
 def _physics(cfg: EnvCfg) -> SimulationManagerCfg:
     """The simulation config with the task's ``physics`` section; EmbodiChain allows None."""
-    given: SimulationManagerCfg | None = cfg.sim_cfg
-    sim = SimulationManagerCfg(headless=True) if given is None else replace(given)
-    own = {} if cfg.physics is None else vars(cfg.physics)
-    own = {name: value for name, value in own.items() if value is not None}
-    sim.physics_dt = own.pop("physics_dt", sim.physics_dt)
-    sim.physics_config = replace(sim.physics_config, **own)
-    sim.scene, sim.views = cfg.scene or sim.scene, cfg.views or sim.views
+    sim_cfg: SimulationManagerCfg | None = cfg.sim_cfg
+    sim = SimulationManagerCfg(headless=True) if sim_cfg is None else replace(sim_cfg)
+    section = {} if cfg.physics is None else vars(cfg.physics)
+    values = {name: value for name, value in section.items() if value is not None}
+    sim.physics_dt = values.pop("physics_dt", sim.physics_dt)
+    sim.physics_config = replace(sim.physics_config, **values)
+    sim.scene = cfg.scene or sim.scene
+    sim.views = cfg.views or sim.views
     return sim
 
 
@@ -287,13 +291,13 @@ def describe(
     entities = _declared(cfg, *_SECTIONS)
     physics = _physics(cfg)
     changes = drive_changes(cfg.events, allow_import=allow_import)
-    parsed, problems = _parse(entities, physics_step(physics), changes)
-    try:
-        world = read_world(physics.scene) if physics.scene.fpath or physics.scene.keyframe else None
-    except ConfigError as error:
-        world, problems = None, [*problems, *error.problems]
+    parsed, in_files = _parse(entities, physics_step(physics), changes)
+    world, in_world = _read_world(physics.scene)
     inside = {} if world is None else dict.fromkeys(world.objects, "the scene's file")
-    problems = _check_names(entities, inside) + _check_surroundings(cfg) + problems
+    problems = _check_names(entities, inside)
+    problems += _check_surroundings(cfg)
+    problems += in_files
+    problems += in_world
     objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
     lights = {e.uid: e.cfg for e in entities if isinstance(e.cfg, LightCfg)}
     jointed = {e.uid: parsed.get(e.path) for e in entities if isinstance(e.cfg, ArticulationCfg)}
@@ -327,6 +331,16 @@ def describe(
     )
 
 
+def _read_world(cfg: SceneCfg) -> tuple[World | None, list[Problem]]:
+    """The scene's file, if it has one and it can be read, and the mistakes in it."""
+    if not (cfg.fpath or cfg.keyframe):
+        return None, []
+    try:
+        return read_world(cfg), []
+    except ConfigError as error:
+        return None, list(error.problems)
+
+
 def _check_names(entities: Sequence[_Entity], inside: Mapping[str, str]) -> list[Problem]:
     """Every entity name that is empty, taken, malformed, or different from its key."""
     problems: list[Problem] = []
@@ -337,9 +351,9 @@ def _check_names(entities: Sequence[_Entity], inside: Mapping[str, str]) -> list
         path = "robot.uid" if single else entity.path
         problems += check_uid(entity.uid, path, taken)
         taken.setdefault(entity.uid, entity.path)
-        own = entity.cfg.uid
-        if not single and own not in (None, "", entity.uid):
-            message = f"the key {entity.uid!r} is its uid; it cannot be {own!r}: leave uid out"
+        uid = entity.cfg.uid
+        if not single and uid not in (None, "", entity.uid):
+            message = f"the key {entity.uid!r} is its uid; it cannot be {uid!r}: leave uid out"
             problems.append(Problem(f"{entity.path}.uid", message))
     return problems
 
@@ -424,10 +438,12 @@ def _picked_names(draw: PhysicsDraw) -> tuple[str, ...] | None:
     """The patterns of the picked links or joints; None is all."""
     entity = draw.entity
     if draw.quantity in ("mass", "com"):
-        given = [entity.link_names or entity.link]
+        keys = [entity.link_names or entity.link]
     else:
-        given = [entity.joint_names, entity.control_parts]
-    names = [n for value in given if value for n in ([value] if isinstance(value, str) else value)]
+        keys = [entity.joint_names, entity.control_parts]
+    names: list[str] = []
+    for value in keys:
+        names += [value] if isinstance(value, str) else value or []
     return tuple(names) or None
 
 
