@@ -150,6 +150,8 @@ def check_tree(
         further = _check_meaning(types.root, verb, missing, allow_import, scene)
         if scene is not None and (problems or lost or further):
             further += _mistakes_in_model(types.root, scene, missing)
+            # Mistakes of the root, such as those of pictures in the log, come before the task's.
+            further.sort(key=lambda problem: _below(problem.path, ["task"]))
         problems += [p for p in further if not _below(p.path, missing)]
     distinct = {p.path + p.message: p for p in problems}.values()
     return Check(_located(distinct, source), types, scene, tuple(_located(notes, source)))
