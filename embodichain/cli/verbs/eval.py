@@ -186,7 +186,7 @@ def evaluate_job(job: Job, asked: Asked) -> dict[str, Any]:
     from embodichain.learning.evaluation.evaluation import evaluate, quotas
 
     task = job.resolved.task_name
-    env = make_batch(job.resolved, run_dir=job.folder)
+    env = make_batch(job.resolved, compiled_scene=job.compiled_scene, run_dir=job.folder)
     try:
         policy = policy_of(job.root, env, deterministic=asked.deterministic)
         quota = quotas(asked.episodes, env.num_envs).tolist()

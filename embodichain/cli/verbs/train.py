@@ -114,6 +114,7 @@ def _learn(job: Job) -> dict[str, Any]:
                 *(job.resolved, job.folder, progress),
                 lambda env: job.attach_viewer(env, realtime=False),
                 lambda env: read_dataset(job, env),
+                compiled_scene=job.compiled_scene,
             )
     if not (job.folder / SUMMARY).is_file():
         message = f"interrupted ({job.stop.stopped}) before the first update"

@@ -10,6 +10,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "drawing": ["CommandManager", "EventManager"],
         "manager": ["CurriculumManager"],
         "observation_manager": ["ObservationManager"],
+        "terms.physics_draws": ["PhysicsDraw"],
         "terms.registry": ["TERMS", "TermSpec", "register_term", "resolve_term"],
         "scene_entity": ["ResolvedEntity", "resolve_entity"],
         "term": ["ActionTerm", "CommandTerm", "Term"],
