@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 
 import mujoco
 
+from embodichain.recording.format.container.unpacking import unpack_zip
 from embodichain.recording.format.log_error import DamageError
-from embodichain.recording.format.unpacking import unpack_zip
 
 __all__ = ["load_mjz", "scene_archive"]
 

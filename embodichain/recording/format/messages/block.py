@@ -49,8 +49,8 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from embodichain.recording.format.log_error import DamageError
-from embodichain.recording.format.packing import DTYPES, Place, load, store
-from embodichain.recording.format.schema import message_class
+from embodichain.recording.format.messages.packing import DTYPES, Place, load, store
+from embodichain.recording.format.messages.schema import message_class
 
 __all__ = [
     "DRAWN",
