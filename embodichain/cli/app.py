@@ -1,7 +1,7 @@
 """The `embodichain` command: a click group of verbs, and the decorators that declare a verb.
 
-A verb is the click command ``command`` of the module `embodichain.cli.NAME`, which is imported
-when the verb is called or its help is printed.
+A verb is the click command ``command`` of the module `embodichain.cli.verbs.FOLDER.NAME`, which is
+imported when the verb is called or its help is printed.
 """
 
 from __future__ import annotations
@@ -28,12 +28,14 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
     "EVERYDAY_KEYS",
+    "FOLDERS",
     "VERBS",
     "Verb",
     "call",
     "command_line",
     "complete_last",
     "job_arguments",
+    "load_verb",
     "log_argument",
     "log_of",
     "main",
@@ -69,6 +71,14 @@ VERBS = {
     "doctor": "Check this machine: versions, threads, rendering, disk, optional packages.",
 }
 """Verb -> its description, in the order of `--help`."""
+
+FOLDERS = {
+    "running": ("run", "run-env", "demo", "play", "bench", "doctor"),
+    "learning": ("train", "eval", "compare", "collect", "augment"),
+    "logs": ("replay", "view", "recover", "diff", "report", "export"),
+    "tasks": ("list", "show", "render", "validate", "convert", "new"),
+}
+"""Folder of `cli.verbs` -> the verbs whose modules are in it."""
 
 EVERYDAY_KEYS = (
     *("task", "num_envs", "episodes", "max_steps", "total_timesteps", "seed", "policy"),
@@ -134,6 +144,14 @@ class Verb(click.Command):
         formatter.write("\n".join([f"\n{keys}Examples:", *lines, f"\n{_EXIT_CODES}"]))
 
 
+def load_verb(name: str) -> Verb:
+    """Import the module of a verb, one of `VERBS`, and return its command."""
+    folder = next(folder for folder, verbs in FOLDERS.items() if name in verbs)
+    module = importlib.import_module(f"embodichain.cli.verbs.{folder}.{name.replace('-', '_')}")
+    command: Verb = module.command
+    return command
+
+
 class _Verbs(click.Group):
     """The verbs, imported one by one."""
 
@@ -143,9 +161,7 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        module = importlib.import_module(f"embodichain.cli.verbs.{cmd_name.replace('-', '_')}")
-        found: click.Command = module.command
-        return found
+        return load_verb(cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Verbs"):

@@ -1,12 +1,12 @@
 import dataclasses
-import importlib
 import re
+from pathlib import Path
 
 import pytest
 
 import embodichain
 from embodichain.cli import main
-from embodichain.cli.app import EVERYDAY_KEYS, VERBS
+from embodichain.cli.app import EVERYDAY_KEYS, FOLDERS, VERBS, load_verb
 from embodichain.config.keys.schema import RootCfg
 
 
@@ -24,6 +24,16 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.startswith(f"embodichain {embodichain.__version__} (Python ")
 
 
+def test_every_verb_has_one_module_in_one_folder(repo: Path) -> None:
+    verbs = repo / "embodichain/cli/verbs"
+    modules = {f"{path.parent.name}/{path.stem}" for path in verbs.glob("*/[a-z]*.py")}
+    listed = [
+        f"{folder}/{name.replace('-', '_')}" for folder, names in FOLDERS.items() for name in names
+    ]
+    assert sorted(listed) == sorted(modules)
+    assert len(listed) == len(VERBS)
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_of_every_verb_shows_its_options_and_examples(
     verb: str, capsys: pytest.CaptureFixture[str]
@@ -33,9 +43,9 @@ def test_help_of_every_verb_shows_its_options_and_examples(
     assert text.startswith(f"Usage: embodichain {verb} ")
     assert VERBS[verb] in " ".join(text.split())
     assert "--json" in text
-    module = importlib.import_module(f"embodichain.cli.verbs.{verb.replace('-', '_')}")
-    assert module.command.examples
-    for example, what in module.command.examples:
+    examples = load_verb(verb).examples
+    assert examples
+    for example, what in examples:
         assert f"embodichain {example}" in text
         assert what in text
 

@@ -9,7 +9,7 @@ import yaml
 
 from embodichain.cli import main
 from embodichain.cli.app import VERBS
-from embodichain.cli.verbs import run_env
+from embodichain.cli.verbs.running import run_env
 from embodichain.compat.gym_config import functors, vocabulary
 from embodichain.compat.names import REASONS
 from embodichain.lab.gym.envs.managers.terms.registry import TERMS

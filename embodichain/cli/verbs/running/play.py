@@ -11,7 +11,7 @@ from embodichain.cli.app import command_line, overrides, verb
 from embodichain.cli.jobs.job import FRESH, execute, job_options
 from embodichain.cli.jobs.trained import one_target, take
 from embodichain.cli.jobs.unread_keys import refuse_unread
-from embodichain.cli.verbs.run import run_job
+from embodichain.cli.verbs.running.run import run_job
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]

@@ -21,7 +21,7 @@ from embodichain.cli.jobs.resuming import parsed_changes, resumed_folder, resump
 from embodichain.cli.results.summaries import training_rows
 from embodichain.cli.terminal.output import print_facts, print_json, to_json
 from embodichain.cli.terminal.process import Interrupted, started
-from embodichain.cli.verbs.eval import Asked, evaluate_job, evaluation_config
+from embodichain.cli.verbs.learning.eval import Asked, evaluate_job, evaluation_config
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.system.atomic import write_text
 

@@ -13,7 +13,7 @@ from embodichain.cli.app import command_line, complete_last, overrides, verb
 from embodichain.cli.jobs.job import execute, job_options
 from embodichain.cli.jobs.resuming import parsed_changes, with_changes
 from embodichain.cli.terminal.last import take_last
-from embodichain.cli.verbs.collect import MAY_CHANGE, collect_job
+from embodichain.cli.verbs.learning.collect import MAY_CHANGE, collect_job
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -63,7 +63,7 @@ _BALL = "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1'/></worldbody></m
 _NO_PICTURE = (
     "apt-get install libegl1 libgl1-mesa-dri libopengl0, or set MUJOCO_GL to what works here"
 )
-_RENDER = "from embodichain.cli.verbs.doctor import render_once; render_once()"
+_RENDER = "from embodichain.cli.verbs.running.doctor import render_once; render_once()"
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import click
 
 from embodichain.cli.app import overrides, verb
 from embodichain.cli.jobs.job import start
-from embodichain.cli.verbs.run import run_job
+from embodichain.cli.verbs.running.run import run_job
 from embodichain.compat.gym_utils import RENDERERS
 from embodichain.utils.errors import ConfigError
 

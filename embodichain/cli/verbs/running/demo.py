@@ -18,7 +18,7 @@ from embodichain.cli.app import command_line, overrides, split_overrides, verb
 from embodichain.cli.jobs.job import Job, execute, job_options, policy_of
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.terminal.output import print_facts, print_json
-from embodichain.cli.verbs.run import run_job
+from embodichain.cli.verbs.running.run import run_job
 from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 if TYPE_CHECKING:
