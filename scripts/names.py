@@ -114,7 +114,8 @@ def _parameters(value: Any) -> str:
 def _command_line() -> Iterator[str]:
     import click
 
-    from embodichain.cli.app import VERBS, load_verb
+    from embodichain.cli.app import load_verb
+    from embodichain.cli.verb import VERBS
 
     for verb in VERBS:
         yield f"verb {verb}"

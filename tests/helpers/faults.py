@@ -46,9 +46,9 @@ SOURCE = Path(__file__).with_name("nth_call.c")
 _WARM = (
     *("mujoco", "numpy", "torch", "stable_baselines3", "mcap", "h5py", "pandas", "pyarrow.parquet"),
     *(
-        "embodichain.cli.verbs.running.run",
-        "embodichain.cli.verbs.learning.train",
-        "embodichain.cli.verbs.learning.collect",
+        "embodichain.cli.jobs.work.run_job",
+        "embodichain.cli.jobs.work.train_job",
+        "embodichain.cli.jobs.work.collect_job",
         "matplotlib",
     ),
     *(

@@ -18,11 +18,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.app import command_line, split_overrides
 from embodichain.cli.jobs.unread_keys import unread_keys
 from embodichain.cli.terminal.last import take_last, with_paths
 from embodichain.cli.terminal.process import Interrupted, StopFlag, started
 from embodichain.cli.terminal.reporting import ProgressDisplay, log_to, warn_if_public
+from embodichain.cli.verb import command_line
+from embodichain.cli.words import split_overrides
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils.errors import ConfigError, Problem, RenderError
@@ -30,6 +31,7 @@ from embodichain.utils.system import platforms
 from embodichain.utils.system.platforms import LIMITED
 
 if TYPE_CHECKING:
+    from embodichain.cli.verb import JobOptions, OverrideOptions
     from embodichain.config.composition.composed import Composed
     from embodichain.config.keys.schema import RootCfg, Verb
     from embodichain.config.resolved import Checked, Resolved
@@ -48,7 +50,7 @@ __all__ = [
     "ended_early",
     "execute",
     "film_progress",
-    "job_options",
+    "output_overrides",
     "pinned",
     "policy_name",
     "policy_of",
@@ -59,7 +61,6 @@ __all__ = [
 LOG_FILE = "run.log"
 VIDEO = "rollout"
 """Name of the film in a run folder, without its suffix."""
-"""File name of a run's video in its folder."""
 _SAY_AFTER = 1.0
 """Seconds after which a film says how long it takes."""
 FRESH: dict[str, Any] = {
@@ -262,7 +263,7 @@ Body = Callable[[Job], float | None]
 """The work of a job; returns the objective for a sweeper, or None."""
 
 
-def start(verb: Verb, body: Body, options: Any) -> None:
+def start(verb: Verb, body: Body, options: JobOptions) -> None:
     """Run one job, or pass the command line to Hydra's `main`.
 
     The config of every job is checked before the first starts.
@@ -278,7 +279,7 @@ def start(verb: Verb, body: Body, options: Any) -> None:
     from embodichain.config.composition.composed import compose
     from embodichain.config.composition.override_text import readable
 
-    overrides = [*map(readable, split_overrides(options.words)), *job_options(options)]
+    overrides = [*map(readable, split_overrides(options.words)), *output_overrides(options)]
     if options.gym_config is not None:
         from embodichain.config.composition.gym_config import override_of
 
@@ -308,13 +309,19 @@ def start(verb: Verb, body: Body, options: Any) -> None:
         do(check(overrides))
 
 
-def job_options(options: Any) -> list[str]:
+def output_overrides(options: OverrideOptions) -> list[str]:
     """Return `--quiet`, `--json` and `--traceback` as overrides.
 
     The workers of a sweep receive overrides only.
     """
-    found = [f"{name}=true" for name in ("quiet", "json") if getattr(options, name)]
-    return [*found, *(["traceback=true"] if "--traceback" in command_line() else [])]
+    lines = []
+    if options.quiet:
+        lines.append("quiet=true")
+    if options.json:
+        lines.append("json=true")
+    if "--traceback" in command_line():
+        lines.append("traceback=true")
+    return lines
 
 
 def checked_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Checked:

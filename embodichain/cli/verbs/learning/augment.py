@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.app import command_line, complete_last, overrides, verb
-from embodichain.cli.jobs.job import execute, job_options
-from embodichain.cli.jobs.resuming import parsed_changes, with_changes
+from embodichain.cli.jobs.job import execute, output_overrides
+from embodichain.cli.jobs.resuming import COLLECTION_KEYS, parsed_changes, with_changes
+from embodichain.cli.jobs.work.collect_job import collect_job
 from embodichain.cli.terminal.last import take_last
-from embodichain.cli.verbs.learning.collect import MAY_CHANGE, collect_job
+from embodichain.cli.verb import OverrideOptions, command_line, complete_last, overrides, verb
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -24,21 +24,32 @@ __all__ = ["command"]
 _POLICY = "embodichain.recording.demos.augmentation:Augmented"
 
 
+@dataclass(frozen=True, kw_only=True)
+class AugmentOptions(OverrideOptions):
+    """What was typed after `augment`.
+
+    Attributes:
+        source: The log or folder with the episodes to repeat, or ``last``.
+    """
+
+    source: str
+
+
 @verb(
     "augment",
     ("augment last episodes=100", "from the newest run or collection"),
     ("augment outputs/latest episodes=1000 num_envs=64", "more of them"),
     ("augment rollout.mcap task.events.place_cube.params.position_range=...", "in other starts"),
+    options=AugmentOptions,
     keys=True,
     quiet=True,
 )
 @click.argument("source", metavar="FOLDER|FILE|last", shell_complete=complete_last)
 @overrides("[KEY=VALUE]...", config="collect")
-def command(source: str, **kwargs: Any) -> None:
+def command(options: AugmentOptions) -> None:
     """Collect into a new run folder."""
-    options = SimpleNamespace(**kwargs)
-    path = _source(source)
-    lines = [*options.words, *job_options(options)]
+    path = _source(options.source)
+    lines = [*options.words, *output_overrides(options)]
     execute(_resolved(path, lines), collect_job, command_line(), verb="collect")
 
 
@@ -72,7 +83,7 @@ def _resolved(path: Path, lines: list[str]) -> Resolved:
     bare = [line for line in lines if "=" not in line]
     if bare:
         raise ConfigError(f"values are given as key=value: {', '.join(bare)}")
-    changes = parsed_changes(lines, (*MAY_CHANGE, "seed", "task"), "an augmented collection")
+    changes = parsed_changes(lines, (*COLLECTION_KEYS, "seed", "task"), "an augmented collection")
     if "resume" in changes:
         raise ConfigError("to continue an augmented collection: embodichain collect resume=FOLDER")
     with RecordedLog(path) as log:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
 
-from embodichain.cli.app import complete_last, verb
 from embodichain.cli.results.comparison_tables import (
     comparison_table,
     seed_estimates,
@@ -17,33 +16,50 @@ from embodichain.cli.results.comparison_tables import (
 )
 from embodichain.cli.terminal.last import take_last
 from embodichain.cli.terminal.output import print_json, print_table
+from embodichain.cli.verb import complete_last, verb
 from embodichain.config.run_folder import CHECKPOINT, newest_run, perhaps_last, whole_run
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]
 
 
+@dataclass(frozen=True)
+class CompareOptions:
+    """What was typed after `compare`.
+
+    Attributes:
+        runs: Folders of trainings and of sweeps, or ``last``.
+        output: Path of a new picture of the learning curves.
+        json: Print the result as one JSON object.
+    """
+
+    runs: tuple[str, ...]
+    output: str | None
+    json: bool
+
+
 @verb(
     "compare",
     ("compare outputs/2026-11-21/*_reach", "runs that differ by their seed are one line"),
     ("compare last outputs/older -o curves.png", "with learning curves"),
+    options=CompareOptions,
 )
 @click.argument("runs", nargs=-1, required=True, metavar="RUN...", shell_complete=complete_last)
 @click.option("--output", "-o", metavar="OUT", help="A new picture: .png, .svg, .pdf.")
-def command(runs: tuple[str, ...], output: str | None, json: bool) -> None:
+def command(options: CompareOptions) -> None:
     """Print a table of trainings, one line for runs that differ only in the seed; draw curves.
 
     RUN is a folder of a training or of a sweep, or `last`.
     """
     from embodichain.learning.evaluation.comparison import group_runs, read_run
 
-    groups = group_runs(map(read_run, _trainings(runs)))
-    if output is not None:
+    groups = group_runs(map(read_run, _trainings(options.runs)))
+    if options.output is not None:
         from embodichain.learning.evaluation.plots import plot_curves
 
-        plot_curves(groups, Path(output))
+        plot_curves(groups, Path(options.output))
     numbers = [seed_estimates(group) for group in groups]
-    if json:
+    if options.json:
         data = [
             {
                 "label": group.label,
@@ -53,13 +69,13 @@ def command(runs: tuple[str, ...], output: str | None, json: bool) -> None:
             }
             for group, found in zip(groups, numbers, strict=True)
         ]
-        print_json({"groups": data, "picture": output})
+        print_json({"groups": data, "picture": options.output})
         return
     print_table(*comparison_table(groups))
     for note in too_few_seeds(groups):
         sys.stdout.write(f"{note}\n")
-    if output is not None:
-        sys.stdout.write(f"{output}\n")
+    if options.output is not None:
+        sys.stdout.write(f"{options.output}\n")
 
 
 def _trainings(names: Sequence[str]) -> list[Path]:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.app import log_of, pair, verb
 from embodichain.cli.jobs.job import ended_early, film_progress
 from embodichain.cli.jobs.trained import Target, one_target
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.terminal.output import print_json, say_warnings
 from embodichain.cli.terminal.process import Interrupted, StopFlag
 from embodichain.cli.terminal.reporting import ProgressDisplay, warnings_on_stderr
+from embodichain.cli.verb import verb
+from embodichain.cli.words import log_of, pair
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -26,10 +27,47 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _POLICIES: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
+"""Format of a policy -> the suffix of its file."""
+_NOTHING = "nothing was written, an export is whole or not there"
 
 
 def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
     return [word for word in ("policy", "last") if word.startswith(incomplete)]
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What was typed after `export`.
+
+    Attributes:
+        words: Logs, their folders or ``last``; or ``policy``, a policy and overrides.
+        form: The format; None is ONNX for a policy.
+        output: Path of the new file (lerobot: folder).
+        observations: Write the task's observations instead of states.
+        group: The observation group; None is ``policy``.
+        failures: With observations: write all episodes, not successes only.
+        env: Of a log: only this environment.
+        episode: Only this episode of `env`.
+        start: First control step.
+        stop: The control step to stop before.
+        cameras: Cameras to draw; empty for the task's sensors.
+        size: Pixels of the pictures, ``WIDTHxHEIGHT``; None is each camera's own.
+        json: Print the result as one JSON object.
+    """
+
+    words: tuple[str, ...]
+    form: str | None
+    output: str | None
+    observations: bool
+    group: str | None
+    failures: bool
+    env: int | None
+    episode: int | None
+    start: int | None
+    stop: int | None
+    cameras: tuple[str, ...]
+    size: str | None
+    json: bool
 
 
 @verb(
@@ -43,6 +81,7 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
     ("export policy last", "policy.onnx in the run's folder"),
     ("export policy last --format torchscript -o reach.pt", "for C++ and PyTorch"),
     ("export policy my_model.zip task=reach", "a zip of your own"),
+    options=ExportOptions,
     config_dir=True,
 )
 @click.argument(
@@ -81,9 +120,8 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
     help="hdf5, lerobot, rrd, mp4: draw this camera; may be repeated. Default: the task's sensors.",
 )
 @click.option("--size", metavar="WxH", help="Pixels of the pictures. Default: each camera's own.")
-def command(**kwargs: Any) -> None:
+def command(options: ExportOptions) -> None:
     """Write a log, or a part of it, or a policy, to a new file."""
-    options = SimpleNamespace(**kwargs)
     if not options.words:
         raise ConfigError("export what? One of: policy RUN, FILE (a log), last")
     if options.words[0] == "policy":
@@ -93,24 +131,24 @@ def command(**kwargs: Any) -> None:
 
         raise ConfigError(f"--format is needed: {', '.join(FORMATS | EPISODE_FORMATS)}")
     elif _has_observations(options):
-        _export_episodes(options)
+        _export_episodes(options.form, options)
     elif len(options.words) > 1:
         raise ConfigError(f"one log at a time: {', '.join(options.words)}")
     else:
-        _export_log(options)
+        _export_log(options.form, options)
 
 
-def _has_observations(options: SimpleNamespace) -> bool:
+def _has_observations(options: ExportOptions) -> bool:
     """Whether the task's observations are exported.
 
     Raises:
         ConfigError: If other options do not fit.
     """
     if options.form == "robomimic" or options.observations:
-        named = ("env", "episode", "start", "stop", "cameras", "size")
-        given = [name for name in named if getattr(options, name) not in (None, ())]
-        if given:
-            flag = {"start": "from", "stop": "to", "cameras": "camera"}.get(given[0], given[0])
+        of_steps = ("env", "episode", "start", "stop", "cameras", "size")
+        typed = [name for name in of_steps if getattr(options, name) not in (None, ())]
+        if typed:
+            flag = {"start": "from", "stop": "to", "cameras": "camera"}.get(typed[0], typed[0])
             raise ConfigError(f"--{flag} is not for observations: they are of whole episodes")
         return True
     for flag in ("group", "failures"):
@@ -119,7 +157,7 @@ def _has_observations(options: SimpleNamespace) -> bool:
     return False
 
 
-def _export_episodes(options: SimpleNamespace) -> None:
+def _export_episodes(form: str, options: ExportOptions) -> None:
     """Write the episodes of logs with observations; a signal leaves no file."""
     from embodichain.recording.export.episodes import export_episodes
 
@@ -136,9 +174,15 @@ def _export_episodes(options: SimpleNamespace) -> None:
             if display.due:
                 display.show(done, {})
 
-        how = {"group": options.group or "policy", "failures": options.failures}
         try:
-            path = export_episodes(paths, options.form, options.output, **how, progress=progress)
+            path = export_episodes(
+                paths,
+                form,
+                options.output,
+                group=options.group or "policy",
+                failures=options.failures,
+                progress=progress,
+            )
         except Interrupted as error:
             raise Interrupted(f"{error}; {_NOTHING}") from None
     if options.json:
@@ -147,18 +191,16 @@ def _export_episodes(options: SimpleNamespace) -> None:
         sys.stdout.write(f"{path}: {count} episodes, {_size(path) / 1e6:.2f} MB\n")
 
 
-_NOTHING = "nothing was written, an export is whole or not there"
-
-
-def _export_policy(options: SimpleNamespace) -> None:
-    form: Format = options.form or "onnx"
-    if form not in _POLICIES:
-        raise ConfigError(f"--format of a policy is one of {', '.join(_POLICIES)}, not {form}")
+def _export_policy(options: ExportOptions) -> None:
+    name = options.form or "onnx"
+    form = next((form for form in _POLICIES if form == name), None)
+    if form is None:
+        raise ConfigError(f"--format of a policy is one of {', '.join(_POLICIES)}, not {name}")
     target, lines = one_target("export", options.words[1:])
     refuse_unread("export policy", lines)
     if target.file is None or target.file.suffix in _POLICIES.values():
-        name = target.policy
-        raise ConfigError(f"policy: only zips of trainings are exported, not {name}")
+        message = f"policy: only zips of trainings are exported, not {target.policy}"
+        raise ConfigError(message)
     if options.output is not None:
         out = Path(options.output)
     elif target.run is not None:
@@ -201,19 +243,29 @@ def _write_policy(target: Target, overrides: list[str], out: Path, form: Format)
     }
 
 
-def _export_log(options: SimpleNamespace) -> None:
+def _export_log(form: str, options: ExportOptions) -> None:
     from embodichain.recording.export.formats import Part
     from embodichain.recording.shards import joining
 
     if options.episode is not None and options.env is None:
         raise ConfigError("--episode needs --env: episodes are counted in each environment")
-    form = "WIDTHxHEIGHT in pixels, such as 640x480"
-    size = None if options.size is None else pair("--size", options.size, form)
-    cameras = options.cameras or None
-    part = Part(options.env, options.episode, options.start or 0, options.stop, cameras, size)
+    size: tuple[int, int] | None = None
+    if options.size is not None:
+        size = pair("--size", options.size, "WIDTHxHEIGHT in pixels, such as 640x480")
+    part = Part(
+        options.env,
+        options.episode,
+        options.start or 0,
+        options.stop,
+        options.cameras or None,
+        size,
+    )
+    ended = ""
     with warnings_on_stderr(), joining.open(log_of(options.words[0]), simulate=True) as log:
-        export = _film if options.form == "mp4" else _write
-        path, ended = export(log, options, part)
+        if form == "mp4":
+            path, ended = _film(log, part, options)
+        else:
+            path = _write(log, form, part, options.output)
         say_warnings(log.path, log.warnings)
         if options.json:
             print_json({"file": str(path), "bytes": _size(path), "complete": log.complete})
@@ -223,17 +275,17 @@ def _export_log(options: SimpleNamespace) -> None:
         raise Interrupted(ended)
 
 
-def _write(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
+def _write(log: Log, form: str, part: Part, out: str | None) -> Path:
     """Write any format but a video; a signal leaves no file."""
     from embodichain.recording.export.formats import export
 
     try:
-        return export(log, options.form, options.output, part), ""
+        return export(log, form, out, part)
     except Interrupted as error:
         raise Interrupted(f"{error}; {_NOTHING}") from None
 
 
-def _film(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
+def _film(log: Log, part: Part, options: ExportOptions) -> tuple[Path, str]:
     """Write a video; also returns a message if a signal ended it early."""
     from embodichain.recording.export.formats import export
     from embodichain.recording.film.filming import Filmed
@@ -247,11 +299,19 @@ def _film(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
             filmed = now
             show(now)
 
-        how = options.form, options.output, part
-        path = export(log, *how, progress=progress, stop=stop.is_stopped)
+        path = export(
+            log,
+            "mp4",
+            options.output,
+            part,
+            progress=progress,
+            stop=stop.is_stopped,
+        )
         if not filmed.pictures:
             raise Interrupted(ended_early(stop, filmed, path))
-        return path, ended_early(stop, filmed, path) if stop.is_stopped() else ""
+        if stop.is_stopped():
+            return path, ended_early(stop, filmed, path)
+        return path, ""
 
 
 def _size(path: Path) -> int:

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.app import log_argument, log_of, pair, verb
-from embodichain.cli.jobs.access_options import access_given, access_options
+from embodichain.cli.jobs.access_options import AccessOptions, access_options
 from embodichain.cli.jobs.job import ended_early, film_progress
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.output import print_facts, print_json, print_table, say_warnings
 from embodichain.cli.terminal.process import Interrupted, StopFlag
 from embodichain.cli.terminal.reporting import ProgressDisplay, warn_if_public
+from embodichain.cli.verb import log_argument, verb
+from embodichain.cli.words import log_of, pair
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -30,12 +30,19 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _COLUMNS = (
-    *("env", "episode", "steps", "total_reward", "terminated", "last_step", "success"),
+    "env",
+    "episode",
+    "steps",
+    "total_reward",
+    "terminated",
+    "last_step",
+    "success",
     "counted",
 )
 """Columns of the table of episodes."""
 _MOST_EPISODES = 20
 _ACTIONS = ("verify", "video", "policy", "view")
+"""Options of which one at most is typed: each is another thing to do with the log."""
 _ONLY_WITH = {
     "images": ("verify",),
     "speed": ("video", "view"),
@@ -49,6 +56,59 @@ _ONLY_WITH = {
     "allow_hosts": ("view",),
     "allow_origins": ("view",),
 }
+"""Option -> the actions that read it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayOptions(AccessOptions):
+    """What was typed after `replay`.
+
+    Attributes:
+        file: The log, its folder, or ``last``.
+        verify: Simulate again and compare.
+        images: With `verify`: also draw the first picture of each episode and compare it.
+        env: Only this environment.
+        episode: Only this episode, counted from 0.
+        start: First control step.
+        stop: The control step to stop before.
+        speed: Speed of `view` and `video`; 1 is real time.
+        policy: Play the same episodes with this policy.
+        allow_changed: With `policy`: allow one that was trained in another task.
+        trust: With `policy`: run code of its file, if it cannot be read without.
+        view: Play it: ``native``, ``web``, or empty for the one that this machine can show.
+        host: Address of `view`.
+        port: Port of `view`.
+        video: Path of the film to write.
+        camera: The camera of the scene that films.
+        size: Pixels of the film, ``WIDTHxHEIGHT``.
+        quiet: Print no progress and no report.
+        json: Print the result as one JSON object.
+    """
+
+    file: str
+    verify: bool
+    images: bool
+    env: int | None
+    episode: int | None
+    start: int | None
+    stop: int | None
+    speed: float | None
+    policy: str | None
+    allow_changed: bool | None
+    trust: bool | None
+    view: str | None
+    host: str | None
+    port: int | None
+    video: str | None
+    camera: str | None
+    size: str | None
+    quiet: bool
+    json: bool
+
+    @property
+    def last(self) -> int | None:
+        """The last control step, included."""
+        return None if self.stop is None else self.stop - 1
 
 
 @verb(
@@ -61,6 +121,7 @@ _ONLY_WITH = {
     ("replay last --policy zero", "the same episodes with another policy, side by side"),
     ("replay last --video film.mp4 --env 2 --speed 0.5", "film it, at half the speed"),
     ("replay outputs/latest/rollout.mcap --json", "what it contains, for scripts"),
+    options=ReplayOptions,
     quiet=True,
 )
 @log_argument()
@@ -110,36 +171,52 @@ _ONLY_WITH = {
 )
 @click.option("--camera", metavar="NAME", help="Film with this camera of the scene.")
 @click.option("--size", metavar="WxH", help="Pixels of the film. Default: 640x480.")
-def command(**kwargs: Any) -> int:
+def command(options: ReplayOptions) -> int:
     """Print the contents of a log, or verify, film, view or replay it."""
-    options = SimpleNamespace(**kwargs)
-    given = {name for name, value in kwargs.items() if value not in (None, False, ())}
-    actions = [name for name in _ACTIONS if name in given]
+    _check(options)
+    path = log_of(options.file)
+    if options.video is not None:
+        return _film(path, Path(options.video), options)
+    if options.view is not None:
+        return _view(path, options)
+    if options.policy is not None:
+        return _rerun(path, options.policy, options)
+    if options.verify:
+        return _verify(path, options)
+    return _inspect(path, options)
+
+
+def _check(options: ReplayOptions) -> None:
+    """Refuse options that exclude each other, or that nothing would read."""
+    typed = {name for name, value in vars(options).items() if value not in (None, False, ())}
+    actions = [name for name in _ACTIONS if name in typed]
     if len(actions) > 1:
         raise ConfigError(
             f"--{actions[0]} and --{actions[1]} exclude each other: give one at a time"
         )
-    for name, wanted in _ONLY_WITH.items():
-        if name in given and not set(wanted) & given:
-            needed = " or ".join(f"--{action}" for action in wanted)
+    for name, readers in _ONLY_WITH.items():
+        if name in typed and not set(readers) & typed:
+            needed = " or ".join(f"--{action}" for action in readers)
             option = name.removesuffix("s") if name.startswith("allow_") else name
             raise ConfigError(f"--{option.replace('_', '-')} needs {needed}")
-    if options.verify and {"start", "stop"} & given:
+    if options.verify and {"start", "stop"} & typed:
         raise ConfigError("--from and --to choose what is listed; --verify needs every step before")
-    options.last = None if options.stop is None else options.stop - 1
-    path = log_of(options.file)
-    if options.video is not None:
-        return _film(path, options)
-    if options.view is not None:
-        return _view(path, options)
-    if options.policy is not None:
-        from embodichain.cli.jobs.replay_policy import rerun
-
-        return rerun(path, options)
-    return _verify(path, options) if options.verify else _inspect(path, options)
 
 
-def _inspect(path: Path, options: SimpleNamespace) -> int:
+def _rerun(path: Path, policy: str, options: ReplayOptions) -> int:
+    from embodichain.cli.jobs.replay_policy import Repetition, rerun
+
+    repetition = Repetition(
+        policy=policy,
+        env=options.env,
+        episode=options.episode,
+        allow_changed=bool(options.allow_changed),
+        trust=bool(options.trust),
+    )
+    return rerun(path, repetition, quiet=options.quiet, json=options.json)
+
+
+def _inspect(path: Path, options: ReplayOptions) -> int:
     from embodichain.recording import inspect
 
     summary = inspect(path)
@@ -158,7 +235,7 @@ def _inspect(path: Path, options: SimpleNamespace) -> int:
     return process.OK
 
 
-def _is_wanted(episode: LogEpisode, options: SimpleNamespace) -> bool:
+def _is_wanted(episode: LogEpisode, options: ReplayOptions) -> bool:
     """Whether an episode matches --env and --episode and has a step in [--from, --to)."""
     return (
         options.env in (None, episode.env)
@@ -196,8 +273,10 @@ def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
 
 def _ended(summary: LogSummary) -> str:
     """How many episodes ended, and how many of them count."""
-    ended, counted = f"{len(summary.episodes)}", summary.counted
-    return ended if counted is None else f"{ended}, of which {counted} count"
+    ended = f"{len(summary.episodes)}"
+    if summary.counted is None:
+        return ended
+    return f"{ended}, of which {summary.counted} count"
 
 
 def _verifiable(header: Header) -> str:
@@ -216,7 +295,7 @@ def _verifiable(header: Header) -> str:
     return "yes"
 
 
-def _verify(path: Path, options: SimpleNamespace) -> int:
+def _verify(path: Path, options: ReplayOptions) -> int:
     from embodichain.recording import verify
 
     quiet = options.quiet or options.json
@@ -226,8 +305,13 @@ def _verify(path: Path, options: SimpleNamespace) -> int:
             if display.due:
                 display.show(steps, {})
 
-        how = options.env, options.episode
-        report = verify(path, *how, progress=progress, images=options.images)
+        report = verify(
+            path,
+            env=options.env,
+            episode=options.episode,
+            progress=progress,
+            images=options.images,
+        )
     if options.json:
         print_json(asdict(report))
     elif not report.ok:
@@ -237,19 +321,28 @@ def _verify(path: Path, options: SimpleNamespace) -> int:
     return process.OK if report.ok else process.FAILED
 
 
-def _film(path: Path, options: SimpleNamespace) -> int:
+def _film(path: Path, out: Path, options: ReplayOptions) -> int:
     """Write the video and print its path."""
     from embodichain.recording.film.filming import film_log
     from embodichain.recording.shards import joining
 
-    out = Path(options.video)
-    part = options.env or 0, options.episode, options.start, options.last
-    pixels = pair("--size", options.size or "640x480", "WIDTHxHEIGHT in pixels, such as 640x480")
-    how = options.speed or 1.0, pixels, options.camera
+    size = pair("--size", options.size or "640x480", "WIDTHxHEIGHT in pixels, such as 640x480")
     quiet = options.quiet or options.json
     display = ProgressDisplay("film", None, "pictures", quiet=quiet)
     with joining.open(path) as log, StopFlag() as stop, display:
-        filmed = film_log(log, out, *part, *how, film_progress(display), stop.is_stopped)
+        filmed = film_log(
+            log,
+            out,
+            env=options.env or 0,
+            episode=options.episode,
+            first=options.start,
+            last=options.last,
+            speed=options.speed or 1.0,
+            size=size,
+            camera=options.camera,
+            progress=film_progress(display),
+            stop=stop.is_stopped,
+        )
         say_warnings(log.path, log.warnings)
     if filmed.pictures:
         nbytes = out.stat().st_size
@@ -263,29 +356,44 @@ def _film(path: Path, options: SimpleNamespace) -> int:
     return process.OK
 
 
-def _view(path: Path, options: SimpleNamespace) -> int:
+def _view(path: Path, options: ReplayOptions) -> int:
     """Play until the window is closed or Ctrl-C is pressed."""
     from embodichain.recording.read.playback import span_of
     from embodichain.recording.shards import joining
     from embodichain.recording.viewers.log_player import play_log
 
-    part = options.episode, options.start, options.last
     with StopFlag() as stop, joining.open(path) as log:
-        span_of(log, options.env or 0, *part)  # a mistake is reported before a window opens
+        # A mistake is reported before a window opens.
+        span_of(
+            log,
+            options.env or 0,
+            episode=options.episode,
+            first=options.start,
+            last=options.last,
+        )
         say_warnings(log.path, log.warnings)
         screen = _screen(log, options, stop)
         try:
-            play_log(log, screen, *part, options.speed or 1.0, stop.is_stopped)
+            play_log(
+                log,
+                screen,
+                episode=options.episode,
+                first=options.start,
+                last=options.last,
+                speed=options.speed or 1.0,
+                stopped=stop.is_stopped,
+            )
         finally:
             screen.close()
     return process.OK
 
 
-def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:
+def _screen(log: Log, options: ReplayOptions, stop: StopFlag) -> Screen:
     from embodichain.recording.viewers.log_player import NativeScreen
     from embodichain.utils.system.display import has_display
 
-    name, env = options.view or ("native" if has_display() else "web"), options.env or 0
+    env = options.env or 0
+    name = options.view or ("native" if has_display() else "web")
     if name == "foxglove":
         raise ConfigError("Foxglove and Lichtblick play the file itself: embodichain view FILE")
     if name not in ("native", "web"):
@@ -299,10 +407,15 @@ def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:
     from embodichain.recording.viewers.page.web_page import PageOptions, WebPage
 
     host = options.host or "127.0.0.1"
-    title = f"{log.task}: {log.path.name}"
-    access = access_given(vars(options))
-    shown = PageOptions(host, options.port, env, resets=False, title=title, access=access)
-    page = WebPage(log.model, shown, num_envs=log.num_envs, stopped=stop.is_stopped)
+    page_options = PageOptions(
+        host,
+        options.port,
+        env,
+        resets=False,
+        title=f"{log.task}: {log.path.name}",
+        access=options.access,
+    )
+    page = WebPage(log.model, page_options, num_envs=log.num_envs, stopped=stop.is_stopped)
     if not options.quiet or page.url != page.address:
         sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
         sys.stderr.flush()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from embodichain.cli.app import complete_last, verb
 from embodichain.cli.terminal.last import take_last
 from embodichain.cli.terminal.output import print_json
+from embodichain.cli.verb import complete_last, verb
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]
@@ -18,15 +19,33 @@ __all__ = ["command"]
 _PAGE = "report.html"
 
 
+@dataclass(frozen=True)
+class ReportOptions:
+    """What was typed after `report`.
+
+    Attributes:
+        run: The folder of a run, a training, an evaluation or a sweep, or ``last``.
+        output: Path of a new page; None replaces `report.html` of the folder.
+        quiet: Print no progress and no report.
+        json: Print the result as one JSON object.
+    """
+
+    run: str
+    output: str | None
+    quiet: bool
+    json: bool
+
+
 @verb(
     "report",
     ("report last", "of the newest run, into its folder"),
     ("report outputs/latest -o reach.html", "into a file to send around"),
+    options=ReportOptions,
     quiet=True,
 )
 @click.argument("run", metavar="RUN", shell_complete=complete_last)
 @click.option("--output", "-o", metavar="OUT", help="A new file. Default: RUN/report.html.")
-def command(run: str, output: str | None, quiet: bool, json: bool) -> None:
+def command(options: ReportOptions) -> None:
     """Write a page about a run, a training, an evaluation or a sweep: RUN is its folder, or `last`.
 
     `report.html` of the run's folder is replaced, a file named by --output is not.
@@ -40,23 +59,23 @@ def command(run: str, output: str | None, quiet: bool, json: bool) -> None:
     from embodichain.config.run_folder import CONFIG, SWEEP, find_run, newest_run, whole_run
     from embodichain.utils.system.atomic import write_text
 
-    newest = newest_run("outputs", CONFIG) if run == "last" else None
+    newest = newest_run("outputs", CONFIG) if options.run == "last" else None
     if newest is None:
-        folder = find_run(run)
+        folder = find_run(options.run)
     else:
         whole = whole_run(newest)  # a page of a sweep compares trainings
         folder = take_last(whole if has_finished_training(whole) else newest)
-    out = folder / _PAGE if output is None else Path(output)
-    if output is not None and os.path.lexists(out):
+    out = folder / _PAGE if options.output is None else Path(options.output)
+    if options.output is not None and os.path.lexists(out):
         raise ConfigError(f"{out} exists; it is never replaced")
     is_sweep = not (folder / CONFIG).is_file() and (folder / SWEEP).is_file()
     text = page_of_sweep(folder) if is_sweep else page_of(folder)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_text(out, text, new=output is not None)
+        write_text(out, text, new=options.output is not None)
     except OSError as error:
         raise ConfigError(f"cannot write {out}: {error}") from error
-    if json:
+    if options.json:
         print_json({"file": str(out), "bytes": len(text.encode())})
-    elif not quiet:
+    elif not options.quiet:
         sys.stdout.write(f"{out}: {len(text.encode()) / 1e6:.2f} MB\n")

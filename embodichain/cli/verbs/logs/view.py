@@ -6,14 +6,16 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import log_argument, log_of, verb
-from embodichain.cli.jobs.access_options import access_given, access_options
+from embodichain.cli.jobs.access_options import AccessOptions, access_options
 from embodichain.cli.terminal.output import print_json, say_warnings
+from embodichain.cli.verb import log_argument, verb
+from embodichain.cli.words import log_of
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -27,11 +29,35 @@ _MAGIC = b"\x89MCAP0\r\n"
 """The first and last bytes of a complete MCAP file."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ViewOptions(AccessOptions):
+    """What was typed after `view`.
+
+    Attributes:
+        file: The log, its folder, or ``last``.
+        opens: Open it with the desktop's program.
+        serve: Play it over a WebSocket.
+        host: Address to serve at.
+        port: Port to serve at; None is Foxglove's, 8765.
+        speed: Speed of the served log; 1 is real time.
+        json: Print the result as one JSON object.
+    """
+
+    file: str
+    opens: bool
+    serve: bool
+    host: str
+    port: int | None
+    speed: float
+    json: bool
+
+
 @verb(
     "view",
     ("view last", "the newest run's log, and the layout beside it"),
     ("view outputs/latest --open", "with the program that the desktop has for it"),
     ("view last --serve", "play it at ws://127.0.0.1:8765, also a broken one"),
+    options=ViewOptions,
 )
 @log_argument()
 @click.option("--open", "opens", is_flag=True, help="Open it with the desktop's program.")
@@ -46,24 +72,15 @@ _MAGIC = b"\x89MCAP0\r\n"
     metavar="X",
     help="Speed of --serve; 1 is real time.",
 )
-def command(
-    file: str,
-    opens: bool,
-    serve: bool,
-    host: str,
-    port: int | None,
-    speed: float,
-    json: bool,
-    **who: Any,
-) -> None:
+def command(options: ViewOptions) -> None:
     """Print how to open a log, open it, or play it."""
     from embodichain.recording import inspect
 
-    path = log_of(file)
+    path = log_of(options.file)
     log = inspect(_shard_of(path) or path)
     say_warnings(log.path, log.warnings)
     layout = _layout(log)
-    if json:
+    if options.json:
         print_json({"file": str(log.path), "layout": str(layout), "complete": log.complete})
     else:
         files = [log.path.with_name(name) for name in log.files]
@@ -73,9 +90,9 @@ def command(
             first = f"embodichain recover {log.path} {saved}, and Open local file, {saved}, "
             first += "in Foxglove or Lichtblick"
         sys.stdout.write(f"{first}\nthen Layouts, Import from file, {layout}\n")
-    if serve:
-        _serve(log.path, host, port, speed, access_given(who))
-    elif opens:
+    if options.serve:
+        _serve(log.path, options.host, options.port, options.speed, options.access)
+    elif options.opens:
         _open(log)
 
 

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import overrides, split_overrides, verb
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.terminal.output import print_json, print_table
+from embodichain.cli.verb import overrides, verb
+from embodichain.cli.words import split_overrides
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -29,26 +31,42 @@ _ACTIONS = 16  # drawn before timing, to exclude the cost of a policy
 _ROUND_SECONDS = 0.3
 
 
+@dataclass(frozen=True)
+class BenchOptions:
+    """What was typed after `bench`.
+
+    Attributes:
+        words: Overrides; ``num_envs`` may list several numbers.
+        rounds: How often each arm is measured.
+        json: Print the result as one JSON object.
+    """
+
+    words: tuple[str, ...]
+    rounds: int
+    json: bool
+
+
 @verb(
     "bench",
     ("bench task=random_reach num_envs=1,64,1024", "three sizes"),
     ("bench task=push_cube num_envs=64 --rounds 3 --json", "quicker, for scripts"),
+    options=BenchOptions,
     keys=True,
     config_dir=True,
 )
 @overrides("task=NAME [num_envs=1,64,1024] [KEY=VALUE]...")
 @click.option("--rounds", type=click.IntRange(1), default=7, help="Rounds of each arm. Default: 7.")
-def command(words: tuple[str, ...], rounds: int, json: bool) -> None:
+def command(options: BenchOptions) -> None:
     """Measure every requested number of environments."""
     from embodichain.config.resolved import resolve
 
-    sizes, lines = _sizes(split_overrides(words))
+    sizes, lines = _sizes(split_overrides(options.words))
     refuse_unread("bench", lines)
     configs = [resolve([*lines, *size, "record=none"], "run") for size in sizes]
-    results = [_measure(config, rounds) for config in configs]
+    results = [_measure(config, options.rounds) for config in configs]
     task = configs[0].task_name
-    if json:
-        print_json({"task": task, "rounds": rounds, "results": results})
+    if options.json:
+        print_json({"task": task, "rounds": options.rounds, "results": results})
     else:
         print_table(f"{task}, control steps/s", results)
 

@@ -9,16 +9,17 @@ import importlib.util
 import sys
 import time
 import webbrowser
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import command_line, overrides, split_overrides, verb
-from embodichain.cli.jobs.job import Job, execute, job_options, policy_of
+from embodichain.cli.jobs.job import Job, execute, output_overrides, policy_of
 from embodichain.cli.jobs.unread_keys import refuse_unread
+from embodichain.cli.jobs.work.run_job import run_job
 from embodichain.cli.terminal.output import print_facts, print_json
-from embodichain.cli.verbs.running.run import run_job
+from embodichain.cli.verb import OverrideOptions, command_line, overrides, verb
+from embodichain.cli.words import split_overrides
 from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 if TYPE_CHECKING:
@@ -35,12 +36,26 @@ _GONE = 5.0
 _NAP = 0.05
 
 
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions(OverrideOptions):
+    """What was typed after `demo`.
+
+    Attributes:
+        web: Show a page.
+        film: Write a film.
+    """
+
+    web: bool
+    film: bool
+
+
 @verb(
     "demo",
     ("demo", "an arm puts a cube on a stand, in the browser"),
     ("demo push_cube", "a trained policy that ships: embodichain list policies"),
     ("demo --film", "a film; also where there is no display"),
     ("demo --web viewer.port=8090", "the page, for a browser of another machine (ssh -L)"),
+    options=DemoOptions,
     keys=True,
     config_dir=True,
     quiet=True,
@@ -48,12 +63,11 @@ _NAP = 0.05
 @overrides("[TASK] [KEY=VALUE]...")
 @click.option("--web", is_flag=True, help="A page. Default, if there is a display.")
 @click.option("--film", is_flag=True, help="A film in a new run folder. Default without a display.")
-def command(**kwargs: Any) -> None:
+def command(options: DemoOptions) -> None:
     """Show a task that is solved."""
     from embodichain.config.resolved import resolve
     from embodichain.utils.system.display import has_display
 
-    options = SimpleNamespace(**kwargs)
     if options.web and options.film:
         raise ConfigError("--web and --film exclude each other")
     display = has_display()
@@ -72,7 +86,7 @@ def command(**kwargs: Any) -> None:
     if "policy" not in given:
         lines.append(f"policy={_policy(lines)}")
     lines += [f"{key}={value}" for key, value in defaults.items() if key not in given]
-    resolved = resolve([*lines, *job_options(options)], "run")
+    resolved = resolve([*lines, *output_overrides(options)], "run")
     try:
         execute(resolved, _Page(display) if on_page else run_job, command_line())
     except RenderError as error:

@@ -16,9 +16,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from embodichain.cli.app import verb
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.output import print_json, print_table
+from embodichain.cli.verb import verb
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system import platforms
 
@@ -83,17 +83,29 @@ class Check:
     advice: str = ""
 
 
+@dataclass(frozen=True)
+class DoctorOptions:
+    """What was typed after `doctor`.
+
+    Attributes:
+        json: Print the result as one JSON object.
+    """
+
+    json: bool
+
+
 @verb(
     "doctor",
     ("doctor", "a table, with what to do about what is missing"),
     ("doctor --json", ""),
+    options=DoctorOptions,
 )
-def command(json: bool) -> int:
+def command(options: DoctorOptions) -> int:
     """Run all checks and print their results."""
     # _randomness is the first that imports MuJoCo: it says whether that is possible.
     sections = _versions, _threads, _rendering, _display, _disk, _randomness, _optional
     checks = [check for section in sections for check in section()]
-    if json:
+    if options.json:
         print_json({"checks": [asdict(check) for check in checks]})
     else:
         print_table("this machine", [asdict(check) for check in checks])

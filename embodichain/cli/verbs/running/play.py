@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
+from dataclasses import dataclass
 
 import click
 
-from embodichain.cli.app import command_line, overrides, verb
-from embodichain.cli.jobs.job import FRESH, execute, job_options
+from embodichain.cli.jobs.job import FRESH, execute, output_overrides
 from embodichain.cli.jobs.trained import one_target, take
 from embodichain.cli.jobs.unread_keys import refuse_unread
-from embodichain.cli.verbs.running.run import run_job
+from embodichain.cli.jobs.work.run_job import run_job
+from embodichain.cli.verb import OverrideOptions, command_line, overrides, verb
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]
@@ -20,27 +19,38 @@ _DEFAULTS = {"num_envs": "1", "viewer": "native", "record": "none"}
 _EPISODES = "5"
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlayOptions(OverrideOptions):
+    """What was typed after `play`.
+
+    Attributes:
+        episodes: How many episodes; None reads the override.
+    """
+
+    episodes: int | None
+
+
 @verb(
     "play",
     ("play last", "the newest training, five episodes"),
     ("play last --episodes 20 seed=3", "more of them"),
     ("play policy.onnx task=reach", "a file, in a task"),
     ("play last viewer=none record=mcap", "without a window, into a log"),
+    options=PlayOptions,
     keys=True,
     config_dir=True,
     quiet=True,
 )
 @overrides("RUN|last|PATH [KEY=VALUE]...", "last")
 @click.option("--episodes", type=int, metavar="N", help=f"How many episodes. Default: {_EPISODES}.")
-def command(**kwargs: Any) -> None:
+def command(options: PlayOptions) -> None:
     """Show episodes of one policy."""
-    options = SimpleNamespace(**kwargs)
     target, lines = one_target("play", options.words)
     refuse_unread("play", lines)
     typed = take(lines, "episodes", _EPISODES)
     keys = {line.partition("=")[0] for line in lines}
     lines += [f"{key}={value}" for key, value in _DEFAULTS.items() if key not in keys]
-    lines += [f"episodes={options.episodes or typed}", *job_options(options)]
+    lines += [f"episodes={options.episodes or typed}", *output_overrides(options)]
     resolved = target.resolve(lines, FRESH)
     _need_display(target.policy, lines)
     execute(resolved, run_job, command_line())

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from types import SimpleNamespace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import click
 
-from embodichain.cli.app import overrides, verb
 from embodichain.cli.jobs.job import start
-from embodichain.cli.verbs.running.run import run_job
+from embodichain.cli.jobs.work.run_job import run_job
+from embodichain.cli.verb import JobOptions, OverrideOptions, overrides, verb
 from embodichain.compat.gym_utils import RENDERERS
 from embodichain.utils.errors import ConfigError
 
@@ -69,44 +69,103 @@ def _flags(function: Any) -> Any:
     return function
 
 
+@dataclass(frozen=True, kw_only=True)
+class RunEnvOptions(OverrideOptions):
+    """What was typed after `run-env`: EmbodiChain's flags under their own names.
+
+    Attributes:
+        gym_config: Path of EmbodiChain's config of a task.
+        num_envs: Environments that run in parallel.
+        max_episodes: Episodes of each environment.
+        seed: Seed of every random stream.
+        device: Where physics runs.
+        viser_host: Address of the viewer's page.
+        viser_port: Port of the page.
+        headless: Open no window.
+        viser: Show an environment in a browser.
+        filter_visual_rand: Leave out visual randomization.
+        renderer: No effect, as all that follow; see `_NO_EFFECT`.
+        arena_space: No effect.
+        action_config: No effect.
+        gpu_id: The card of ``device=cuda``; else no effect.
+        preview: No effect.
+        filter_dataset_saving: No effect.
+        viser_env_ids: No effect.
+        viser_fps: No effect.
+        viser_image_fps: No effect.
+        viser_soft_body_fps: No effect.
+    """
+
+    gym_config: str | None
+    num_envs: int | None
+    max_episodes: int | None
+    seed: int | None
+    device: str | None
+    viser_host: str | None
+    viser_port: int | None
+    headless: bool
+    viser: bool
+    filter_visual_rand: bool
+    renderer: str | None
+    arena_space: float | None
+    action_config: str | None
+    gpu_id: int | None
+    preview: bool
+    filter_dataset_saving: bool
+    viser_env_ids: str | None
+    viser_fps: float | None
+    viser_image_fps: float | None
+    viser_soft_body_fps: float | None
+
+
 @verb(
     "run-env",
     ("run-env --gym_config gym_config.json --num_envs 4 --headless", "four environments"),
     ("run-env --gym_config gym_config.json record=none max_steps=100", "with keys of `run`"),
+    options=RunEnvOptions,
     quiet=True,
 )
 @overrides()
 @_flags
-def command(**options: Any) -> None:
+def command(options: RunEnvOptions) -> None:
     """Translate the flags, then run.
 
     Raises:
         ConfigError: No gym config is named, a flag is unknown, or `run` finds a mistake.
     """
-    flags = SimpleNamespace(**options, cfg=None, info=None, multirun=False)
-    if not flags.gym_config:
+    gym_config = options.gym_config
+    if not gym_config:
         raise ConfigError("no gym config is named: embodichain run-env --gym_config FILE")
-    if flags.device == "cuda" and flags.gpu_id is not None:
-        flags.device = f"cuda:{flags.gpu_id}"
-        options["gpu_id"] = None
+    if options.device == "cuda" and options.gpu_id is not None:
+        options = replace(options, device=f"cuda:{options.gpu_id}", gpu_id=None)
     for flag, (_, why) in _NO_EFFECT.items():
-        if options[flag] is not None and options[flag] is not False:  # 0 is a value that was typed
+        value = getattr(options, flag)
+        if value is not None and value is not False:  # 0 is a value that was typed
             sys.stderr.write(f"note: --{flag} has no effect: {why}\n")
-    flags.words = tuple(_overrides(flags))
-    start("run", run_job, flags)
+    job = JobOptions(
+        words=tuple(_overrides(options, gym_config)),
+        gym_config=gym_config,
+        quiet=options.quiet,
+        json=options.json,
+    )
+    start("run", run_job, job)
 
 
-def _overrides(flags: Any) -> Iterator[str]:
+def _overrides(options: RunEnvOptions, gym_config: str) -> Iterator[str]:
+    """The overrides of `run` that the flags stand for, and those that were typed."""
     for flag, (_, key, _) in _KEYS.items():
-        value = getattr(flags, flag)
+        value = getattr(options, flag)
         if value is not None:
             yield f"{key}={value}"
-    if flags.viser:
+    if options.viser:
         yield "viewer=web"
-    if flags.filter_visual_rand:
-        yield from (f"~task.events.{name}" for name in _visual_events(flags.gym_config))
-    several = flags.viser_env_ids is not None  # --viser-env-ids 0 1 2
-    yield from (word for word in flags.words if not (several and (word.isdigit() or word == "all")))
+    if options.filter_visual_rand:
+        yield from (f"~task.events.{name}" for name in _visual_events(gym_config))
+    several_ids = options.viser_env_ids is not None  # --viser-env-ids 0 1 2
+    for word in options.words:
+        is_id = word.isdigit() or word == "all"
+        if not (several_ids and is_id):
+            yield word
 
 
 def _visual_events(path: str) -> list[str]:

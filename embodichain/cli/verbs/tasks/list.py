@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.app import verb
 from embodichain.cli.terminal.output import print_json, print_table, wrapped
+from embodichain.cli.verb import verb
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,6 +21,21 @@ Rows = list[dict[str, Any]]
 _FAULT = "cannot load"
 
 
+@dataclass(frozen=True)
+class ListOptions:
+    """What was typed after `list`.
+
+    Attributes:
+        what: ``tasks``, ``robots``, ``policies`` or ``terms``.
+        markdown: Print terms as the page docs/terms.md.
+        json: Print the result as one JSON object.
+    """
+
+    what: str
+    markdown: bool
+    json: bool
+
+
 @verb(
     "list",
     ("list tasks", "every task that task=NAME finds"),
@@ -27,27 +43,28 @@ _FAULT = "cannot load"
     ("list policies", "trained policies that ship, and how often they succeed"),
     ("list terms", "functions for events, observations, rewards, ..."),
     ("list terms --markdown", "the same as a page, with parameters and examples"),
+    options=ListOptions,
     config_dir=True,
 )
 @click.argument("what", type=click.Choice(["tasks", "robots", "policies", "terms"]))
 @click.option("--markdown", is_flag=True, help="Terms as the page docs/terms.md.")
-def command(what: str, markdown: bool, json: bool) -> None:
+def command(options: ListOptions) -> None:
     """List tasks, robots, policies or terms, as a table or as JSON."""
-    if markdown:
-        if what != "terms" or json:
+    if options.markdown:
+        if options.what != "terms" or options.json:
             raise ConfigError("--markdown goes with `list terms`, without --json")
         from embodichain.cli.results.terms import catalogue
 
         sys.stdout.write(catalogue())
         return
     made = {"tasks": _tasks, "robots": _robots, "policies": _policies, "terms": _terms}
-    rows = made[what]()
-    if json:
-        print_json({what: rows})
+    rows = made[options.what]()
+    if options.json:
+        print_json({options.what: rows})
         return
-    print_table(what, [{k: v for k, v in row.items() if k != _FAULT} for row in rows])
+    print_table(options.what, [{k: v for k, v in row.items() if k != _FAULT} for row in rows])
     _print_list(_FAULT, [f"{row['name']}: {text}" for row in rows if (text := row.get(_FAULT))])
-    if what == "robots":
+    if options.what == "robots":
         _print_list("not here", _absent_robots(rows))
 
 

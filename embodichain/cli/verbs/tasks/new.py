@@ -18,10 +18,10 @@ from typing import Any
 
 import click
 
-from embodichain.cli.app import verb
 from embodichain.cli.new_task.new_robot import UR10, describe_robot
 from embodichain.cli.new_task.new_time_step import TimeStep, time_step
 from embodichain.cli.terminal.output import print_json
+from embodichain.cli.verb import verb
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]
@@ -74,6 +74,25 @@ class _Names:
         return Path(os.path.relpath(folder.resolve())) if folder.is_symlink() else folder
 
 
+@dataclass(frozen=True)
+class NewOptions:
+    """What was typed after `new`.
+
+    Attributes:
+        what: ``task``; there is nothing else yet.
+        name: The name of the task.
+        python: Write a class instead of YAML alone.
+        robot: Path of the robot's URDF or MJCF.
+        json: Print the result as one JSON object.
+    """
+
+    what: str
+    name: str
+    python: bool
+    robot: str | None
+    json: bool
+
+
 @verb(
     "new",
     ("new task my_reach", "YAML: conf/task/my_reach.yaml and tests/test_my_reach.py"),
@@ -82,33 +101,34 @@ class _Names:
         "new task my_pick --robot panda_description/urdf/panda.urdf",
         "for a robot of yours: its joints, its links",
     ),
+    options=NewOptions,
 )
 @click.argument("what", metavar="task", type=click.Choice(["task"]))
 @click.argument("name", metavar="NAME")
 @click.option("--python", is_flag=True, help="A class instead of YAML alone.")
 @click.option("--robot", metavar="FILE", help="Its URDF or MJCF: embodichain list robots.")
-def command(what: str, name: str, python: bool, robot: str | None, json: bool) -> None:
+def command(options: NewOptions) -> None:
     """Write the files and print what to do next.
 
     Raises:
         ConfigError: If the name is not allowed, or a file exists; nothing is written.
     """
-    _check_name(name)
+    _check_name(options.name)
     project = _pyproject()
-    names = _names(name, project)
-    own = names.package or Path(f"{name}.py").exists()
-    if python and not own and importlib.util.find_spec(name) is not None:
-        raise ConfigError(f"Python has a module '{name}' already: choose another name")
+    names = _names(options.name, project)
+    own = names.package or Path(f"{options.name}.py").exists()
+    if options.python and not own and importlib.util.find_spec(options.name) is not None:
+        raise ConfigError(f"Python has a module '{options.name}' already: choose another name")
     words, step = UR10, TimeStep(0.005)
-    if robot is not None:
-        words, files_own = describe_robot(robot, python=python)
+    if options.robot is not None:
+        words, files_own = describe_robot(options.robot, python=options.python)
         step = time_step(files_own, lambda tried: _yaml(words | tried.words))
     words = words | step.words
-    files = _files(names, words, python=python)
+    files = _files(names, words, python=options.python)
     _write(files)
-    needed = _needed(project, names, python=python)
+    needed = _needed(project, names, python=options.python)
     written, commands = [path.as_posix() for path in files], _next(names)
-    if json:
+    if options.json:
         data = {"wrote": written, "next": commands, "pyproject": needed}
         print_json(data | {"physics_dt": step.dt, "why": step.why} if step.why else data)
         return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,9 +13,10 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.cli.app import overrides, pair, split_overrides, verb
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.terminal.output import print_json
+from embodichain.cli.verb import overrides, verb
+from embodichain.cli.words import pair, split_overrides
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -35,12 +37,36 @@ _LONGEST = 8192
 _FORMATS = (".png", ".jpg", ".jpeg", ".webp")
 
 
+@dataclass(frozen=True)
+class RenderOptions:
+    """What was typed after `render`.
+
+    Attributes:
+        words: Overrides, and the path of the picture.
+        view: A view or camera of the scene.
+        grid: Columns and rows of environments, ``4x3``.
+        step: How many control steps to play first.
+        size: Pixels of one environment, ``WIDTHxHEIGHT``.
+        quiet: Print no progress and no report.
+        json: Print the result as one JSON object.
+    """
+
+    words: tuple[str, ...]
+    view: str
+    grid: str | None
+    step: int
+    size: str | None
+    quiet: bool
+    json: bool
+
+
 @verb(
     "render",
     ("render task=reach reach.png", "the scene after a reset"),
     ("render task=reach later.png --step 50 seed=1", "after 50 control steps"),
     ("render task=reach zero.png --step 50 policy=zero", "of another policy"),
     ("render task=push_cube grid.png --grid 4x3", "twelve environments, four in a row"),
+    options=RenderOptions,
     keys=True,
     config_dir=True,
     quiet=True,
@@ -50,15 +76,7 @@ _FORMATS = (".png", ".jpg", ".jpeg", ".webp")
 @click.option("--grid", metavar="CxR", help="C times R environments, from left to right.")
 @click.option("--step", type=click.IntRange(min=0), default=0, help="After this many steps.")
 @click.option("--size", metavar="WxH", help="Pixels of one environment.")
-def command(
-    words: tuple[str, ...],
-    view: str,
-    grid: str | None,
-    step: int,
-    size: str | None,
-    quiet: bool,
-    json: bool,
-) -> None:
+def command(options: RenderOptions) -> None:
     """Render environments of a task into a new picture (.png, .jpg, .webp).
 
     The policy is the one that `run` uses: the task's suggestion, or policy=NAME.
@@ -66,9 +84,13 @@ def command(
     Raises:
         ConfigError: The task has mistakes, there is no such view, or the file cannot be written.
     """
-    out, lines = _split(words)
-    columns, rows = (1, 1) if grid is None else pair("--grid", grid, "COLUMNSxROWS, such as 4x3")
-    sized = size or _SIZES[grid is not None]
+    out, lines = _split(options.words)
+    columns, rows = (
+        (1, 1)
+        if options.grid is None
+        else pair("--grid", options.grid, "COLUMNSxROWS, such as 4x3")
+    )
+    sized = options.size or _SIZES[options.grid is not None]
     width, height = pair("--size", sized, "WIDTHxHEIGHT in pixels, such as 640x480")
     if max(width, height) > _LONGEST:
         raise ConfigError(f"--size: a side has at most {_LONGEST} pixels, got {sized}")
@@ -76,20 +98,20 @@ def command(
         message = f"{columns * width}x{rows * height} pixels are too many: at most {_MOST_PIXELS:,}"
         raise ConfigError(message)
     refuse_unread("render", lines)
-    env, facts = _advanced(lines, columns * rows, step)
+    env, facts = _advanced(lines, columns * rows, options.step)
     try:
-        tiles = _draw(env, view, width, height)
+        tiles = _draw(env, options.view, width, height)
     finally:
         env.close()
     grid_of = tiles.reshape(rows, columns, height, width, 3).swapaxes(1, 2)
     picture = grid_of.reshape(rows * height, columns * width, 3)
     _save(picture, out)
     size_of = picture.shape[1::-1]
-    if json:
-        print_json({"file": str(out), "size": size_of, "view": view, **facts})
-    elif not quiet:
+    if options.json:
+        print_json({"file": str(out), "size": size_of, "view": options.view, **facts})
+    elif not options.quiet:
         pixels = "{}x{}".format(*size_of)
-        sys.stdout.write(f"{out}: {pixels}, control step {step}, seed {facts['seed']}\n")
+        sys.stdout.write(f"{out}: {pixels}, control step {options.step}, seed {facts['seed']}\n")
 
 
 def _split(words: tuple[str, ...]) -> tuple[Path, list[str]]:

@@ -10,19 +10,20 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import overrides, split_overrides, verb
-from embodichain.cli.jobs.demonstrations import first_episode
 from embodichain.cli.jobs.job import check_extras, checked_job, pinned
 from embodichain.cli.jobs.unread_keys import verb_of_keys
+from embodichain.cli.jobs.work.demonstrations import first_episode
 from embodichain.cli.terminal import process
 from embodichain.cli.terminal.output import print_json
 from embodichain.cli.terminal.reporting import warnings_on_stderr
+from embodichain.cli.verb import overrides, verb
+from embodichain.cli.words import split_overrides
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -33,6 +34,23 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
+@dataclass(frozen=True)
+class ValidateOptions:
+    """What was typed after `validate`.
+
+    Attributes:
+        words: A file, or overrides.
+        train: Check the config as `train` would read it.
+        collect: Check it as `collect` would.
+        json: Print the result as one JSON object.
+    """
+
+    words: tuple[str, ...]
+    train: bool
+    collect: bool
+    json: bool
+
+
 @verb(
     "validate",
     ("validate task=reach", "a task that ships with embodichain"),
@@ -40,26 +58,27 @@ __all__ = ["command"]
     ("validate --collect task=pick_place", "as `collect` would"),
     ("validate task=reach task.max_episode_steps=50", "with overrides"),
     ("validate --config-dir my_conf task=random_reach", "with a folder of yours"),
+    options=ValidateOptions,
     keys=True,
     config_dir=True,
 )
 @overrides("FILE | [task=NAME] [KEY=VALUE]...")
 @click.option("--train", is_flag=True, help="As `train` would read it.")
 @click.option("--collect", is_flag=True, help="As `collect` would read it.")
-def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> int:
+def command(options: ValidateOptions) -> int:
     """Print every mistake on stderr and exit with 2, or report that there is none."""
-    if train and collect:
+    if options.train and options.collect:
         raise ConfigError("either --train or --collect")
-    verb: Verb = "train" if train else "collect" if collect else "run"
-    name = " ".join(words)
+    verb: Verb = "train" if options.train else "collect" if options.collect else "run"
+    name = " ".join(options.words)
     # By the suffix, so that a missing file is reported as missing.
     endings = (".yaml", ".yml", ".json")
-    files = [word for word in words if "=" not in word and word.endswith(endings)]
+    files = [word for word in options.words if "=" not in word and word.endswith(endings)]
     notes: tuple[Problem, ...] = ()
     problems: tuple[Problem, ...] = ()
-    if files and len(words) > 1:
+    if files and len(options.words) > 1:
         raise ConfigError(f"either one file or overrides: {name}")
-    if not words:
+    if not options.words:
         raise ConfigError("validate what? task=NAME or a file: `embodichain list tasks`")
     try:
         if files:
@@ -70,8 +89,8 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
         else:
             from embodichain.config.composition.composed import compose
 
-            lines = split_overrides(words)
-            any_key = not (train or collect)
+            lines = split_overrides(options.words)
+            any_key = not (options.train or options.collect)
             if any_key:
                 verb = verb_of_keys(lines)
             composed = compose(lines, verb)
@@ -81,7 +100,7 @@ def command(words: tuple[str, ...], train: bool, collect: bool, json: bool) -> i
         notes = (*notes, *further)
     except ConfigError as error:
         problems = error.problems
-    if json:
+    if options.json:
         mistakes = [asdict(p.at(p.source)) for p in problems]
         listed = {"notes": [asdict(p) for p in notes]} if notes else {}
         print_json({"checked": name, "ok": not problems, "mistakes": mistakes, **listed})
