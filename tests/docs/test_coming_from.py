@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
-from embodichain.cli.app import VERBS, load_verb
+from embodichain.cli.app import load_verb
+from embodichain.cli.verb import VERBS
 from embodichain.config import resolve
 from embodichain.config.keys.check_types import key_names, schema_at
 from embodichain.lab.gym.envs.base_env import BaseEnv

@@ -7,36 +7,22 @@ the simulation return a constant instead, such as that there is no gizmo.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NoReturn, TypeVar
+from typing import Any, Final, NoReturn
 
-__all__ = [
-    "ClothObject",
-    "ClothObjectCfg",
-    "Gizmo",
-    "GizmoCfg",
-    "RigidConstraint",
-    "RigidConstraintCfg",
-    "RigidObjectGroup",
-    "RigidObjectGroupCfg",
-    "SoftObject",
-    "SoftObjectCfg",
-    "not_available",
-    "with_simulation_members",
-]
+__all__ = ["ANSWERS", "CLASSES", "REFUSALS", "members_of"]
 
-Class = TypeVar("Class", bound=type)
-
-_SOFT, _CLOTH = "soft bodies are not available", "cloth is not available"
-_GROUP, _GIZMO = "object groups are not available", "gizmos are not available"
-_TEXTURE, _MATERIAL = "textures are compiled into the model", "declare visual_material"
-_LIGHT, _WELD = (
-    "MuJoCo has none; add lights",
-    "welds are equality constraints of an MJCF scene or robot",
-)
+_SOFT = "soft bodies are not available"
+_CLOTH = "cloth is not available"
+_GROUP = "object groups are not available"
+_GIZMO = "gizmos are not available"
+_TEXTURE = "textures are compiled into the model"
+_MATERIAL = "declare visual_material"
+_LIGHT = "MuJoCo has none; add lights"
+_WELD = "welds are equality constraints of an MJCF scene or robot"
 _ENGINE = "the engine is MuJoCo's: model and data are scene.model and engine.rows"
 _WINDOW = "the log of a run contains it: record=mcap, then `embodichain replay last --video FILE`"
 
-SIMULATION_ANSWERS: Mapping[str, tuple[Any, str]] = {
+_SIMULATION_ANSWERS: dict[str, tuple[Any, str]] = {
     "flush_cleanup_queue": (None, "`destroy` frees at once"),
     "wait_scene_destruction": (None, "`destroy` frees at once"),
     "init_gpu_physics": (
@@ -57,9 +43,12 @@ SIMULATION_ANSWERS: Mapping[str, tuple[Any, str]] = {
     "is_window_recording": (False, "windows are not recorded"),
     "get_texture_cache": (None, _TEXTURE),
 }
-"""Method of `SimulationManager` -> its constant return value, and why."""
+ANSWERS: Final[Mapping[str, dict[str, tuple[Any, str]]]] = {
+    "SimulationManager": _SIMULATION_ANSWERS,
+}
+"""Class -> method -> its constant return value, and why."""
 
-SIMULATION_REFUSALS: Mapping[str, str] = {
+_SIMULATION_REFUSALS: dict[str, str] = {
     "add_soft_object": _SOFT,
     "add_cloth_object": _CLOTH,
     "add_rigid_object_group": "add objects one by one",
@@ -82,10 +71,28 @@ SIMULATION_REFUSALS: Mapping[str, str] = {
     **dict.fromkeys(("toggle_window_record", "enable_window_record_hotkey"), _WINDOW),
     "add_custom_window_control": "the window is MuJoCo's viewer",
 }
-"""Method of `SimulationManager` -> why it raises NotImplementedError."""
+REFUSALS: Final[Mapping[str, dict[str, str]]] = {
+    "SimulationManager": _SIMULATION_REFUSALS,
+    "Articulation": {
+        "set_fix_base": "declare fix_base: it is compiled into the model",
+        "set_self_collision": "declare disable_self_collision",
+        "set_link_physical_attr": "declare attrs; set_mass works",
+    },
+    "Robot": {"init_solver": "declare solver_cfg: tool points are compiled"},
+    "RigidObject": {
+        "set_body_type": "the body type is compiled into the model",
+        "set_attrs": "use set_mass, set_friction, set_damping, set_inertia",
+        "set_collision_filter": "environments never share a world",
+        "set_physical_visible": "use set_visible",
+        "set_visual_material": "declare shape.visual_material",
+        "get_vertices": "the compiled model has its meshes: sim.engine.model",
+        "get_triangles": "the compiled model has its meshes: sim.engine.model",
+    },
+}
+"""Class -> method -> why it raises NotImplementedError."""
 
 
-def not_available(what: str, why: str) -> Callable[..., NoReturn]:
+def _not_available(what: str, why: str) -> Callable[..., NoReturn]:
     """Return a method that raises NotImplementedError."""
 
     def method(self: object, *args: Any, **kwargs: Any) -> NoReturn:
@@ -105,13 +112,21 @@ def _answering(name: str, answer: Any, why: str) -> Callable[..., Any]:
     return method
 
 
-def with_simulation_members(cls: Class) -> Class:
-    """Decorate a class with `SIMULATION_ANSWERS` and `SIMULATION_REFUSALS`."""
-    for name, (answer, why) in SIMULATION_ANSWERS.items():
-        setattr(cls, name, staticmethod(_answering(name, answer, why)))
-    for name, why in SIMULATION_REFUSALS.items():
-        setattr(cls, name, not_available(name, why))
-    return cls
+def members_of(name: str) -> dict[str, Any]:
+    """Return the methods of EmbodiChain that a class lacks here.
+
+    Args:
+        name: The class, such as ``Robot``.
+
+    Returns:
+        Name -> a method that raises the reason, or a static method with a constant result.
+    """
+    members: dict[str, Any] = {
+        method: _not_available(method, why) for method, why in REFUSALS.get(name, {}).items()
+    }
+    for method, (answer, why) in ANSWERS.get(name, {}).items():
+        members[method] = staticmethod(_answering(method, answer, why))
+    return members
 
 
 class _Unavailable:
@@ -121,16 +136,18 @@ class _Unavailable:
         raise NotImplementedError(f"{type(self).__name__}: {self.__doc__}")
 
 
-def _refusing(name: str, why: str) -> tuple[type[_Unavailable], type[_Unavailable]]:
-    """Return an unavailable class and its config class."""
-    members = {"__doc__": why, "__module__": __name__}
-    return type(name, (_Unavailable,), members), type(f"{name}Cfg", (_Unavailable,), members)
+def _refusing(name: str, why: str) -> type[_Unavailable]:
+    return type(name, (_Unavailable,), {"__doc__": why, "__module__": __name__})
 
 
-SoftObject, SoftObjectCfg = _refusing("SoftObject", _SOFT)
-ClothObject, ClothObjectCfg = _refusing("ClothObject", _CLOTH)
-RigidObjectGroup, RigidObjectGroupCfg = _refusing(
-    "RigidObjectGroup", "object groups are not available: add objects one by one"
-)
-RigidConstraint, RigidConstraintCfg = _refusing("RigidConstraint", _WELD)
-Gizmo, GizmoCfg = _refusing("Gizmo", _GIZMO)
+_WHY = {
+    "SoftObject": _SOFT,
+    "ClothObject": _CLOTH,
+    "RigidObjectGroup": "object groups are not available: add objects one by one",
+    "RigidConstraint": _WELD,
+    "Gizmo": _GIZMO,
+}
+CLASSES: Final[Mapping[str, type]] = {
+    name: _refusing(name, why) for entity, why in _WHY.items() for name in (entity, f"{entity}Cfg")
+}
+"""Name of an object or of its config -> the class that raises when it is built."""
