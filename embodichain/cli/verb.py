@@ -253,9 +253,9 @@ def _complete(
 ) -> list[str]:
     from embodichain.config.composition.completion import complete_override
 
-    found = [name for name in names if incomplete and name.startswith(incomplete)]
-    if found:
-        return found
+    matching_names = [name for name in names if incomplete and name.startswith(incomplete)]
+    if matching_names:
+        return matching_names
     before = [w for w in ctx.params.get("words") or () if "=" in w or w.startswith("~")]
     with process.own_modules():
         return complete_override(incomplete, before, config, ctx.meta.get("config_dir"))

@@ -55,7 +55,8 @@ def split_overrides(words: tuple[str, ...]) -> list[str]:
     _check_blanks(words, bare)
     if len(bare) > 1:
         raise ConfigError(f"one task at a time: {', '.join(bare)}. Values are given as key=value")
-    return [*(f"task={word}" for word in bare), *(word for word in words if word not in bare)]
+    tasks = [f"task={word}" for word in bare]
+    return tasks + [word for word in words if word not in bare]
 
 
 def _check_blanks(words: tuple[str, ...], bare: list[str]) -> None:
@@ -95,8 +96,9 @@ def _quoted(word: str) -> str:
 def _open_brackets(text: str) -> bool:
     """Whether brackets or quotes of a text are open at its end."""
     closing = {"{": "}", "[": "]", "(": ")"}
-    wanted: list[str] = []
-    quote, escaped = "", False
+    still_open: list[str] = []
+    quote = ""
+    escaped = False
     for sign in text.partition("=")[2]:
         if escaped:
             escaped = False
@@ -107,10 +109,10 @@ def _open_brackets(text: str) -> bool:
         elif sign in "'\"":
             quote = sign
         elif sign in closing:
-            wanted.append(closing[sign])
-        elif wanted and sign == wanted[-1]:
-            wanted.pop()
-    return bool(wanted)
+            still_open.append(closing[sign])
+        elif still_open and sign == still_open[-1]:
+            still_open.pop()
+    return bool(still_open)
 
 
 def pair(option: str, text: str, form: str) -> tuple[int, int]:
@@ -124,10 +126,10 @@ def pair(option: str, text: str, form: str) -> tuple[int, int]:
     Raises:
         ConfigError: The value has another form, or a number is 0.
     """
-    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
-    if found is None:
+    numbers = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
+    if numbers is None:
         raise ConfigError(f"{option} is {form}, not {text!r}")
-    return int(found[1]), int(found[2])
+    return int(numbers[1]), int(numbers[2])
 
 
 def log_of(name: str) -> Path:
@@ -167,7 +169,7 @@ def _why_no_log(folder: Path) -> str:
     from embodichain.config.run_folder import CONFIG, SUMMARY
 
     if not (folder / CONFIG).is_file():
-        return f"it is no run's folder, which has a {CONFIG}"
+        return f"it is not the folder of a run, which has a {CONFIG}"
     record = read_config(folder / CONFIG).get("record")
     if isinstance(record, dict) and record.get("format") == "none":
         return "it was run with record=none"

@@ -103,31 +103,31 @@ def resumed_folder(name: str, newest: Path | None, what: str) -> Path:
     from embodichain.config.run_folder import CHECKPOINT, CONFIG, perhaps_last
     from embodichain.utils.system.atomic import remove_abandoned
 
-    found = newest if name == "last" else Path(name)
-    if found is None:
+    folder = newest if name == "last" else Path(name)
+    if folder is None:
         raise ConfigError([Problem("resume", f"there is no {what} to resume yet")])
-    if not (found / CONFIG).is_file():
-        message = f"{name!r} is no {what}'s folder: it has no {CONFIG}{perhaps_last(name)}"
+    if not (folder / CONFIG).is_file():
+        message = f"{name!r} is not a {what}'s folder: it has no {CONFIG}{perhaps_last(name)}"
         raise ConfigError([Problem("resume", message)])
     if name == "last":
-        take_last(found)
-    for folder in (found, found / Path(CHECKPOINT).parent):
-        remove_abandoned(folder)
-    return found.resolve()
+        take_last(folder)
+    for written in (folder, folder / Path(CHECKPOINT).parent):
+        remove_abandoned(written)
+    return folder.resolve()
 
 
 def with_changes(tree: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return a run's config with changed keys; an option of the group `record` sets the format."""
-    found = dict(tree)
+    changed = dict(tree)
     for key, value in changes.items():
         path = "record.format" if key == "record" and isinstance(value, str) else key
         *parents, last = path.split(".")
-        node = found
+        node = changed
         for parent in parents:
             node[parent] = dict(node.get(parent) or {})
             node = node[parent]
         node[last] = value
-    return found
+    return changed
 
 
 def resumed_collection(overrides: Sequence[str]) -> tuple[Resolved, Path, int]:
@@ -150,9 +150,9 @@ def resumed_collection(overrides: Sequence[str]) -> tuple[Resolved, Path, int]:
     fresh |= {"trust": False}  # whoever made the folder does not say whom to trust
     tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
     source = str(folder / CONFIG)
-    found = resolve_tree(tree, source, "collect", task_name=task_of(folder), allow_import=True)
-    found = dataclasses.replace(found, overrides=tuple(overrides))
-    return found, folder, done
+    resumed = resolve_tree(tree, source, "collect", task_name=task_of(folder), allow_import=True)
+    resumed = dataclasses.replace(resumed, overrides=tuple(overrides))
+    return resumed, folder, done
 
 
 def resumed_training(overrides: Sequence[str]) -> Resolved:
@@ -182,10 +182,11 @@ def resumed_training(overrides: Sequence[str]) -> Resolved:
     tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
     task = str(read_note(checkpoint).get("task", "task"))
     source = str(folder / CONFIG)
-    found = resolve_tree(tree, source, "train", task_name=task, allow_import=True)
-    check_training(found)
-    done, wanted = state["env_steps"], found.root.total_timesteps or 0
+    resumed = resolve_tree(tree, source, "train", task_name=task, allow_import=True)
+    check_training(resumed)
+    done = state["env_steps"]
+    wanted = resumed.root.total_timesteps or 0
     if done >= wanted:
         message = f"{checkpoint} has {done} steps already: give more, total_timesteps=N"
         raise ConfigError([Problem("total_timesteps", message)])
-    return dataclasses.replace(found, overrides=tuple(overrides))
+    return dataclasses.replace(resumed, overrides=tuple(overrides))

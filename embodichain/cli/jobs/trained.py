@@ -116,9 +116,9 @@ def one_target(action: str, words: Sequence[str]) -> tuple[Target, list[str]]:
 
 def take(overrides: list[str], key: str, default: str) -> str:
     """Remove ``key=value`` from overrides and return its last value, or the default."""
-    found = [line for line in overrides if line.partition("=")[0].lstrip("+") == key]
-    overrides[:] = [line for line in overrides if line not in found]
-    return found[-1].partition("=")[2] if found else default
+    values = [line for line in overrides if line.partition("=")[0].lstrip("+") == key]
+    overrides[:] = [line for line in overrides if line not in values]
+    return values[-1].partition("=")[2] if values else default
 
 
 def _run_of(file: Path) -> Path | None:

@@ -6,17 +6,16 @@ import dataclasses
 import json
 import logging
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.job import Job, policy_name, policy_of
+from embodichain.cli.jobs.work.summary_file import failure_in_summary, write_summary
 from embodichain.cli.results.summaries import collection_rows
-from embodichain.cli.terminal.output import print_facts, print_json, to_json
+from embodichain.cli.terminal.output import print_facts, print_json
 from embodichain.cli.terminal.reporting import ProgressDisplay, episodes_of
-from embodichain.config.run_folder import LOG, SUMMARY
+from embodichain.config.run_folder import LOG
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.system.atomic import write_text
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -48,18 +47,16 @@ def collect_job(job: Job) -> float | None:
     from embodichain.recording.demos.collection import CollectionWriter
 
     root = job.root
-    about = {"task": job.resolved.task_name, "folder": str(job.folder), "seed": root.seed}
-    about["policy"] = policy_name(root)
+    about = {
+        "task": job.resolved.task_name,
+        "folder": str(job.folder),
+        "seed": root.seed,
+        "policy": policy_name(root),
+    }
     with CollectionWriter(job.folder) as writer:
-        try:
+        with failure_in_summary(job, about):
             summary = about | _collect(job, writer)
-        except Exception as error:
-            try:
-                _write_summary(job, {**about, "status": "failed", "error": repr(error)})
-            except OSError as second:  # a full disk fails here too; the first error is reported
-                _log.warning("%s could not be written: %s", SUMMARY, second)
-            raise
-        _write_summary(job, summary)
+        write_summary(job, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
     summary |= job.film(summary["log"])
     if root.json:
@@ -83,18 +80,20 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
     from embodichain.recording.demos.collecting import Collected, Collector, EndRules
     from embodichain.recording.demos.collection import new_log, read_collection
 
-    root, wanted = job.root, job.root.episodes or 1
+    root = job.root
+    wanted = root.episodes or 1
     before = read_collection(job.folder, failures=True)
     collected = Collected()
     for episode in before:
         collected.add(episode)
     collected.failures_in_a_row = 0
-    known = [[e.attempt for e in before if e.success is success] for success in (True, False)]
+    succeeded = [e.attempt for e in before if e.success is True]
+    failed = [e.attempt for e in before if e.success is False]
     if before and collected.successes >= wanted:  # it ended before it could say so
         logs = sorted({e.log for e in before})
         log = str(job.folder / before[-1].log)
         return _counted(job, collected, 0, 0, 0.0) | {"log": log, "logs": logs}
-    attempts = Attempts(wanted, *known)
+    attempts = Attempts(wanted, succeeded, failed)
     count = min(root.num_envs or 1, wanted - collected.successes)
     name = new_log(job.folder, LOG)
     run_dir = job.folder if name == LOG else job.folder / Path(name).stem
@@ -122,11 +121,16 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
 
 def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
     """Collect until the collection is complete, or something ends it; returns what was counted."""
-    root, stop, collected = job.root, job.stop, collector.collected
-    wanted, before = root.episodes or 1, collected.successes
+    root = job.root
+    stop = job.stop
+    collected = collector.collected
+    wanted = root.episodes or 1
+    before = collected.successes
     limit = root.max_steps or float("inf")
     patience = root.collect.give_up_after or float("inf")
-    status, steps, start = "finished", 0, time.perf_counter()
+    status = "finished"
+    steps = 0
+    start = time.perf_counter()
     task = job.resolved.task_name
 
     def rate() -> float:
@@ -190,8 +194,3 @@ def _facts(collected: Collected, wanted: int, rate: float) -> dict[str, str]:
         left = round((wanted - collected.successes) / rate)
         facts |= {"per minute": f"{60 * rate:,.0f}", "left": f"{left // 60}:{left % 60:02}"}
     return facts
-
-
-def _write_summary(job: Job, summary: Mapping[str, Any]) -> None:
-    text = to_json(job.resolved.record(summary), indent=2)
-    write_text(job.folder / SUMMARY, text + "\n")

@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from embodichain.cli.terminal.reporting import ProgressDisplay, progress_row
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+    from rich.text import Text
 
     from embodichain.learning.evaluation.episodes import TrainStatistics
 
 __all__ = ["Dashboard"]
 
 _PERIOD = 1.0
+"""Seconds between two drawings."""
 _CURVE = 30
+"""Characters of a curve over the whole training, and of the bar of shares."""
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _COLOURS = {"physics": "cyan", "environment": "blue", "policy": "green", "update": "magenta"}
+
+
+class _Row(NamedTuple):
+    """A result that has a curve: its value now, how it is written, and the ends of its scale."""
+
+    name: str
+    value: float | None
+    form: str
+    scale: tuple[float, float] | None = None
 
 
 class Dashboard(ProgressDisplay):
@@ -35,7 +47,8 @@ class Dashboard(ProgressDisplay):
 
     def __init__(self, label: str, algo: str, total: int, *, quiet: bool = False) -> None:
         super().__init__(label, total, "steps", quiet=quiet, period=_PERIOD)
-        self._title, self._steps = f"{label}, {algo}", max(total, 1)
+        self._title = f"{label}, {algo}"
+        self._steps = max(total, 1)
         self._curves: dict[str, dict[int, float]] = {}
         self._last: TrainStatistics | None = None
 
@@ -47,37 +60,40 @@ class Dashboard(ProgressDisplay):
     def update(self, statistics: TrainStatistics) -> None:
         """Show the state of the training."""
         self._last = statistics
-        mean, success = statistics.mean_return, statistics.success_rate
         facts = {
             "steps/s": f"{statistics.env_steps_per_second:,.0f}",
             "episodes": str(statistics.episodes),
-            **({} if mean is None else {"return": f"{mean:.3g}"}),
-            **({} if success is None else {"success": f"{success:.0%}"}),
         }
+        if statistics.mean_return is not None:
+            facts["return"] = f"{statistics.mean_return:.3g}"
+        if statistics.success_rate is not None:
+            facts["success"] = f"{statistics.success_rate:.0%}"
         self.show(statistics.env_steps, facts, lambda: self._drawn(statistics))
 
     def _drawn(self, statistics: TrainStatistics) -> RenderableType:
         from rich.table import Table
-        from rich.text import Text
 
-        done, speed = statistics.env_steps, statistics.env_steps_per_second
-        left = _clock(max(self._steps - done, 0) / speed) if speed > 0 else "-"
-        bar, shares = Text(), Text()
-        for name, share in statistics.fractions.items():
-            bar.append("█" * round(share * _CURVE), style=_COLOURS[name])
-            shares.append(f"{'  ' if shares else ''}{name} {share:.0%}", style=_COLOURS[name])
+        done = statistics.env_steps
+        speed = statistics.env_steps_per_second
+        left = "-"
+        if speed > 0:
+            left = _clock(max(self._steps - done, 0) / speed)
+        bar, legend = _shares(statistics)
         rows = Table.grid(padding=(0, 2))
         for width in (8, 16, None):
             rows.add_column(no_wrap=True, min_width=width)
         rows.add_row("speed", f"{speed:,.0f} steps/s", bar)
-        rows.add_row("time", f"{_clock(statistics.seconds)}, left {left}", shares)
-        for name, value, form, bounds in (
-            ("return", statistics.mean_return, ".4g", None),
-            ("success", statistics.success_rate, ".0%", (0.0, 1.0)),
-            ("length", statistics.mean_length, ".4g", None),
+        rows.add_row("time", f"{_clock(statistics.seconds)}, left {left}", legend)
+        for row in (
+            _Row("return", statistics.mean_return, ".4g"),
+            _Row("success", statistics.success_rate, ".0%", scale=(0.0, 1.0)),
+            _Row("length", statistics.mean_length, ".4g"),
         ):
-            curve = "" if value is None else self._curve(name, value, done / self._steps, bounds)
-            rows.add_row(name, "-" if value is None else format(value, form), curve)
+            if row.value is None:
+                rows.add_row(row.name, "-", "")
+            else:
+                curve = self._curve(row.name, row.value, done / self._steps, row.scale)
+                rows.add_row(row.name, format(row.value, row.form), curve)
         rows.add_row("best", *_best(statistics))
         rows.add_row("episodes", f"{statistics.episodes:,}", "")
         whole = Table.grid(expand=True)
@@ -87,31 +103,60 @@ class Dashboard(ProgressDisplay):
         return whole
 
     def _curve(
-        self, name: str, value: float, where: float, bounds: tuple[float, float] | None
+        self, name: str, value: float, where: float, scale: tuple[float, float] | None
     ) -> str:
-        """A curve of the values so far over the length of the training, one character a column."""
-        seen = self._curves.setdefault(name, {})
-        seen[min(int(where * _CURVE), _CURVE - 1)] = value
-        low, high = bounds or (min(seen.values()), max(seen.values()))
-        scale = (len(_BLOCKS) - 1) / (high - low) if high > low else 0.0
-        drawn, last = [], " "
-        for column in range(max(seen) + 1):
-            if column in seen:
-                last = _BLOCKS[round((seen[column] - low) * scale)]
-            drawn.append(last)
-        return "".join(drawn)
+        """Add a value to its curve, and draw that: one character for each part of the training.
+
+        Args:
+            name: The curve.
+            value: The newest value; it replaces an earlier one of the same part.
+            where: The share of the training that is done.
+            scale: Values at the bottom and the top; None is the least and the largest so far.
+        """
+        values = self._curves.setdefault(name, {})
+        values[min(int(where * _CURVE), _CURVE - 1)] = value
+        low, high = scale or (min(values.values()), max(values.values()))
+        blocks = 0.0
+        if high > low:
+            blocks = (len(_BLOCKS) - 1) / (high - low)
+        characters = []
+        character = " "
+        for column in range(max(values) + 1):
+            if column in values:
+                character = _BLOCKS[round((values[column] - low) * blocks)]
+            characters.append(character)  # a part without a value repeats the one before
+        return "".join(characters)
+
+
+def _shares(statistics: TrainStatistics) -> tuple[Text, Text]:
+    """What the time goes to: a coloured bar, and its legend."""
+    from rich.text import Text
+
+    bar = Text()
+    legend = Text()
+    for name, share in statistics.fractions.items():
+        bar.append("█" * round(share * _CURVE), style=_COLOURS[name])
+        if legend:
+            legend.append("  ")
+        legend.append(f"{name} {share:.0%}", style=_COLOURS[name])
+    return bar, legend
 
 
 def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+    if hours:
+        return f"{hours}:{minutes:02}:{seconds:02}"
+    return f"{minutes}:{seconds:02}"
 
 
 def _best(statistics: TrainStatistics) -> tuple[str, str]:
     """Score of the best checkpoint, and its environment step."""
     if statistics.best is None:
         return "-", ""
-    steps, (success, mean) = statistics.best
-    score = f"return {mean:.4g}" if statistics.success_rate is None else f"success {success:.0%}"
+    steps, (success, mean_return) = statistics.best
+    if statistics.success_rate is None:
+        score = f"return {mean_return:.4g}"
+    else:
+        score = f"success {success:.0%}"
     return score, f"at {steps:,} steps"

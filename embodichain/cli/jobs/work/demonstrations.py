@@ -62,8 +62,11 @@ def _episodes(
     from embodichain.recording.demos.demonstrations import read_episodes
     from embodichain.recording.format.log_error import LogError
 
-    given = root.dataset or []
-    paths = [Path(path) for path in ([given] if isinstance(given, str) else given)]
+    paths_or_path = root.dataset or []
+    paths = [
+        Path(path)
+        for path in ([paths_or_path] if isinstance(paths_or_path, str) else paths_or_path)
+    ]
     try:
         checked: Path | None = None
         for episode in read_episodes(paths, progress=progress):
@@ -74,8 +77,8 @@ def _episodes(
     except LogError as error:
         raise ConfigError([Problem("dataset", str(error))]) from error
     except ConfigError as error:
-        found = [p if p.path else Problem("dataset", p.message) for p in error.problems]
-        raise ConfigError(found) from error
+        problems = [p if p.path else Problem("dataset", p.message) for p in error.problems]
+        raise ConfigError(problems) from error
 
 
 def _check_task(log: Path, env: BaseEnv, *, allow: bool) -> None:

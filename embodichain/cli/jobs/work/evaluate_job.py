@@ -91,7 +91,7 @@ def evaluate_job(job: Job, plan: EvaluationPlan) -> dict[str, Any]:
                     display.show(counted.episodes, _facts(counted))
                 return job.stop.is_stopped()
 
-            found = evaluate(env, policy, plan.episodes, seed=plan.seed, watch=watch)
+            evaluation = evaluate(env, policy, plan.episodes, seed=plan.seed, watch=watch)
     finally:
         env.close()  # finishes the log too
     result = {
@@ -101,7 +101,7 @@ def evaluate_job(job: Job, plan: EvaluationPlan) -> dict[str, Any]:
         "folder": str(job.folder),
         "log": str(recorder.stats.path) if recorder is not None else None,
         "changed": [str(change) for change in getattr(policy, "changed", ())],
-        **found.as_dict(),
+        **evaluation.as_dict(),
     }
     text = to_json(job.resolved.record(result), indent=2)
     write_text(job.folder / EVAL_FILE, text + "\n")

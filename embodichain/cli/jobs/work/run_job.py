@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.job import Job, policy_of
+from embodichain.cli.jobs.work.summary_file import failure_in_summary, write_summary
 from embodichain.cli.results.summaries import run_rows
-from embodichain.cli.terminal.output import print_facts, print_json, to_json
+from embodichain.cli.terminal.output import print_facts, print_json
 from embodichain.cli.terminal.reporting import ProgressDisplay, episodes_of
-from embodichain.config.run_folder import SUMMARY
 from embodichain.lab.gym.failures import failed_in
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
-from embodichain.utils.system.atomic import write_text
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -32,31 +31,30 @@ _log = logging.getLogger(__name__)
 def run_job(job: Job) -> float | None:
     """Build, roll out, close and summarize; a failure is written to `summary.json` too."""
     root = job.root
+    policy = root.policy
+    if policy is not None and not isinstance(policy, str):
+        policy = policy.func
     facts: dict[str, Any] = {
         "task": job.resolved.task_name,
         "folder": str(job.folder),
         "seed": root.seed,
-        "policy": root.policy if isinstance(root.policy, (str, type(None))) else root.policy.func,
+        "policy": policy,
     }
-    try:
-        counted, log = _simulate(job)
-    except Exception as error:
-        try:
-            _write_summary(job, {**facts, "status": "failed", "error": repr(error)})
-        except OSError as second:  # a full disk fails here too; the first error is reported
-            _log.warning("%s could not be written: %s", SUMMARY, second)
-        raise
+    with failure_in_summary(job, facts):
+        results, log = _simulate(job)
     if log is not None:
-        facts |= {"log": str(log.path), "log_bytes": log.nbytes}
-    summary = {**facts, **counted}
-    _write_summary(job, summary)
+        facts["log"] = str(log.path)
+        facts["log_bytes"] = log.nbytes
+    summary = {**facts, **results}
+    write_summary(job, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
     summary |= job.film(None if log is None else log.path)
     if root.json:
         print_json(summary)
     elif not root.quiet:
         print_facts(str(summary["task"]), run_rows(summary))
-    return summary["return"]["mean"] if summary["return"] is not None else None
+    returns = summary["return"]
+    return None if returns is None else returns["mean"]
 
 
 def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
@@ -75,12 +73,14 @@ def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
         obs, _ = env.reset()
         picture = _StartPicture(env) if root.scene_png else None
         job.begin()
-        counted = _roll_out(env, policy, obs, job)
+        results = _roll_out(env, policy, obs, job)
     finally:
         env.close()  # finishes the log too
         if picture is not None:
             picture.draw(job.folder / "scene.png")
-    return counted, recorder.stats if recorder is not None else None
+    if recorder is None:
+        return results, None
+    return results, recorder.stats
 
 
 def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any]:
@@ -93,7 +93,8 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
         The statistics for `summary.json`. The status is ``finished`` if every environment completed
         its episodes, ``max_steps`` if the limit was reached, ``interrupted`` after a signal.
     """
-    max_steps, stop = job.root.max_steps, job.stop
+    max_steps = job.root.max_steps
+    stop = job.stop
     counted = EpisodeStatistics(env.num_envs, job.root.episodes or 1)
     limit = float("inf") if max_steps is None else max_steps
     start = time.perf_counter()
@@ -111,7 +112,9 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
             from embodichain.cli.jobs.sharding import play_inside
 
             steps = play_inside(job.root, env, counted) or steps
-        for _ in () if stop.is_stopped() else steps:
+        if stop.is_stopped():  # while the environment was built: no step is made
+            steps = iter(())
+        for _ in steps:
             if env.sim.is_window_open:  # in real time
                 time.sleep(max(0.0, start + counted.steps * env.step_dt - time.perf_counter()))
             if display.due:
@@ -147,7 +150,8 @@ def _facts(counted: EpisodeStatistics, max_steps: int | None, seconds: float) ->
     """The numbers shown beside the progress bar."""
     steps = f"{counted.steps}/{max_steps}" if max_steps is not None else f"{counted.steps}"
     facts = {"step": steps, "FPS": f"{counted.steps * counted.num_envs / seconds:,.0f}"}
-    mean_return, success = counted.mean("return"), counted.mean("success")
+    mean_return = counted.mean("return")
+    success = counted.mean("success")
     if mean_return:  # a task without rewards always returns 0
         facts["return"] = f"{mean_return:.3g}"
     if success is not None:
@@ -184,11 +188,6 @@ def _failures(counted: EpisodeStatistics) -> dict[str, Any]:
             first.setdefault(failed_in(failure), failure)
     listed = dict(steps.most_common())
     return {"failed_in": listed, "failed_for": {step: first[step] for step in listed}}
-
-
-def _write_summary(job: Job, summary: dict[str, Any]) -> None:
-    text = to_json(job.resolved.record(summary), indent=2)
-    write_text(job.folder / SUMMARY, text + "\n")
 
 
 class _StartPicture:

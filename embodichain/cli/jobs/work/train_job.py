@@ -5,17 +5,16 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.jobs.job import Job
 from embodichain.cli.jobs.work.demonstrations import read_dataset
 from embodichain.cli.jobs.work.evaluate_job import EvaluationPlan, evaluate_job, evaluation_config
+from embodichain.cli.jobs.work.summary_file import failure_in_summary
 from embodichain.cli.results.summaries import training_rows
-from embodichain.cli.terminal.output import print_facts, print_json, to_json
+from embodichain.cli.terminal.output import print_facts, print_json
 from embodichain.cli.terminal.process import Interrupted, started
-from embodichain.utils.system.atomic import write_text
 
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
@@ -29,8 +28,10 @@ _log = logging.getLogger(__name__)
 
 def train_job(job: Job) -> float | None:
     """Train, evaluate the policy and print the results of both."""
-    episodes, seed = job.root.eval.episodes, job.root.seed
-    plan = evaluated = None
+    episodes = job.root.eval.episodes
+    seed = job.root.seed
+    plan: EvaluationPlan | None = None
+    evaluated: Resolved | None = None
     if episodes and seed is not None:  # as `embodichain eval RUN`; checked before training
         plan = EvaluationPlan(episodes, seed)
         evaluated = evaluation_config(job.resolved, plan)
@@ -51,7 +52,9 @@ def _learned(job: Job) -> dict[str, Any] | None:
     from embodichain.cli.sweeps.sweep_jobs import read_summary
 
     summary = read_summary(job.folder)
-    return {**summary, "folder": str(job.folder)} if summary.get("status") == "finished" else None
+    if summary.get("status") != "finished":
+        return None
+    return {**summary, "folder": str(job.folder)}
 
 
 def _learn(job: Job) -> dict[str, Any]:
@@ -64,8 +67,10 @@ def _learn(job: Job) -> dict[str, Any]:
     started()
     root = job.root
     algo = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
-    about = job.resolved.task_name, algo, root.total_timesteps or 0
-    with _said_if_failed(job, algo), Dashboard(*about, quiet=job.quiet) as display:
+    task = job.resolved.task_name
+    about = {"task": task, "algo": algo, "seed": root.seed, "folder": str(job.folder)}
+    dashboard = Dashboard(task, algo, root.total_timesteps or 0, quiet=job.quiet)
+    with failure_in_summary(job, about), dashboard as display:
 
         def progress(statistics: TrainStatistics) -> None:
             job.began.set()
@@ -77,7 +82,9 @@ def _learn(job: Job) -> dict[str, Any]:
         # Interrupted: checkpoint and summary have been written; the job ends with code 130.
         with suppress(Interrupted):
             train(
-                *(job.resolved, job.folder, progress),
+                job.resolved,
+                job.folder,
+                progress,
                 lambda env: job.attach_viewer(env, realtime=False),
                 lambda env: read_dataset(job, env),
             )
@@ -86,24 +93,6 @@ def _learn(job: Job) -> dict[str, Any]:
         raise Interrupted.by(job.stop.stopped, message)
     summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
     return {**summary, "folder": str(job.folder)}
-
-
-@contextmanager
-def _said_if_failed(job: Job, algo: str) -> Iterator[None]:
-    """Write a `summary.json` if the training dies of an exception; that is raised again."""
-    from embodichain.config.run_folder import SUMMARY
-
-    try:
-        yield
-    except Exception as error:
-        about = {"task": job.resolved.task_name, "algo": algo, "seed": job.root.seed}
-        failed = {**about, "folder": str(job.folder), "status": "failed", "error": repr(error)}
-        try:
-            text = to_json(job.resolved.record(failed), indent=2)
-            write_text(job.folder / SUMMARY, text + "\n")
-        except OSError as second:  # a full disk fails here too; the first error is reported
-            _log.warning("%s could not be written: %s", SUMMARY, second)
-        raise
 
 
 def _evaluate(job: Job, evaluated: Resolved, plan: EvaluationPlan) -> dict[str, Any]:
@@ -117,5 +106,5 @@ def _evaluate(job: Job, evaluated: Resolved, plan: EvaluationPlan) -> dict[str, 
     if reasons and evaluated.root.sim.warp.arrays == "device":
         evaluated = with_arrays(evaluated, "host")
         _log.warning("the evaluation has arrays on the host, because %s", "; ".join(reasons))
-    found = evaluate_job(dataclasses.replace(job, resolved=evaluated), plan)
-    return add_evaluation(job.folder, found) | job.film(found["log"])
+    result = evaluate_job(dataclasses.replace(job, resolved=evaluated), plan)
+    return add_evaluation(job.folder, result) | job.film(result["log"])

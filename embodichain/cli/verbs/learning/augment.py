@@ -96,6 +96,6 @@ def _resolved(path: Path, lines: list[str]) -> Resolved:
     fresh |= {"viewer": {"name": "none"}, "record": record, "output_dir": "outputs", "video": None}
     fresh |= {"max_steps": None, "trust": False}
     tree = with_changes({**tree, **fresh}, changes)
-    found = resolve_tree(tree, f"{path}: config.yaml", "collect", task_name=task)
+    config = resolve_tree(tree, f"{path}: config.yaml", "collect", task_name=task)
     policy = {"func": _POLICY, "params": {"demonstrations": str(path)}}
-    return dataclasses.replace(found.changed(policy=policy), overrides=tuple(lines))
+    return dataclasses.replace(config.changed(policy=policy), overrides=tuple(lines))

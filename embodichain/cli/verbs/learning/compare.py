@@ -65,9 +65,9 @@ def command(options: CompareOptions) -> None:
                 "label": group.label,
                 "seeds": [run.seed for run in group.runs],
                 "folders": [str(run.folder) for run in group.runs],
-                "numbers": {name: asdict(x) for name, x in found.items() if x is not None},
+                "numbers": {name: asdict(x) for name, x in estimates.items() if x is not None},
             }
-            for group, found in zip(groups, numbers, strict=True)
+            for group, estimates in zip(groups, numbers, strict=True)
         ]
         print_json({"groups": data, "picture": options.output})
         return
@@ -91,8 +91,8 @@ def _trainings(names: Sequence[str]) -> list[Path]:
         return list(paths)  # reading them reports the mistake
     for path in paths:
         if not inside[path]:
-            sys.stderr.write(f"left out: {path} is no training\n")
-    return list(dict.fromkeys(training for found in inside.values() for training in found))
+            sys.stderr.write(f"left out: {path} is not a training\n")
+    return list(dict.fromkeys(training for trainings in inside.values() for training in trainings))
 
 
 def _path(name: str) -> Path:

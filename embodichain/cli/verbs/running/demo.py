@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.jobs.job import Job, execute, output_overrides, policy_of
+from embodichain.cli.jobs.job import Body, Job, execute, output_overrides, policy_of
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.cli.jobs.work.run_job import run_job
 from embodichain.cli.terminal.output import print_facts, print_json
@@ -76,19 +76,25 @@ def command(options: DemoOptions) -> None:
     refuse_unread("demo", lines)
     if on_page:
         refuse_unread("demo --web", lines)
-    given = {line.partition("=")[0].lstrip("+~") for line in lines}
-    if not {"task", "gym_config"} & given:
+    typed_keys = {line.partition("=")[0].lstrip("+~") for line in lines}
+    if not {"task", "gym_config"} & typed_keys:
         lines.append(f"task={_TASK}")
-    defaults = {"num_envs": "1", "seed": _SEED, **(_PAGE if on_page else _FILM)}
-    if not on_page:
-        encoder = importlib.util.find_spec("imageio_ffmpeg") is not None
-        defaults["video.format"] = "mp4" if encoder else "gif"
-    if "policy" not in given:
+    if "policy" not in typed_keys:
         lines.append(f"policy={_policy(lines)}")
-    lines += [f"{key}={value}" for key, value in defaults.items() if key not in given]
+    defaults = {"num_envs": "1", "seed": _SEED}
+    body: Body
+    if on_page:
+        defaults |= _PAGE
+        body = _Page(display)
+    else:
+        encoder = importlib.util.find_spec("imageio_ffmpeg") is not None
+        defaults |= _FILM
+        defaults["video.format"] = "mp4" if encoder else "gif"
+        body = run_job
+    lines += [f"{key}={value}" for key, value in defaults.items() if key not in typed_keys]
     resolved = resolve([*lines, *output_overrides(options)], "run")
     try:
-        execute(resolved, _Page(display) if on_page else run_job, command_line())
+        execute(resolved, body, command_line())
     except RenderError as error:
         raise RenderError(f"{error}\n--web shows it in a browser, without OpenGL here") from error
 
@@ -103,7 +109,8 @@ def _policy(lines: list[str]) -> str:
     from embodichain.data.pretrained import pretrained_tasks
 
     composed = compose(lines, "run")
-    name, tasks = composed.choices.get("task"), pretrained_tasks()
+    name = composed.choices.get("task")
+    tasks = pretrained_tasks()
     if name in tasks:
         return "pretrained"
     task = composed.tree.get("task")
@@ -142,7 +149,8 @@ class _Page:
                 last_seen = time.monotonic()
                 for _ in play(env, policy, obs, counted):
                     now = time.monotonic()
-                    last_seen = now if view is None or view.watched else last_seen
+                    if view is None or view.watched:
+                        last_seen = now
                     if job.stop.is_stopped() or now - last_seen > _GONE:
                         break
         finally:
@@ -159,10 +167,13 @@ class _Page:
     def _wait(self, job: Job, view: WebView) -> bool:
         """Wait for a browser; returns False if the run was stopped."""
         # Other users can read a browser's command line: what is in it opens one page, once.
-        url = view.url_once if self._display else view.url
-        opened = self._display and webbrowser.open(url)
+        url = view.url
+        why = ""
+        if self._display:
+            url = view.url_once
+            if not webbrowser.open(url):
+                why = "no browser could be opened here; "
         if not job.root.quiet:
-            why = "no browser could be opened here; " if self._display and not opened else ""
             sys.stderr.write(f"{why}waiting for a browser at {url} (Ctrl-C ends the demo)\n")
         while not view.watched and not job.stop.is_stopped():
             time.sleep(_NAP)

@@ -195,12 +195,12 @@ def _disk() -> Iterator[Check]:
     folder = Path("outputs").resolve()
     existing = next(p for p in (folder, *folder.parents) if p.exists())
     free = shutil.disk_usage(existing).free / 1e9
-    found = f"{free:.1f} GB free for {folder}"
+    space = f"{free:.1f} GB free for {folder}"
     if free > _LOW_DISK_GB:
-        yield Check("disk", "ok", found)
+        yield Check("disk", "ok", space)
     else:
         yield Check(
-            "disk", "warn", found, "logs of many environments are large: record=none, or room"
+            "disk", "warn", space, "logs of many environments are large: record=none, or room"
         )
     if not os.access(existing, os.W_OK):
         yield Check("outputs", "warn", f"{existing} cannot be written", "run elsewhere")
@@ -216,8 +216,8 @@ def _optional() -> Iterator[Check]:
             yield Check(name, "ok", listed)
             continue
         lacking = f"not installed: {', '.join(missing)}"
-        found = f"{lacking} (there: {listed})" if listed else lacking
-        yield Check(name, "missing", found, f"{purpose}: pip install {install}")
+        installed = f"{lacking} (there: {listed})" if listed else lacking
+        yield Check(name, "missing", installed, f"{purpose}: pip install {install}")
     yield _cuda()
 
 
