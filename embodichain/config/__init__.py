@@ -1,4 +1,4 @@
-"""From YAML and overrides to one checked, frozen config: compose, validate, derive, freeze.
+"""From YAML and overrides to one checked, frozen config: compose, validate, resolve, compile.
 
 Scenes and terms are defined in `lab`; this package uses its data classes and checks. Names are
 imported on first use, so that importing the package is cheap.
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from embodichain.config.file_validation import validate_file
     from embodichain.config.resolved import (
         Resolved,
+        compile_scene_of,
         dump_yaml,
         freeze,
         resolve,
@@ -38,8 +39,8 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "environments.factory": ["make", "make_batch", "make_env"],
         "composition.hydra_loader": ["user_configs"],
         "resolved": [
-            *("Resolved", "dump_yaml", "freeze", "resolve", "resolve_tree", "thaw"),
-            "write_record",
+            *("Resolved", "compile_scene_of", "dump_yaml", "freeze", "resolve"),
+            *("resolve_tree", "thaw", "write_record"),
         ],
         "run_folder": ["adopt", "claim", "find_run"],
         "checks.validation": ["validate"],
@@ -52,6 +53,7 @@ __all__ = [
     "Resolved",
     "adopt",
     "claim",
+    "compile_scene_of",
     "compose",
     "dump_yaml",
     "find_run",

@@ -14,7 +14,7 @@ from embodichain.config.composition.gym_config import load_gym_config, override_
 from embodichain.config.composition.hydra_loader import explain_yaml
 from embodichain.config.composition.locate import ConfigFile, Locator, display_path
 from embodichain.config.keys.schema import Verb
-from embodichain.config.resolved import Checked, Resolved, checked
+from embodichain.config.resolved import Checked, Resolved, checked, compile_scene_of
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["checked_file", "notes_on_file", "resolve_file", "validate_file"]
@@ -31,7 +31,7 @@ def validate_file(path: str | Path, verb: Verb = "run") -> list[Problem]:
         verb: The verb for which the task's suggestions are used.
     """
     try:
-        resolve_file(path, verb)
+        compile_scene_of(resolve_file(path, verb))
     except ConfigError as error:
         return list(error.problems)
     return []

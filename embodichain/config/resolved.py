@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from embodichain.config.checks.compiled_scene import compile_declared
 from embodichain.config.checks.validation import Check, check, check_tree
 from embodichain.config.checks.viewer_access import access_of, take_token, without_token
 from embodichain.config.composition.composed import Composed, compose
@@ -36,7 +37,6 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import KeySources
 from embodichain.lab.gym.policies import PRETRAINED
 from embodichain.lab.sim.cfg import SimulationManagerCfg, choose_engine
 from embodichain.lab.sim.compiler.names import exact_pattern
-from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
 from embodichain.utils.env_text import EnvText, env_texts, hidden
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -45,12 +45,15 @@ from embodichain.utils.system.atomic import write_text
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.scene_setup import DeclaredScene
+    from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 
 __all__ = [
     "Checked",
     "Resolved",
     "build_env",
     "checked",
+    "compile_scene_of",
     "dump_yaml",
     "freeze",
     "resolve",
@@ -86,7 +89,8 @@ class Resolved:
         notes: What was left out or changed in converting a gym config, given keys that change
             nothing, and derived values that change the physics.
         source: Function from a key path to where the key was set, or an empty string.
-        prepared: The scene that the check compiled, reused by the first environment.
+        declared: The scene of the task as the check has read it, for `compile_scene_of`, which
+            reads the files anew without it. It is no part of the config.
         token: The viewer's, which `tree` does not have; ``auto`` and ``none`` as in the config.
     """
 
@@ -95,7 +99,7 @@ class Resolved:
     task_name: str
     notes: tuple[Problem, ...] = ()
     source: Callable[[str], str] = field(default=lambda path: "", repr=False, compare=False)
-    prepared: PreparedScene = field(default_factory=PreparedScene, repr=False, compare=False)
+    declared: DeclaredScene | None = field(default=None, repr=False, compare=False)
     token: str = field(default=AUTO, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -132,13 +136,13 @@ class Resolved:
             num_threads=root.sim.num_threads,
             persistent=root.sim.persistent,
         )
-        cfg.sim_cfg.prepared_scene = self.prepared
         cfg.key_sources = KeySources(self.source)
         return cfg
 
     def changed(self, **values: Any) -> Resolved:
         """Return a copy with other values for keys of the root."""
-        return replace(self, tree=freeze({**self.tree, **values}))
+        declared = None if "task" in values else self.declared
+        return replace(self, tree=freeze({**self.tree, **values}), declared=declared)
 
     def pinned(self) -> Resolved:
         """Return a copy in which `last` and links are the folders that they refer to now.
@@ -325,13 +329,25 @@ def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], 
     """The checked config; raises if it has mistakes."""
     if found.problems:
         raise ConfigError(found.problems)
-    tree, notes = _with_armature(_with_defaults(found.types.tree, verb), found.scene)
+    tree, declared = _with_defaults(found.types.tree, verb), found.scene
+    notes: tuple[Problem, ...] = ()
+    if declared is not None:
+        tree, notes = _with_armature(tree, declared.added_armature())
+        declared = declared.with_given_armature()
     if verb == "train" and isinstance(tree["algo"], Mapping):
         tree, chosen, doubtful = _with_learning_scale(tree)
         notes = (*notes, *chosen, *(problem.at(source(problem.path)) for problem in doubtful))
     recorded, token = take_token(tree)
     notes = (*found.notes, *notes)
-    return Resolved(freeze(recorded), (), task_name, notes, source, found.scene, token)
+    return Resolved(
+        tree=freeze(recorded),
+        overrides=(),
+        task_name=task_name,
+        notes=notes,
+        source=source,
+        declared=declared,
+        token=token,
+    )
 
 
 def _with_pretrained(resolved: Resolved) -> Resolved:
@@ -401,15 +417,17 @@ def _algo_of(folder: Path) -> Mapping[str, Any] | None:
 
 
 def _with_armature(
-    tree: Mapping[str, Any], prepared: PreparedScene
+    tree: Mapping[str, Any], added: Mapping[str, Mapping[str, float]]
 ) -> tuple[dict[str, Any], tuple[Problem, ...]]:
-    """A copy with default armature for joints without one; a note for each changed articulation.
+    """A copy with the armature of joints without one; a note for each changed articulation.
 
-    Only joints for which the task gives no armature are changed; the articulations' configs in
-    `prepared` get the same change.
+    Args:
+        tree: The config.
+        added: Key path of an articulation in the task -> joint -> armature; only joints for which
+            the task gives none.
     """
     changed, notes = copy.deepcopy(dict(tree)), []
-    for path, raised in prepared.settle_armature().items():
+    for path, raised in added.items():
         entity = changed["task"]
         for key in path.split("."):
             entity = entity[key]
@@ -499,11 +517,48 @@ class _Dumper(yaml.SafeDumper):
 _Dumper.add_representer(EnvText, _Dumper.env_text)
 
 
-def build_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
+def compile_scene_of(resolved: Resolved) -> CompiledScene | None:
+    """Compile the scene of a config: the step between resolving it and building environments.
+
+    Any number of environments may be built from the result (`build_env`), which none writes to. It
+    is not pickled: a worker process compiles its own.
+
+    Args:
+        resolved: A checked config with every value filled in.
+
+    Returns:
+        The scene; None where the class that the config names may add entities to it, which is then
+        compiled inside the build.
+
+    Raises:
+        ConfigError: Lists every mistake that only the compiled scene shows, with its place.
+    """
+    root = resolved.root
+    if root.task.id is not None:
+        from embodichain.lab.gym.utils.registration import config_declares_scene
+
+        if not config_declares_scene(_registered_id(root.task)):
+            return None
+    declared = resolved.declared
+    if declared is None:
+        from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
+
+        declared = describe(root.task, root.num_envs)
+    with resolved.locating():
+        return compile_declared(root, declared)
+
+
+def _registered_id(task: EnvCfg) -> str:
+    """The id of the class that a task names, without its module."""
+    return str(task.id).rpartition(":")[2]
+
+
+def build_env(resolved: Resolved, compiled_scene: CompiledScene | None, **kwargs: Any) -> BaseEnv:
     """Build the environment of a config, as an instance of the class that the config names.
 
     Args:
         resolved: A checked config with every value filled in.
+        compiled_scene: The result of `compile_scene_of`.
         **kwargs: For `BaseEnv`, or for the class.
 
     Raises:
@@ -514,8 +569,10 @@ def build_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
     if cfg.id is not None:
         from embodichain.lab.gym.utils import registration
 
+        if compiled_scene is not None:  # other classes need not know the argument
+            kwargs["compiled_scene"] = compiled_scene
         with resolved.locating("task"):
-            return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
+            return registration.make(_registered_id(cfg), cfg=cfg, **kwargs)
     for key in kwargs:
         if key not in _KWARGS:
             known = [*_OF_MAKE, *_KWARGS]
@@ -524,7 +581,7 @@ def build_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
     with resolved.locating("task"):
-        env = BaseEnv(cfg, **kwargs)
+        env = BaseEnv(cfg, compiled_scene=compiled_scene, **kwargs)
         if cfg.expert is not None:
             from embodichain.lab.gym.expert.fingers import check_fingers
 

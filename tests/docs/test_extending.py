@@ -12,7 +12,7 @@ import torch
 
 import embodichain
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.envs.managers.terms.registry import KINDS, LEADING
+from embodichain.lab.gym.envs.managers.terms.registry import KINDS, LEADING, TERMS
 from embodichain.lab.gym.policies import resolve_policy
 
 pytestmark = pytest.mark.unmeasured
@@ -152,3 +152,24 @@ def test_policies(terms) -> None:
     assert patient(obs, env).tolist() == [[0.25], [0.0]]
     patient.reset(None)
     assert patient(obs, env).tolist() == [[0.0], [0.0]]
+
+
+def test_the_compiler_reckons_with_the_stiffness_that_the_event_draws(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "my_gains.py").write_text(block("my_gains.py"), encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    largest = []
+    for stiffest in (1e4, 8e4):
+        params = f"{{of: {{uid: ur10}}, stiffness: [1e4, {stiffest:g}]}}"
+        term = f"{{func: my_gains:draw_stiffness, mode: reset, params: {params}}}"
+        drives = "task.robot.drive_pros={stiffness: 1e4, max_effort: file, armature: null}"
+        env = embodichain.make("reach", 2, [drives, f"+task.events.gains={term}"])
+        env.reset()
+        drawn = env.robot.get_joint_drive()[0]
+        assert ((drawn >= 1e4) & (drawn <= stiffest)).all()
+        largest.append(max(env.robot.parsed.armature))
+        env.close()
+    assert largest[1] > largest[0]
+    sys.modules.pop("my_gains")
+    TERMS["event"].pop("draw_stiffness")

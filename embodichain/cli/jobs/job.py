@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from embodichain.config.keys.schema import RootCfg, Verb
     from embodichain.config.resolved import Checked, Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.compiler.compile_scene import CompiledScene
     from embodichain.recording import ImageOptions, McapRecorder
     from embodichain.recording.film.filming import Filmed
     from embodichain.recording.shards.shard_logs import ShardLogs
@@ -85,12 +86,14 @@ class Job:
 
     Attributes:
         resolved: The config.
+        compiled_scene: Its scene, for every environment of the job; None if a class adds to it.
         folder: The run folder, not shared with other runs.
         stop: Set by a signal; the job then ends after the current control step.
         began: Set by `begin`.
     """
 
     resolved: Resolved
+    compiled_scene: CompiledScene | None
     folder: Path
     stop: StopFlag
     began: threading.Event = field(default_factory=threading.Event)
@@ -278,6 +281,7 @@ def start(verb: Verb, body: Body, options: JobOptions) -> None:
     """
     from embodichain.config.composition.composed import compose
     from embodichain.config.composition.override_text import readable
+    from embodichain.config.resolved import compile_scene_of
 
     overrides = [*map(readable, split_overrides(options.words)), *output_overrides(options)]
     if options.gym_config is not None:
@@ -287,7 +291,10 @@ def start(verb: Verb, body: Body, options: JobOptions) -> None:
     line = command_line()
 
     def check(lines: Sequence[str]) -> Resolved:
-        return resolved_job(compose(lines, verb), verb)
+        """Check a job of Hydra's, which is resolved and compiled again where it runs."""
+        resolved = resolved_job(compose(lines, verb), verb)
+        compile_scene_of(resolved)
+        return resolved
 
     def do(
         resolved: Resolved,
@@ -306,7 +313,7 @@ def start(verb: Verb, body: Body, options: JobOptions) -> None:
 
         call_hydra(verb, check, do, options, overrides)
     else:
-        do(check(overrides))
+        do(resolved_job(compose(overrides, verb), verb))
 
 
 def output_overrides(options: OverrideOptions) -> list[str]:
@@ -366,7 +373,7 @@ def execute(
     goes_on: bool = False,
     take_back: Callable[[], None] | None = None,
 ) -> float | None:
-    """Run a job in its folder, with a log file.
+    """Compile the scene of a job, and run it in its folder, with a log file.
 
     Args:
         resolved: The config.
@@ -378,18 +385,20 @@ def execute(
         take_back: Called where the job is refused before it began, with a folder that is given.
 
     Raises:
-        ConfigError: The folder cannot be made.
+        ConfigError: The scene cannot be compiled, or the folder cannot be made.
         Interrupted: A signal came; the files are complete up to that step.
         Exception: Any exception of `body`.
     """
+    from embodichain.config.resolved import compile_scene_of
     from embodichain.config.run_folder import abandon, claim, latest_of, missing_folders
 
     resolved = pinned(resolved)
+    compiled_scene = compile_scene_of(resolved)
     if resolved.tree["sim"]["engine"] == "warp":
         from embodichain.config.environments.factory import with_warp_values
 
         with resolved.locating():
-            resolved = with_warp_values(resolved, verb)
+            resolved = with_warp_values(resolved, verb, compiled_scene=compiled_scene)
     root = resolved.root.output_dir
     if folder is None:
         try:
@@ -399,11 +408,11 @@ def execute(
             raise ConfigError(message) from error
         folder = claim(root, resolved.task_name)
         take_back = partial(abandon, folder, root, before, made)
-    began = threading.Event()
+    job = Job(resolved, compiled_scene, folder, StopFlag())
     try:
-        return _execute(resolved, body, command, folder, began, goes_on=goes_on)
+        return _execute(job, body, command, goes_on=goes_on)
     except (ConfigError, RenderError):  # the input is wrong: code 2, nothing was started
-        if not began.is_set() and take_back is not None:
+        if not job.began.is_set() and take_back is not None:
             take_back()
         raise
 
@@ -420,27 +429,19 @@ def pinned(resolved: Resolved) -> Resolved:
     return found
 
 
-def _execute(
-    resolved: Resolved,
-    body: Body,
-    command: Sequence[str],
-    folder: Path,
-    began: threading.Event,
-    *,
-    goes_on: bool,
-) -> float | None:
+def _execute(job: Job, body: Body, command: Sequence[str], *, goes_on: bool) -> float | None:
     """Run a job in its folder; see `execute`."""
     from embodichain.config.checks.viewer_access import without_token
     from embodichain.config.resolved import write_record
 
+    resolved, folder = job.resolved, job.folder
     command = without_token(with_paths(command))
     if not goes_on:
         write_record(folder, resolved, command)
-    with log_to(folder / LOG_FILE) as log, StopFlag() as stop:
+    with log_to(folder / LOG_FILE) as log, job.stop as stop:
         log.info("command: %s", shlex.join(command))
         for note in resolved.notes:
             log.warning("%s", note)
-        job = Job(resolved, folder, stop, began)
         if not job.quiet:
             sys.stderr.write(f"{resolved.task_name}: {folder}\n")
         with resolved.locating():

@@ -24,10 +24,12 @@ _ALWAYS = ("term", "func", "shape", "weight", "kind", "reduce", "group", "params
 
 
 def task_tables(resolved: Resolved) -> dict[str, Any]:
-    """Build and close a task's environment; return title -> table."""
+    """Compile a task's scene, build and close its environment; return title -> table."""
     from embodichain.config.environments.factory import make_env
+    from embodichain.config.resolved import compile_scene_of
 
-    env = make_env(resolved.changed(num_envs=1))
+    compiled_scene = compile_scene_of(resolved)
+    env = make_env(resolved.changed(num_envs=1), compiled_scene=compiled_scene)
     try:
         model = env.sim.scene.model
         return {

@@ -1,7 +1,9 @@
 """All checks of a config in one report: types, values, terms, scene; each mistake with its place.
 
 Types are checked by `check_types`, terms by `lab.gym.envs.managers.terms.check`, the scene by
-`lab.gym.envs.scene_setup`; values of the root and of the task are checked here.
+`lab.gym.envs.scene_setup`; values of the root and of the task are checked here. The scene of a
+config with mistakes is compiled, too, for the report to have those that MuJoCo finds; that of a
+config without is compiled in a step of its own, after the config is resolved.
 """
 
 from __future__ import annotations
@@ -14,10 +16,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.override_parser.types import OverrideType
 
+from embodichain.config.checks.compiled_scene import compile_declared
 from embodichain.config.checks.given_keys import check_given
 from embodichain.config.checks.viewer_access import access_of
 from embodichain.config.composition.composed import Composed
@@ -39,10 +42,12 @@ from embodichain.lab.gym.envs.managers.terms.check import check_terms
 from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS, resolve_term
 from embodichain.lab.gym.policies import PRETRAINED, resolve_policy
 from embodichain.lab.sim.cfg import WarpCfg, choose_engine
-from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import unknown_key
 from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.scene_setup import DeclaredScene
 
 __all__ = ["Check", "check", "check_training_keys", "check_tree", "named_maps", "validate"]
 
@@ -61,24 +66,28 @@ class Check:
     Attributes:
         problems: Every mistake; empty if there is none.
         types: The config with the task's suggestions, as plain values and as data classes.
-        scene: The scene that was compiled for the check.
+        scene: The scene that the task declares, with its files read; None if the part of the config
+            with its entities has mistakes.
         notes: Given keys that change nothing.
     """
 
     problems: list[Problem]
     types: TypeCheck
-    scene: PreparedScene
+    scene: DeclaredScene | None = None
     notes: tuple[Problem, ...] = ()
 
 
 def validate(composed: Composed, verb: Verb = "run") -> list[Problem]:
-    """Return every mistake of a composed config, including those found while composing.
+    """Return every mistake of a composed config, from composing it to compiling its scene.
 
     Args:
         composed: The result of `compose`.
         verb: The verb for which the task's suggestions are used.
     """
-    return check(composed, verb).problems
+    found = check(composed, verb)
+    if found.problems or found.types.root is None or found.scene is None:
+        return found.problems
+    return _located(_mistakes_in_model(found.types.root, found.scene, ()), composed.source)
 
 
 def check(composed: Composed, verb: Verb) -> Check:
@@ -98,7 +107,7 @@ def check(composed: Composed, verb: Verb) -> Check:
     else:
         types = check_types({**composed.tree, "task": {}})
         located = _located(types.problems, composed.source)
-        found = Check(located, replace(types, root=None), PreparedScene())
+        found = Check(located, replace(types, root=None))
     before = [*composed.problems, *_located(unknown, composed.source)]
     return replace(found, problems=[*before, *found.problems])
 
@@ -131,12 +140,16 @@ def check_tree(
         _remove(rest, ".".join(problem.path.split(".")[:4]))  # task.suggested.VERB.KEY
     types = check_types(_with_suggestions(rest, verb, chosen))
     problems += types.problems
-    missing, scene = [*lost, *types.pruned], PreparedScene()
+    missing = [*lost, *types.pruned]
+    scene: DeclaredScene | None = None
     notes: list[Problem] = []
     if types.root is not None:
         found, notes = check_given(types.root, types.tree)
         problems += found
+        scene = _read_scene(types.root, missing, allow_import)
         further = _check_meaning(types.root, verb, missing, allow_import, scene)
+        if scene is not None and (problems or lost or further):
+            further += _mistakes_in_model(types.root, scene, missing)
         problems += [p for p in further if not _below(p.path, missing)]
     distinct = {p.path + p.message: p for p in problems}.values()
     return Check(_located(distinct, source), types, scene, tuple(_located(notes, source)))
@@ -170,12 +183,21 @@ def _advised(problem: Problem, locator: Locator) -> Problem:
     return replace(problem, hint=hint).at(problem.source)
 
 
+def _read_scene(root: RootCfg, missing: Sequence[str], allow_import: bool) -> DeclaredScene | None:
+    """Read the scene of the task; None where a mistake of type leaves entities out."""
+    if any(_ENTITY.fullmatch(path) for path in missing):
+        return None
+    from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
+
+    return describe(root.task, root.num_envs, allow_import=allow_import)
+
+
 def _check_meaning(
     root: RootCfg,
     verb: Verb,
     missing: Sequence[str],
     allow_import: bool,
-    scene: PreparedScene,
+    scene: DeclaredScene | None,
 ) -> list[Problem]:
     """Check values, terms and scene of the keys that have the right types."""
     problems = _check_root(root, allow_import)
@@ -186,22 +208,14 @@ def _check_meaning(
     if verb == "collect":
         problems += _check_collecting(root)
     known = {p.path for p in problems}
-    whole = not any(_below(path, ["record.images"]) for path in missing)
-    images = root.record.images if whole else None
     in_task = check_terms(root.task, allow_import=allow_import)
-    if not any(_ENTITY.fullmatch(path) for path in missing):
-        from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
-
-        in_task += describe(root.task, scene, root.num_envs)
-        problems += _lacking(root, scene)
+    if scene is not None:
+        in_task += scene.problems
     if root.task.expert is not None and not _below("task.expert", missing):
         from embodichain.lab.gym.expert.program import check_expert  # imports the actions
 
-        in_task += check_expert(root.task, scene.known, allow_import)
-    if images is not None and scene.scene is not None and root.task.id is None:
-        from embodichain.config.checks.recorded_images import check_images  # imports MuJoCo
-
-        problems += check_images(images, scene.scene.model, scene.scene.camera_sensors)
+        entities = None if scene is None else scene.known
+        in_task += check_expert(root.task, entities, allow_import)
     found = [replace(p, path=f"task.{p.path}".rstrip(".")) for p in in_task]
     problems += [p for p in found if p.path not in known]
     if verb != "train" and _policy_name(root) == "teleop" and not _below("task.actions", missing):
@@ -209,14 +223,18 @@ def _check_meaning(
     return problems
 
 
-def _lacking(root: RootCfg, prepared: PreparedScene) -> list[Problem]:
-    """What MuJoCo Warp lacks of the compiled scene, if it is to step it."""
-    engine, missing = choose_engine(root.sim.engine, root.device or "cpu")
-    if engine != "warp" or missing or prepared.scene is None:
+def _mistakes_in_model(
+    root: RootCfg, scene: DeclaredScene, missing: Sequence[str]
+) -> list[Problem]:
+    """The mistakes that only the compiled scene shows; none if it cannot be compiled."""
+    if scene.problems:
         return []
-    from embodichain.lab.sim.engine.warp.warp_support import unsupported  # imports MuJoCo Warp
-
-    return unsupported(prepared.scene.model)
+    images = not any(_below(path, ["record.images"]) for path in missing)
+    try:
+        compile_declared(root, scene, images=images)
+    except ConfigError as error:
+        return list(error.problems)
+    return []
 
 
 def check_training_keys(root: RootCfg) -> list[Problem]:

@@ -15,13 +15,20 @@ from typing import TYPE_CHECKING, Any, cast
 
 from embodichain.config.environments.host_arrays import why_host, why_not_device, with_arrays
 from embodichain.config.gymnasium_ids import task_of_id
-from embodichain.config.resolved import Resolved, build_env, resolve, thaw
+from embodichain.config.resolved import (
+    Resolved,
+    build_env,
+    compile_scene_of,
+    resolve,
+    thaw,
+)
 from embodichain.lab.gym.envs.managers.terms.term_errors import TermError
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.config.keys.schema import Verb
     from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 
 __all__ = ["make", "make_batch", "make_env", "with_warp_sizes", "with_warp_values"]
 
@@ -72,32 +79,43 @@ def make(
         raise
     for note in resolved.notes:
         _log.warning("%s", note)
-    return make_batch(with_warp_values(resolved, None, kwargs), **kwargs)
+    compiled_scene = compile_scene_of(resolved)
+    resolved = with_warp_values(resolved, None, kwargs, compiled_scene=compiled_scene)
+    return make_batch(resolved, compiled_scene=compiled_scene, **kwargs)
 
 
-def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
+def make_env(
+    resolved: Resolved, *, compiled_scene: CompiledScene | None = None, **kwargs: Any
+) -> BaseEnv:
     """Build the environment of a config in this process, whatever ``sim.backend`` says.
 
     It is an instance of the class that the config names.
 
     Args:
         resolved: A checked config. ``auto`` arrays are on the host; see `with_warp_values`.
+        compiled_scene: The scene of this config (`compile_scene_of`), which environments may share;
+            None compiles it.
         **kwargs: For `BaseEnv`, or for the class.
 
     Raises:
         ConfigError: A mistake that is only found by building, with its place.
         TypeError: If an argument is unknown.
     """
+    if compiled_scene is None:
+        compiled_scene = compile_scene_of(resolved)
     if resolved.tree["sim"]["engine"] == "warp":
-        resolved = with_warp_sizes(resolved)
-    return build_env(resolved, **kwargs)
+        resolved = with_warp_sizes(resolved, compiled_scene)
+    return build_env(resolved, compiled_scene, **kwargs)
 
 
-def make_batch(resolved: Resolved, **kwargs: Any) -> BaseEnv:
+def make_batch(
+    resolved: Resolved, *, compiled_scene: CompiledScene | None = None, **kwargs: Any
+) -> BaseEnv:
     """Build the environments of a job where ``sim.backend`` says.
 
     Args:
         resolved: A checked config.
+        compiled_scene: As of `make_env`; shards elsewhere compile their own.
         **kwargs: As of `make_env`.
 
     Returns:
@@ -109,10 +127,10 @@ def make_batch(resolved: Resolved, **kwargs: Any) -> BaseEnv:
         TypeError: If an argument is unknown, or has no form with shards.
     """
     if resolved.tree["sim"]["backend"] == "local":
-        return make_env(resolved, **kwargs)
+        return make_env(resolved, compiled_scene=compiled_scene, **kwargs)
     from embodichain.config.environments.ray_shards import make_sharded
 
-    return cast("BaseEnv", make_sharded(resolved, kwargs))
+    return cast("BaseEnv", make_sharded(resolved, kwargs, compiled_scene))
 
 
 _PROBE_ENVS, _PROBE_STEPS, _PROBE_EVERY = 8, 64, 4
@@ -126,7 +144,7 @@ _PROBE_DIVERGED = (
 )
 
 
-def with_warp_sizes(resolved: Resolved) -> Resolved:
+def with_warp_sizes(resolved: Resolved, compiled_scene: CompiledScene | None = None) -> Resolved:
     """Return the config with the memory that MuJoCo Warp needs, where it is not given.
 
     A few environments of the task run on the CPU with random actions; MuJoCo Warp counts contacts
@@ -135,6 +153,7 @@ def with_warp_sizes(resolved: Resolved) -> Resolved:
 
     Args:
         resolved: A checked config; it is returned as it is unless it runs on Warp.
+        compiled_scene: As of `make_env`.
 
     Raises:
         ConfigError: As `make_env` does.
@@ -146,13 +165,12 @@ def with_warp_sizes(resolved: Resolved) -> Resolved:
     import numpy as np
 
     from embodichain.lab.gym.policies import resolve_policy
-    from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
     from embodichain.lab.sim.engine.warp.warp_worlds import measured_sizes
 
     probe = {**sim, "engine": "mujoco", "warp": {"nconmax": None, "njmax": None}}
     unseen = {**resolved.tree["viewer"], "name": "none"}
     on_cpu = resolved.changed(num_envs=_PROBE_ENVS, device="cpu", sim=probe, viewer=unseen)
-    env = make_env(dataclasses.replace(on_cpu, prepared=PreparedScene()))
+    env = make_env(on_cpu, compiled_scene=compiled_scene)
     try:
         policy = resolve_policy("random")
         obs, _ = env.reset()
@@ -190,7 +208,11 @@ _TRIED_ENVS, _TRIED_STEPS = 2, 3
 
 
 def with_warp_values(
-    resolved: Resolved, verb: Verb | None, kwargs: Mapping[str, Any] | None = None
+    resolved: Resolved,
+    verb: Verb | None,
+    kwargs: Mapping[str, Any] | None = None,
+    *,
+    compiled_scene: CompiledScene | None = None,
 ) -> Resolved:
     """Return the config with the values of `sim.warp` that are chosen for each job.
 
@@ -202,13 +224,14 @@ def with_warp_values(
         resolved: A checked config; it is returned as it is unless it runs on Warp.
         verb: The verb of the job; None is an environment without a log, a viewer or a policy.
         kwargs: Arguments of the environment.
+        compiled_scene: As of `make_env`.
 
     Raises:
         ConfigError: As `make_env` does; or ``arrays`` is ``device``, and a job needs the host.
     """
     if resolved.tree["sim"]["engine"] != "warp":
         return resolved
-    resolved = with_warp_sizes(resolved)
+    resolved = with_warp_sizes(resolved, compiled_scene)
     chosen = resolved.root.sim.warp.arrays
     if chosen == "host" or (chosen == "device" and verb is None):  # `BaseEnv` says it itself
         return resolved
@@ -216,7 +239,7 @@ def with_warp_values(
     if not reasons:
         try:
             logged = verb not in (None, "train") and resolved.root.record.format != "none"
-            _try_device(resolved, kwargs or {}, logged)
+            _try_device(resolved, kwargs or {}, compiled_scene, logged=logged)
         except (ConfigError, IndexError, RuntimeError, TypeError, ValueError) as error:
             raised = _raised_by_term(error)
             if chosen == "device" and not isinstance(raised, TypeError):
@@ -235,17 +258,21 @@ def with_warp_values(
     return dataclasses.replace(with_arrays(resolved, "host"), notes=(*resolved.notes, note))
 
 
-def _try_device(resolved: Resolved, kwargs: Mapping[str, Any], logged: bool) -> None:
+def _try_device(
+    resolved: Resolved,
+    kwargs: Mapping[str, Any],
+    compiled_scene: CompiledScene | None,
+    *,
+    logged: bool,
+) -> None:
     """Step a few environments with arrays on the device; with copies for a log if there is one."""
     from embodichain.lab.gym.envs.observers import StepObserver
     from embodichain.lab.gym.policies import resolve_policy
-    from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
 
     unseen = {**resolved.tree["viewer"], "name": "none"}
     tried = with_arrays(resolved, "device").changed(num_envs=_TRIED_ENVS, viewer=unseen)
-    tried = dataclasses.replace(tried, prepared=PreparedScene())
     given = {key: value for key, value in kwargs.items() if key != "run_dir"}
-    with closing(make_env(tried, **given)) as env:
+    with closing(make_env(tried, compiled_scene=compiled_scene, **given)) as env:
         if logged:
             observer = StepObserver()
             observer.may_lag = True

@@ -14,7 +14,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from embodichain.config.keys.schema import RayCfg
-from embodichain.config.resolved import Resolved, build_env, resolve_tree, thaw
+from embodichain.config.resolved import (
+    Resolved,
+    build_env,
+    compile_scene_of,
+    resolve_tree,
+    thaw,
+)
 from embodichain.lab.gym.shards.shard_pool import ShardLostError, ShardPool
 from embodichain.lab.gym.shards.splitting import numbers_in_shard, split_batch
 from embodichain.utils.errors import ConfigError, Problem
@@ -23,6 +29,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.shards.shard import Shard
     from embodichain.lab.gym.shards.sharded_env import ShardedEnv
+    from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 
 __all__ = ["RayShards", "ShardBuilder", "make_sharded", "need_ray", "shard_config"]
 
@@ -101,7 +108,7 @@ class ShardBuilder:
         where = f"the config of environments {self.tree['sim']['first_env']} and on"
         name = self.task_name
         resolved = resolve_tree(self.tree, where, "run", task_name=name, allow_import=True)
-        return build_env(resolved, **self.kwargs)
+        return build_env(resolved, compile_scene_of(resolved), **self.kwargs)
 
 
 class RemoteShard:
@@ -324,12 +331,15 @@ class _Disconnecting(ShardPool):
             self._cluster.disconnect()
 
 
-def make_sharded(resolved: Resolved, kwargs: Mapping[str, Any]) -> ShardedEnv:
+def make_sharded(
+    resolved: Resolved, kwargs: Mapping[str, Any], compiled_scene: CompiledScene | None = None
+) -> ShardedEnv:
     """Build the batch of a config with ``sim.backend=ray``.
 
     Args:
         resolved: A checked config.
         kwargs: As of `make_env`.
+        compiled_scene: As of `make_env`, for this process; each shard compiles its own.
 
     Raises:
         ConfigError: As `make_env` and `RayShards` do.
@@ -357,7 +367,9 @@ def make_sharded(resolved: Resolved, kwargs: Mapping[str, Any]) -> ShardedEnv:
     source = RayShards(builders, sim.ray.cpus, sim.ray.address)
     template = None
     try:
-        template = build_env(shard_config(resolved, 0, 1), **rest)
+        if compiled_scene is None:
+            compiled_scene = compile_scene_of(resolved)
+        template = build_env(shard_config(resolved, 0, 1), compiled_scene, **rest)
         pool = _Disconnecting(source, counts, sim.ray.save_every)
         return ShardedEnv(template, pool, run_dir)
     except BaseException:

@@ -157,15 +157,6 @@ class SimulationManagerCfg:
         wanted = not self.scene.fpath if ground is None else ground.type != "none"
         return (self.ground_plane and wanted) or self.scene.terrain is not None
 
-    @property
-    def prepared_scene(self) -> Any:
-        """A `PreparedScene` of the same config, or None; not part of the config's values."""
-        return vars(self).get("_prepared_scene")
-
-    @prepared_scene.setter
-    def prepared_scene(self, prepared: Any) -> None:
-        vars(self)["_prepared_scene"] = prepared
-
 
 _SPEED = NoEffect("MuJoCo has no velocity limit")
 _PHYSX = NoEffect("a PhysX setting; MuJoCo has none like it")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,12 +15,12 @@ from embodichain.lab.sim.cfg import (
     name_of,
 )
 from embodichain.lab.sim.compiler.compile_scene import CompiledScene, compile_scene
-from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
 from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveChange, physics_step
 from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.scene.known import known_entities
 from embodichain.lab.sim.compiler.scene.world import World, read_world
+from embodichain.lab.sim.compiler.scene_parts import SceneParts
 from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
 from embodichain.lab.sim.engine.api import Engine
@@ -43,11 +44,14 @@ Entity = Articulation | RigidObject
 class Scene:
     """Entities and sensors by uid; compiled once, after which nothing can be added.
 
-    Files and models that a check of the same config has read and compiled are reused
-    (`PreparedScene`). Notes about files are logged as warnings, once.
+    Notes about files are logged as warnings, once.
 
     Args:
         cfg: Physics options, look, views.
+        compiled_scene: The scene, if it was compiled before; entities are added to get their
+            handles, which must be those that it was compiled from. Nothing writes to it.
+        checked: Whether the configs of the entities were checked, which reports values without
+            effect; else they are reported here.
 
     Attributes:
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
@@ -60,16 +64,25 @@ class Scene:
         ConfigError: If the scene's file is wrong; paths begin with ``scene``.
     """
 
-    def __init__(self, cfg: SimulationManagerCfg) -> None:
+    def __init__(
+        self,
+        cfg: SimulationManagerCfg,
+        compiled_scene: CompiledScene | None = None,
+        *,
+        checked: bool = False,
+    ) -> None:
         self._cfg = cfg
-        self._prepared: PreparedScene = cfg.prepared_scene or PreparedScene()
+        self._precompiled = compiled_scene
+        self._checked = checked
         self.robots: dict[str, Robot] = {}
         self.articulations: dict[str, Articulation] = {}
         self.rigid_objects: dict[str, RigidObject] = {}
         self.lights: dict[str, Light] = {}
         self.sensors: dict[str, BaseSensor] = {}
-        self.world: World | None = self._prepared.take_world(cfg.scene)
-        if self.world is None and (cfg.scene.fpath or cfg.scene.keyframe):
+        self.world: World | None = None
+        if compiled_scene is not None:
+            self.world = compiled_scene.parts.world
+        elif cfg.scene.fpath or cfg.scene.keyframe:
             self.world = read_world(cfg.scene)
         self.known = known_entities({}, {}, {}, self.world)
         self.compiled: CompiledScene | None = None
@@ -114,15 +127,23 @@ class Scene:
     def parse(
         self, cfg: ArticulationCfg, changes: Mapping[str, Sequence[DriveChange]]
     ) -> ParsedArticulation:
-        """Read the file of an articulation to be added; raises as `claim` does.
+        """Read the file of an articulation to be added, unless the scene was compiled before.
+
+        Raises as `claim` does.
 
         Args:
             cfg: The articulation.
             changes: Values that events may draw for drives and links, by uid.
         """
         uid = self.claim(cfg)
-        wanted = uid, cfg, physics_step(self._cfg), changes.get(uid, ())
-        parsed = self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
+        parsed = None
+        if self._precompiled is not None:
+            parsed = self._precompiled.parts.articulation(uid)
+        if parsed is not None:
+            parsed = dataclasses.replace(parsed, cfg=cfg)
+        else:
+            step = physics_step(self._cfg)
+            parsed = parse_articulation(uid, cfg, step, changes.get(uid, ()))
         each = bytes_of(parsed.model, self._cfg.persistent)
         require_memory_for(self._cfg.num_envs, each, "environments with this robot", "num_envs")
         self.known[uid] = parsed
@@ -161,24 +182,36 @@ class Scene:
         return next((group[uid] for group in groups if uid in group), None)
 
     def compile(self) -> CompiledScene:
-        """Compile everything into one model at the first call, and return it."""
+        """Compile everything into one model at the first call, and return it.
+
+        Raises:
+            ConfigError: If MuJoCo refuses the model.
+            ValueError: If a scene was given that was compiled from other entities.
+        """
         if self.compiled is None:
-            articulations = [articulation.parsed for articulation in self.jointed.values()]
-            parts = (
-                self._cfg,
-                articulations,
-                {uid: o.cfg for uid, o in self.rigid_objects.items() if uid not in self.inside},
-                {uid: light.cfg for uid, light in self.lights.items()},
-                {uid: sensor.plan for uid, sensor in self.sensors.items()},
-                self.world,
-            )
-            self.compiled = self._prepared.take_scene(parts) or compile_scene(*parts)
-            notes = [f"{p.uid}: {note}" for p in articulations for note in p.all_notes]
-            if self._cfg.prepared_scene is None:  # else the check of the task's file has said them
+            parts = self._parts()
+            if self._precompiled is None:
+                self.compiled = compile_scene(parts)
+            else:
+                _require_same(parts, self._precompiled.parts)
+                self.compiled = self._precompiled
+            notes = [f"{p.uid}: {note}" for p in parts.articulations for note in p.all_notes]
+            if not self._checked:
                 notes += self._without_effect()
             for note in (*notes, *self.compiled.notes):
                 _log.warning("%s", note)
         return self.compiled
+
+    def _parts(self) -> SceneParts:
+        """What was added."""
+        return SceneParts(
+            sim_cfg=self._cfg,
+            articulations=[articulation.parsed for articulation in self.jointed.values()],
+            objects={uid: o.cfg for uid, o in self.rigid_objects.items() if uid not in self.inside},
+            lights={uid: light.cfg for uid, light in self.lights.items()},
+            sensors={uid: sensor.plan for uid, sensor in self.sensors.items()},
+            world=self.world,
+        )
 
     def _without_effect(self) -> list[str]:
         """Messages about values of configs made in Python that change nothing."""
@@ -209,3 +242,13 @@ class Scene:
         groups = self.jointed, self.rigid_objects, self.lights, self.sensors
         for handle in (handle for group in groups for handle in group.values()):
             handle.destroy()
+
+
+def _require_same(parts: SceneParts, compiled: SceneParts) -> None:
+    """Refuse a scene that was compiled from other entities than those that were added."""
+    differences = parts.differences(compiled)
+    if differences:
+        raise ValueError(
+            f"compiled_scene was compiled from another config; these differ: "
+            f"{', '.join(differences)}"
+        )

@@ -94,6 +94,10 @@ class SimulationManager(Uncopied):
 
     Args:
         cfg: Physics, device and number of environments.
+        compiled_scene: The scene, if it was compiled before from the entities that are going to be
+            added; None compiles them at the first use of physics. Several simulations may share it.
+        checked: Whether the entities' configs were checked as a task file is; else values that
+            change nothing are reported when the scene is compiled.
 
     Attributes:
         num_envs, device: N, and the device of all tensors.
@@ -112,7 +116,13 @@ class SimulationManager(Uncopied):
         DeviceError: If the device is unknown or has no engine here.
     """
 
-    def __init__(self, cfg: SimulationManagerCfg | None = None) -> None:
+    def __init__(
+        self,
+        cfg: SimulationManagerCfg | None = None,
+        *,
+        compiled_scene: CompiledScene | None = None,
+        checked: bool = False,
+    ) -> None:
         self.sim_config = cfg if cfg is not None else SimulationManagerCfg(headless=True)
         self._engine_name, problems = choose_engine(
             self.sim_config.engine, self.sim_config.device_name
@@ -129,7 +139,7 @@ class SimulationManager(Uncopied):
         self.instance_id = max(_instances, default=-1) + 1
         _instances[self.instance_id] = weakref.ref(self)
         self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
-        self._scene = Scene(self.sim_config)
+        self._scene = Scene(self.sim_config, compiled_scene, checked=checked)
         self.robots = self._scene.robots
         self.articulations = self._scene.articulations
         self.rigid_objects = self._scene.rigid_objects

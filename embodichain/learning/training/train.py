@@ -22,6 +22,7 @@ from embodichain.config.keys.tensor_algorithms import TensorAlgoCfg
 from embodichain.config.run_folder import SUMMARY
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.managers.observation_manager import no_vector
+from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 from embodichain.learning.checkpoints.checkpoint import DIGEST, read_digest, read_note
 from embodichain.learning.checkpoints.task_digest import TaskDigest, check_unchanged
 from embodichain.learning.cloning.behavior_cloning import BehaviorCloning
@@ -113,6 +114,8 @@ def train(
     progress: Progress | None = None,
     attach: Callable[[BaseEnv], object] | None = None,
     episodes: Callable[[BaseEnv], Iterable[Demonstration]] | None = None,
+    *,
+    compiled_scene: CompiledScene | None = None,
 ) -> TrainSummary:
     """Train a policy in this process.
 
@@ -126,6 +129,7 @@ def train(
             KeyboardInterrupt to stop after the current rollout and its update.
         attach: Called with the built environment, to attach observers such as viewers.
         episodes: Reads the episodes of the config's `dataset`, for the built environment.
+        compiled_scene: The scene of this config, if it was compiled before.
 
     Returns:
         The results.
@@ -142,7 +146,7 @@ def train(
         for path, text in env_texts(resolved.tree["wandb"], "wandb"):
             names = " and ".join(text.names)
             _log.warning("%s holds the value of %s: Weights & Biases keeps it", path, names)
-    env = make_batch(resolved)
+    env = make_batch(resolved, compiled_scene=compiled_scene)
     try:
         env.run_dir = run_dir
         if attach is not None:

@@ -3,7 +3,6 @@ import sys
 
 import pytest
 
-from embodichain.lab.gym.envs import scene_setup
 from embodichain.lab.gym.envs.cfg import (
     ActionTermCfg,
     EnvCfg,
@@ -13,14 +12,7 @@ from embodichain.lab.gym.envs.cfg import (
     RewardCfg,
     SceneEntityCfg,
 )
-from embodichain.lab.gym.envs.scene_setup import (
-    add_declared_robots,
-    add_declared_scene,
-    describe,
-    drive_changes,
-    frozen_cfg,
-)
-from embodichain.lab.sim import scene as scene_module
+from embodichain.lab.gym.envs.scene_setup import describe
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     JointDrivePropertiesCfg,
@@ -29,21 +21,14 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SolverCfg,
 )
-from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
-from embodichain.lab.sim.compiler.robot import articulation
 from embodichain.lab.sim.shapes import CubeCfg, MeshCfg, PlaneCfg, SphereCfg
-from embodichain.lab.sim.sim_manager import SimulationManager
-from embodichain.learning.checkpoints.physics_values import physics_values
-from tests.lab.sim.compiler.helpers import GRIPPER_URDF, HOME, UR10, write
+from tests.lab.sim.compiler.helpers import HOME, UR10
 
 JOINTS = "Joint1, Joint2, Joint3, Joint4, Joint5, Joint6"
 LINKS = (
     "base_link, shoulder_link, upper_arm_link, forearm_link, wrist_1_link, wrist_2_link, "
     "wrist_3_link, ee_link"
 )
-
-
-MASS = {"entity_cfg": {"uid": "ur10"}, "mass_range": [0.5, 2.0], "relative": True}
 
 
 def reach(**changes):
@@ -76,7 +61,7 @@ def reach(**changes):
 
 
 def lines(cfg):
-    return [str(problem) for problem in describe(cfg)]
+    return [str(problem) for problem in describe(cfg).all_problems()]
 
 
 def test_a_good_task_has_no_problems():
@@ -176,7 +161,7 @@ def test_entities_may_come_from_a_registered_class():
 def test_nothing_is_said_of_the_joints_of_a_robot_whose_file_is_missing():
     cfg = pointing(uid="ur10", joint_names="Joint9")
     cfg.robot.fpath = "UniversalRobots/UR10/UR11.urdf"
-    problems = describe(cfg)
+    problems = describe(cfg).problems
     assert [p.path for p in problems] == ["robot.fpath"]
     assert "Searched, in this order" in problems[0].message
     assert "Did you mean 'UniversalRobots/UR10/UR10.urdf'" in problems[0].message
@@ -256,7 +241,7 @@ def test_objects_and_lights_are_checked_too():
         },
         lights={"sun": LightCfg(direction=(0, 0, 0), color=(2, 0, 0))},
     )
-    assert [p.path for p in describe(cfg)] == [
+    assert [p.path for p in describe(cfg).problems] == [
         "objects.goal.shape.size",
         "objects.floor.body_type",
         "objects.mesh.shape.fpath",
@@ -267,7 +252,7 @@ def test_objects_and_lights_are_checked_too():
 
 def test_what_mujoco_refuses_in_the_end_is_a_problem_too():
     tiny = RigidObjectCfg(shape=SphereCfg(radius=1e-6))  # lighter than mjMINVAL
-    (problem,) = describe(reach(objects={"goal": tiny}))
+    (problem,) = describe(reach(objects={"goal": tiny})).all_problems()
     assert problem.message.startswith("MuJoCo cannot compile the scene: ")
 
 
@@ -279,7 +264,7 @@ def test_checking_a_scene_imports_no_torch():
         "from embodichain.lab.sim.cfg import RobotCfg\n"
         "from embodichain.lab.gym.envs.scene_setup import describe\n"
         f"cfg = EnvCfg(robot=RobotCfg(fpath={UR10!r}))\n"
-        "assert not describe(cfg)\n"
+        "assert describe(cfg).compile().model.nu == 6\n"
         "assert 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -288,102 +273,5 @@ def test_checking_a_scene_imports_no_torch():
 def test_checking_changes_nothing_of_the_config():
     cfg = reach()
     before = cfg.to_dict()
-    describe(cfg)
+    describe(cfg).compile()
     assert cfg.to_dict() == before
-
-
-# -- one reading, one compilation ------------------------------------------------------------------
-
-
-def simulated(cfg, prepared):
-    """The scene of a simulation that is built of a checked task, as `BaseEnv` builds it."""
-    cfg = frozen_cfg(cfg)
-    cfg.sim_cfg.prepared_scene = prepared
-    sim = SimulationManager(cfg.sim_cfg)
-    sim.drive_changes = drive_changes(cfg.events)
-    add_declared_robots(sim, cfg)
-    add_declared_scene(sim, cfg)
-    scene = sim.scene
-    sim.destroy()
-    return scene
-
-
-@pytest.fixture
-def reading(monkeypatch):
-    """Counts the files that are read and the scenes that are compiled."""
-    counts = {"files": 0, "scenes": 0}
-
-    def counted(name, function):
-        def call(*args):
-            counts[name] += 1
-            return function(*args)
-
-        return call
-
-    for module in (scene_setup, scene_module):
-        monkeypatch.setattr(module, "compile_scene", counted("scenes", module.compile_scene))
-    read = counted("files", articulation.read_robot)
-    monkeypatch.setattr(articulation, "read_robot", read)
-    return counts
-
-
-def test_a_simulation_takes_what_the_check_has_read_and_compiled(reading):
-    prepared = PreparedScene()
-    assert describe(reach(), prepared) == []
-    scene = simulated(reach(num_envs=3), prepared)
-    assert reading == {"files": 1, "scenes": 1}
-    model = scene.model
-    assert model.opt.timestep == 0.005  # the task's own physics
-    assert model.opt.gravity.tolist() == [0.0, 0.0, -3.7]
-    assert (model.nu, model.ncam, model.light(0).name) == (6, 1, "sun")
-    other = simulated(reach(), prepared)  # what was taken is gone
-    assert reading == {"files": 2, "scenes": 2}
-    assert physics_values(other.model) == physics_values(model)
-
-
-@pytest.mark.parametrize(
-    ("changes", "files"),
-    [
-        ({"physics": PhysicsTaskCfg(physics_dt=0.004)}, 1),  # drives depend on the time step
-        ({"physics": PhysicsTaskCfg(physics_dt=0.005, gravity=[0, 0, -9.81])}, 0),
-        ({"lights": {}}, 0),
-        ({"objects": {}}, 0),
-        ({"robot": reach().robot.replace(init_pos=(0, 0, 2))}, 1),
-        ({"robot": reach().robot.replace(drive_pros=JointDrivePropertiesCfg())}, 1),
-        ({"robot": reach().robot.replace(drive_pros=JointDrivePropertiesCfg(stiffness=1e4))}, 1),
-        ({"events": {"e": EventCfg("randomize_articulation_mass", params=MASS)}}, 1),
-    ],
-)
-def test_a_changed_config_is_read_and_compiled_anew(reading, changes, files):
-    prepared = PreparedScene()
-    assert describe(reach(), prepared) == []
-    cfg = reach(**changes)
-    sim_cfg = frozen_cfg(cfg).sim_cfg
-    scene = simulated(cfg, prepared)
-    assert reading == {"files": 1 + files, "scenes": 2}
-    assert scene.model.opt.timestep == sim_cfg.physics_dt
-
-
-def test_a_file_that_was_written_since_is_read_anew(reading, tmp_path):
-    name = write(tmp_path / "g.urdf", GRIPPER_URDF)
-    cfg, prepared = EnvCfg(robot=RobotCfg(fpath=name)), PreparedScene()
-    assert describe(cfg, prepared) == []
-    write(tmp_path / "g.urdf", GRIPPER_URDF.replace("slide_left", "slide_on_the_left"))
-    scene = simulated(cfg, prepared)
-    assert reading == {"files": 2, "scenes": 2}
-    assert scene.model.joint("g/slide_on_the_left").name
-
-
-def test_armature_of_the_check_is_that_of_the_frozen_config(reading):
-    arm = JointDrivePropertiesCfg(stiffness=1e4, damping=1e3, max_effort="file")
-    cfg = reach(robot=reach().robot.replace(drive_pros=arm))
-    prepared = PreparedScene()
-    assert describe(cfg, prepared) == []
-    found = prepared.settle_armature()
-    assert list(found) == ["robot"] and len(found["robot"]) > 1
-    frozen = cfg.copy()
-    frozen.robot.drive_pros.armature = found["robot"]
-    model = simulated(frozen, prepared).model
-    assert reading == {"files": 1, "scenes": 1}
-    assert physics_values(simulated(frozen, None).model) == physics_values(model)
-    assert physics_values(simulated(cfg, None).model) == physics_values(model)

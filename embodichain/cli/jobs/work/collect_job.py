@@ -98,7 +98,12 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
     name = new_log(job.folder, LOG)
     run_dir = job.folder if name == LOG else job.folder / Path(name).stem
     resolved = job.resolved.changed(num_envs=count)
-    env = make_env(resolved, run_dir=run_dir, autoreset_mode="DISABLED")
+    env = make_env(
+        resolved,
+        compiled_scene=job.compiled_scene,
+        run_dir=run_dir,
+        autoreset_mode="DISABLED",
+    )
     try:
         policy = policy_of(root, env)
         hold_at_stage(env, policy)

@@ -76,7 +76,7 @@ def evaluate_job(job: Job, plan: EvaluationPlan) -> dict[str, Any]:
     from embodichain.learning.evaluation.evaluation import evaluate, quotas
 
     task = job.resolved.task_name
-    env = make_batch(job.resolved, run_dir=job.folder)
+    env = make_batch(job.resolved, compiled_scene=job.compiled_scene, run_dir=job.folder)
     try:
         policy = policy_of(job.root, env, deterministic=plan.deterministic)
         quota = quotas(plan.episodes, env.num_envs).tolist()

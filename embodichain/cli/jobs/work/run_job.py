@@ -63,7 +63,7 @@ def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
     from embodichain.learning.checkpoints.curriculum_stage import hold_at_stage
 
     root = job.root
-    env = make_batch(job.resolved, run_dir=job.folder)
+    env = make_batch(job.resolved, compiled_scene=job.compiled_scene, run_dir=job.folder)
     picture: _StartPicture | None = None
     try:
         policy = policy_of(root, env)

@@ -87,6 +87,7 @@ def _learn(job: Job) -> dict[str, Any]:
                 progress,
                 lambda env: job.attach_viewer(env, realtime=False),
                 lambda env: read_dataset(job, env),
+                compiled_scene=job.compiled_scene,
             )
     if not (job.folder / SUMMARY).is_file():
         message = f"interrupted ({job.stop.stopped}) before the first update"

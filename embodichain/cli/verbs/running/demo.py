@@ -139,7 +139,7 @@ class _Page:
         from embodichain.learning.episode_statistics import EpisodeStatistics, play
 
         counted = EpisodeStatistics(int(job.root.num_envs or 1), int(job.root.episodes or 1))
-        env = make_env(job.resolved, run_dir=job.folder)
+        env = make_env(job.resolved, compiled_scene=job.compiled_scene, run_dir=job.folder)
         try:
             policy = policy_of(job.root, env)
             view = job.attach_viewer(env, policy)

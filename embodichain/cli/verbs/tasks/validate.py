@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from embodichain.config.keys.schema import Verb
     from embodichain.config.resolved import Checked, Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 
 __all__ = ["command"]
 
@@ -129,6 +130,7 @@ def _every_mistake(
         Exception: Any other error that would end the job.
     """
     from embodichain.config.environments.factory import with_warp_values
+    from embodichain.config.resolved import compile_scene_of
     from embodichain.config.sound_part import further_mistakes
 
     notes: list[Problem] = []
@@ -156,10 +158,11 @@ def _every_mistake(
             with _collecting(problems, resolved.locating):
                 check_extras(resolved.root)
             with _collecting(problems, resolved.locating):
+                scene = compile_scene_of(resolved)
                 known = resolved.notes
-                resolved = with_warp_values(resolved, config.verb)
+                resolved = with_warp_values(resolved, config.verb, compiled_scene=scene)
                 notes += resolved.notes[len(known) :]
-                notes += _try_out(resolved, config.verb, complete=not problems)
+                notes += _try_out(resolved, scene, config.verb, complete=not problems)
     if problems:
         problems += further_mistakes(config, problems, _build)
     return notes, tuple(problems)
@@ -185,7 +188,9 @@ def _build(resolved: Resolved) -> None:
         make_env(resolved, run_dir=Path(folder)).close()
 
 
-def _try_out(resolved: Resolved, verb: Verb, *, complete: bool) -> list[Problem]:
+def _try_out(
+    resolved: Resolved, compiled_scene: CompiledScene | None, verb: Verb, *, complete: bool
+) -> list[Problem]:
     """Build what the job builds, reset it and take one step.
 
     Terms write files into a temporary folder, which is removed; no viewer is opened and no log is
@@ -193,6 +198,7 @@ def _try_out(resolved: Resolved, verb: Verb, *, complete: bool) -> list[Problem]
 
     Args:
         resolved: A checked config.
+        compiled_scene: Its scene.
         verb: ``train`` also builds the algorithm, ``run`` and ``collect`` the policy.
         complete: Whether nothing is wrong so far; else only the environment is built.
 
@@ -209,7 +215,7 @@ def _try_out(resolved: Resolved, verb: Verb, *, complete: bool) -> list[Problem]
     unseen = resolved.changed(viewer={**resolved.tree["viewer"], "name": "none"})
     root = resolved.root
     with tempfile.TemporaryDirectory() as folder, resolved.locating():
-        env = make_env(unseen, run_dir=Path(folder))
+        env = make_env(unseen, compiled_scene=compiled_scene, run_dir=Path(folder))
         try:
             if not complete:
                 return []

@@ -78,6 +78,7 @@ from embodichain.utils.uncopied import Uncopied
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.on_device.step_copies import StepCopies
+    from embodichain.lab.sim.compiler.compile_scene import CompiledScene
     from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.objects.robot import Robot
 
@@ -104,6 +105,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         autoreset_mode: SAME_STEP, NEXT_STEP or DISABLED; also in the instance's `metadata`.
         num_envs: N; overrides the config's.
         run_dir: Folder for the states of environments that diverge; None writes none.
+        compiled_scene: The scene, compiled before from the same config (`scene_setup.describe`);
+            several environments may share it. None compiles it here, as for a class that adds
+            entities in `_setup_robot`, `_prepare_scene` or `_setup_sensors`.
         **kwargs: Passed to the hooks that build the scene.
 
     Managers and declared entities do not depend on hooks: an override need not call ``super()``.
@@ -134,6 +138,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     Raises:
         ConfigError: If the task is wrong; lists every mistake that can be found.
         DeviceError: If the device is unknown or has no engine.
+        ValueError: If `compiled_scene` is that of another config.
     """
 
     metadata: dict[str, Any] = {
@@ -180,6 +185,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         num_envs: int | None = None,
         run_dir: Path | None = None,
+        *,
+        compiled_scene: CompiledScene | None = None,
         **kwargs: Any,
     ) -> None:
         self.affordance_datas = {}
@@ -192,7 +199,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self.sim_steps_per_control = cfg.sim_steps_per_control
         self.metadata = {**type(self).metadata, "autoreset_mode": parse_mode(autoreset_mode)}
         self.metadata["render_fps"] = self.control_frequency
-        self.sim = SimulationManager(cfg.sim_cfg)
+        # A config from a file was checked, which has reported its values without effect.
+        checked = cfg.key_sources is not None
+        self.sim = SimulationManager(cfg.sim_cfg, compiled_scene=compiled_scene, checked=checked)
         self.streams = self.arrays.streams(first_seed(cfg.seed), cfg.num_envs, cfg.first_env)
         if cfg.seed is not None:
             seed_globals(self, self.streams.seed)
@@ -208,8 +217,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self.arrays_moved = False
         self._startup_due = False
         self.sim.physics_steps_per_control = cfg.sim_steps_per_control
-        self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
+            if compiled_scene is None:
+                self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
             self._build_scene(kwargs)
             self._build_managers()
             self._start(kwargs)

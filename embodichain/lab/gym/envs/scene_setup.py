@@ -1,24 +1,27 @@
-"""The scene of a task: `describe` finds every mistake in it, `add_declared_...` build its entities.
+"""The scene of a task: `describe` reads and checks it, `add_declared_...` build its entities.
 
-`check_references` finds references of terms to entities that do not exist, `drive_changes` which
-drive gains and link masses events may draw; `frozen_cfg` fills in derived values.
-Imports no torch: `validate` calls `describe`.
+`DeclaredScene.compile` makes the model of a scene that the config alone declares, for environments
+that are built of the same config. `check_references` finds references of terms to entities that do
+not exist, `drive_changes` which drive gains and link masses events may draw; `frozen_cfg` fills in
+derived values. Imports no torch: `validate` calls `describe`.
 """
 
 from __future__ import annotations
 
 import copy
-import dataclasses
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg, EventCfg
 from embodichain.lab.gym.envs.managers.param_types import NamedEntity
 from embodichain.lab.gym.envs.managers.scene_entity import references_in
-from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.terms.check import check_terms
+from embodichain.lab.gym.envs.managers.terms.physics_draws import PhysicsDraw, physics_draws
 from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS, TERMS
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
@@ -28,15 +31,13 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
-from embodichain.lab.sim.compiler.compile_scene import compile_scene
+from embodichain.lab.sim.compiler.compile_scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.geoms.poses import check_pose, initial_pose
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
-from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
 from embodichain.lab.sim.compiler.robot.articulation import parse_with_problems
 from embodichain.lab.sim.compiler.robot.drives.pd_drives import (
     DriveChange,
-    DriveOperation,
     PhysicsStep,
     physics_step,
 )
@@ -47,6 +48,7 @@ from embodichain.lab.sim.compiler.scene.known import known_entities
 from embodichain.lab.sim.compiler.scene.physics_options import check_options
 from embodichain.lab.sim.compiler.scene.rigid_objects import check_object
 from embodichain.lab.sim.compiler.scene.world import WORLD, read_world
+from embodichain.lab.sim.compiler.scene_parts import SceneParts
 from embodichain.lab.sim.compiler.sensing.scene_sensors import plan_sensors
 from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan
 from embodichain.lab.sim.compiler.sensing.views import check_views, places_of_views
@@ -61,6 +63,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = [
+    "DeclaredScene",
     "add_declared_robots",
     "add_declared_scene",
     "add_declared_sensors",
@@ -169,11 +172,11 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
 def _physics(cfg: EnvCfg) -> SimulationManagerCfg:
     """The simulation config with the task's ``physics`` section; EmbodiChain allows None."""
     given: SimulationManagerCfg | None = cfg.sim_cfg
-    sim = SimulationManagerCfg(headless=True) if given is None else dataclasses.replace(given)
+    sim = SimulationManagerCfg(headless=True) if given is None else replace(given)
     own = {} if cfg.physics is None else vars(cfg.physics)
     own = {name: value for name, value in own.items() if value is not None}
     sim.physics_dt = own.pop("physics_dt", sim.physics_dt)
-    sim.physics_config = dataclasses.replace(sim.physics_config, **own)
+    sim.physics_config = replace(sim.physics_config, **own)
     sim.scene, sim.views = cfg.scene or sim.scene, cfg.views or sim.views
     return sim
 
@@ -205,25 +208,86 @@ def _check_numbers(cfg: EnvCfg) -> None:
 # -- checking --------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, eq=False)
+class DeclaredScene:
+    """The scene that a config declares, with its files read, checked, not compiled.
+
+    Attributes:
+        problems: Every mistake, with paths relative to the task.
+        known: What references may name: the declared entities and their parts, by uid.
+        paths: Uid of an entity -> its key path in the task.
+        parts: What it is compiled from; None if there is a mistake.
+    """
+
+    problems: tuple[Problem, ...] = ()
+    known: Known = field(default_factory=dict)
+    paths: Mapping[str, str] = field(default_factory=dict)
+    parts: SceneParts | None = None
+
+    def compile(self) -> CompiledScene:
+        """Compile it; a later call compiles it again.
+
+        Raises:
+            ConfigError: It has a mistake, or MuJoCo finds a further one, such as a broken mesh;
+                paths are relative to the task.
+        """
+        if self.parts is None:
+            raise ConfigError(self.problems)
+        try:
+            return compile_scene(self.parts)
+        except ConfigError as error:
+            raise ConfigError(p.moved(self.paths) for p in error.problems) from error
+
+    def all_problems(self) -> list[Problem]:
+        """Return every mistake; those that only MuJoCo finds too, if there is no other one."""
+        try:
+            self.compile()
+        except ConfigError as error:
+            return list(error.problems)
+        return []
+
+    def added_armature(self) -> dict[str, dict[str, float]]:
+        """Return the armature that was added for limited drives.
+
+        Returns:
+            Key path of the articulation in the task -> joint -> armature, kg m^2 or kg.
+        """
+        articulations = () if self.parts is None else self.parts.articulations
+        added = {self.paths[parsed.uid]: _added_armature(parsed) for parsed in articulations}
+        return {path: joints for path, joints in added.items() if joints}
+
+    def with_given_armature(self) -> DeclaredScene:
+        """Return the scene of a config that gives the armature which was added to this one."""
+        if self.parts is None:
+            return self
+        articulations = []
+        for parsed in self.parts.articulations:
+            added = _added_armature(parsed)
+            articulations.append(parsed.with_given_armature(added) if added else parsed)
+        return replace(self, parts=replace(self.parts, articulations=articulations))
+
+
+def _added_armature(parsed: ParsedArticulation) -> dict[str, float]:
+    raised = np.flatnonzero(parsed.added_armature).tolist()
+    return {parsed.joint_names[i]: float(parsed.armature[i]) for i in raised}
+
+
 def describe(
-    cfg: EnvCfg, prepared: PreparedScene | None = None, num_envs: int | None = None
-) -> list[Problem]:
-    """Check the declared scene of a task: files, names, poses, joints, sizes, references.
+    cfg: EnvCfg, num_envs: int | None = None, *, allow_import: bool = True
+) -> DeclaredScene:
+    """Read the declared scene of a task and check it: names, poses, joints, sizes, references.
+
+    Mistakes of a user are not raised: they are `DeclaredScene.problems`.
 
     Args:
-        cfg: The task.
-        prepared: Receives the files and models that were read, for the simulation built next.
+        cfg: The task; not changed.
         num_envs: How many environments there will be; None is the config's number.
-
-    Returns:
-        Every mistake, with paths relative to the task; empty if the scene compiles. Mistakes of a
-        user are never raised.
+        allow_import: Whether events named ``package.module:function`` are imported.
     """
-    prepared = PreparedScene() if prepared is None else prepared
     entities = _declared(cfg, *_SECTIONS)
     physics = _physics(cfg)
-    step, changes = physics_step(physics), drive_changes(cfg.events)
-    parsed, problems = _parse(entities, step, changes)
+    changes = drive_changes(cfg.events, allow_import=allow_import)
+    parsed, problems = _parse(entities, physics_step(physics), changes)
     try:
         world = read_world(physics.scene) if physics.scene.fpath or physics.scene.keyframe else None
     except ConfigError as error:
@@ -234,7 +298,6 @@ def describe(
     lights = {e.uid: e.cfg for e in entities if isinstance(e.cfg, LightCfg)}
     jointed = {e.uid: parsed.get(e.path) for e in entities if isinstance(e.cfg, ArticulationCfg)}
     known = known_entities(jointed, objects, lights, world, physics.scene.table)
-    prepared.known = known
     open_scene = cfg.id is not None or bool(physics.scene.fpath and world is None)
     incomplete = open_scene or None in known.values()
     found = check_views(physics.views, *places_of_views(known, world, incomplete), known)
@@ -248,18 +311,20 @@ def describe(
             cfg.sensors, known, ground=ground, open_scene=open_scene, num_envs=count
         )
         problems += found
-    if problems:
-        return problems
-    for path, articulation in parsed.items():
-        prepared.add_articulation(path, articulation, step, changes.get(articulation.uid, ()))
-    if world is not None:
-        prepared.add_world(physics.scene, world)
-    parts = physics, [*parsed.values()], objects, lights, sensors, world
-    try:  # MuJoCo finds further mistakes, such as a broken mesh file
-        prepared.add_scene(compile_scene(*parts), parts)
-    except ConfigError as error:
-        return [p.moved({e.uid: e.path for e in entities}) for p in error.problems]
-    return []
+    parts = SceneParts(
+        sim_cfg=physics,
+        articulations=[*parsed.values()],
+        objects=objects,
+        lights=lights,
+        sensors=sensors,
+        world=world,
+    )
+    return DeclaredScene(
+        problems=tuple(problems),
+        known=known,
+        paths={e.uid: e.path for e in entities},
+        parts=None if problems else parts,
+    )
 
 
 def _check_names(entities: Sequence[_Entity], inside: Mapping[str, str]) -> list[Problem]:
@@ -333,70 +398,46 @@ def _check_light(path: str, uid: str, known: Known, open_scene: bool) -> list[Pr
 # -- draws of events -------------------------------------------------------------------------------
 
 
-def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]]:
-    """Return the drive changes that events may draw, by uid; malformed parameters are left out.
-
-    A term class declares them in a class attribute ``drive_ranges``: parameter -> quantity of
-    `DriveChange`. Terms without it, such as functions, are ignored.
+def drive_changes(
+    events: Mapping[str, EventCfg], *, allow_import: bool = True
+) -> dict[str, list[DriveChange]]:
+    """Return what events declare to draw for drives and links, by articulation uid.
 
     Args:
         events: The task's events.
+        allow_import: Whether events named ``package.module:function`` are imported.
     """
-    found: dict[str, list[DriveChange]] = {}
-    for event in events.values():
-        func, params = event.func, event.params
-        spec = TERMS["event"].get(func) if isinstance(func, str) else None
-        if spec is not None:
-            func = spec.func
-            params = {meant: params[name] for name, meant in spec.written(params).items()}
-        if isinstance(spec, AliasSpec):
-            own = {key: params[name] for key, name in spec.names.items() if name in params}
-            params = {**params, **own}
-        entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
-        for param, quantity in getattr(func, "drive_ranges", {}).items():
-            bounds, operation = _bounds(params.get(param)), _operation(params, quantity)
-            if quantity == "com" and params.get(param) is not None:
-                bounds, operation = (0.0, 0.0), "add"
-            for entity in entities if bounds is not None and operation is not None else ():
-                fields = entity if isinstance(entity, Mapping) else getattr(entity, "__dict__", {})
-                if fields:
-                    names = _names(fields, quantity, params)
-                    change = DriveChange(quantity, names, bounds, operation)
-                    found.setdefault(str(fields.get("uid")), []).append(change)
-    return found
+    changes: dict[str, list[DriveChange]] = {}
+    for draw in physics_draws(events, allow_import=allow_import):
+        change = DriveChange(
+            quantity=draw.quantity,
+            names=_picked_names(draw),
+            ranges=_bounds(draw.range),
+            # A strength is a factor of the gains, and no compiled value to replace or to add to.
+            operation="abs" if draw.quantity == "strength" else draw.operation,
+        )
+        changes.setdefault(draw.entity.uid, []).append(change)
+    return changes
 
 
-def _names(
-    fields: Mapping[str, Any], quantity: str, params: Mapping[str, Any]
-) -> tuple[str, ...] | None:
+def _picked_names(draw: PhysicsDraw) -> tuple[str, ...] | None:
     """The patterns of the picked links or joints; None is all."""
-    if quantity in ("mass", "com"):
-        given = [params.get("link_names") or fields.get("link_names") or fields.get("link")]
+    entity = draw.entity
+    if draw.quantity in ("mass", "com"):
+        given = [entity.link_names or entity.link]
     else:
-        given = [fields.get("joint_names"), fields.get("control_parts")]
+        given = [entity.joint_names, entity.control_parts]
     names = [n for value in given if value for n in ([value] if isinstance(value, str) else value)]
     return tuple(names) or None
 
 
-def _operation(params: Mapping[str, Any], quantity: str) -> Any:
-    if quantity == "strength":  # always factors, unlike the other fields
-        return "abs"
-    default = "add" if quantity == "mass" and params.get("relative") else "abs"
-    given = params.get("operation") or default
-    return given if given in get_args(DriveOperation) else None
-
-
-def _bounds(given: Any) -> Any:
-    """[low, high] as a pair, {regex: [low, high]} as a map of pairs; None for anything else."""
-    if isinstance(given, Mapping):
-        pairs = {str(key): _pair(value) for key, value in given.items()}
-        return None if None in pairs.values() else pairs
-    return _pair(given)
-
-
-def _pair(given: Any) -> tuple[float, float] | None:
-    numbers = isinstance(given, Sequence) and all(isinstance(x, (int, float)) for x in given)
-    return (float(given[0]), float(given[1])) if numbers and len(given) == 2 else None
+def _bounds(
+    limits: Sequence[float] | Mapping[str, Sequence[float]],
+) -> tuple[float, float] | dict[str, tuple[float, float]]:
+    if isinstance(limits, Mapping):
+        return {name: (float(low), float(high)) for name, (low, high) in limits.items()}
+    low, high = limits
+    return float(low), float(high)
 
 
 # -- building --------------------------------------------------------------------------------------
@@ -481,7 +522,9 @@ def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> 
         cfg: The task.
         built_by_hooks: Whether hooks build the scene, so that the config is not all of it.
     """
-    problems = list(check_terms(cfg)) + ([] if built_by_hooks else describe(cfg))
+    problems = check_terms(cfg)
+    if not built_by_hooks:
+        problems += describe(cfg).all_problems()
     known = {(p.path, p.message) for p in problems}
     found = [p for p in error.problems if (p.path, p.message) not in known]
     if any(p.path == q.path for p in found for q in problems):

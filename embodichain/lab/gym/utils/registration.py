@@ -24,7 +24,15 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.vector import NumpyVectorEnv
 
-__all__ = ["REGISTERED_ENVS", "EnvSpec", "build_env", "make", "make_vec", "register_env"]
+__all__ = [
+    "REGISTERED_ENVS",
+    "EnvSpec",
+    "build_env",
+    "config_declares_scene",
+    "make",
+    "make_vec",
+    "register_env",
+]
 
 logger = logging.getLogger(__name__)
 
@@ -127,6 +135,30 @@ def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> Ba
     if limit is not None:
         env.max_episode_steps = limit
     return env
+
+
+_BUILDING = ("__init__", "_setup_robot", "_prepare_scene", "_setup_sensors")
+"""Methods of an environment in which a class may add entities or change its config."""
+
+
+def config_declares_scene(env_id: str) -> bool:
+    """Return whether the config alone declares the scene of a registered environment.
+
+    Then its scene can be compiled before it is built. A class that overrides a method in which it
+    could add entities, and any other callable, is compiled inside the build.
+
+    Args:
+        env_id: The id.
+
+    Raises:
+        ConfigError: If there is no such environment; lists the registered ones.
+    """
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+    cls = _find(env_id).cls
+    if not (isinstance(cls, type) and issubclass(cls, BaseEnv)):
+        return False
+    return all(getattr(cls, name) is getattr(BaseEnv, name) for name in _BUILDING)
 
 
 def _limits_episodes(cfg: Any) -> bool:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from embodichain.data import get_data_path
-from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerCfg
+from embodichain.lab.sim.cfg import RigidObjectCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.geoms.contact_parameters import given_parameters
 from embodichain.lab.sim.compiler.geoms.poses import initial_pose
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
@@ -39,6 +39,7 @@ from embodichain.lab.sim.compiler.scene.rigid_objects import (
     shapes_of,
 )
 from embodichain.lab.sim.compiler.scene.world import PREFIX, World, add_world, start_world
+from embodichain.lab.sim.compiler.scene_parts import SceneParts
 from embodichain.lab.sim.compiler.sensing.scene_sensors import (
     CameraIndex,
     SensorIndex,
@@ -46,7 +47,6 @@ from embodichain.lab.sim.compiler.sensing.scene_sensors import (
     index_sensor,
     is_silent,
 )
-from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan
 from embodichain.lab.sim.compiler.sensing.views import add_views, place_views, scene_bounds
 from embodichain.lab.sim.configs.scene_cfg import GroundCfg
 from embodichain.lab.sim.shapes import MeshCfg
@@ -56,7 +56,7 @@ from embodichain.utils.math import quat_rotate
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.scene.terrain import Terrain
 
-__all__ = ["CompiledScene", "SceneParts", "compile_scene"]
+__all__ = ["CompiledScene", "compile_scene"]
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
@@ -65,10 +65,14 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 class CompiledScene:
     """One model of all declared entities.
 
+    Any number of simulations may be built from it, at once or one after the other: engines copy the
+    model, and nothing writes to a compiled scene.
+
     Attributes:
         model: The compiled model. Damping of free objects and poses of views are set after
             compiling; MJCF has only one damping for all six axes of a free joint.
         spec: The spec it was compiled from, for export as XML or archive.
+        parts: The entities and sensors it was compiled from.
         entities: Indices of each entity in the model.
         initial_row: (nstate,) initial `mjSTATE_INTEGRATION`: MuJoCo's reset state with entities at
             their configured poses, drive targets at the configured joint positions, and other
@@ -81,6 +85,7 @@ class CompiledScene:
 
     model: mujoco.MjModel
     spec: mujoco.MjSpec
+    parts: SceneParts
     entities: dict[str, EntityIndex]
     initial_row: F64
     sensors: dict[str, SensorIndex] = field(default_factory=dict)
@@ -98,39 +103,18 @@ class CompiledScene:
         }
 
 
-SceneParts = tuple[
-    SimulationManagerCfg,
-    Sequence[ParsedArticulation],
-    Mapping[str, RigidObjectCfg],
-    Mapping[str, LightCfg],
-    Mapping[str, SensorPlan],
-    World | None,
-]
-"""The arguments of `compile_scene`."""
-
-
-def compile_scene(
-    sim_cfg: SimulationManagerCfg,
-    articulations: Sequence[ParsedArticulation],
-    objects: Mapping[str, RigidObjectCfg],
-    lights: Mapping[str, LightCfg],
-    sensors: Mapping[str, SensorPlan] | None = None,
-    world: World | None = None,
-) -> CompiledScene:
+def compile_scene(parts: SceneParts) -> CompiledScene:
     """Compile one model, in which elements of an entity are named ``uid/NAME``.
 
     Args:
-        sim_cfg: Timestep, physics options, look, views.
-        articulations: Robots and other articulations.
-        objects: Rigid objects by uid.
-        lights: Lights by uid.
-        sensors: Sensors by uid.
-        world: The file of `sim_cfg.scene`, if it has one.
+        parts: What the scene is made of; not changed.
 
     Raises:
         ConfigError: If names clash, an object is wrong, or MuJoCo refuses the model.
     """
-    sensors = sensors or {}
+    sim_cfg, world = parts.sim_cfg, parts.world
+    articulations, objects = parts.articulations, parts.objects
+    lights, sensors = parts.lights, parts.sensors
     inside = () if world is None else tuple(world.objects)
     _check(articulations, objects, (*lights, *sensors, *inside))
     spec = mujoco.MjSpec()
@@ -201,7 +185,17 @@ def compile_scene(
     place_lights(spec, model, lights, center, radius)
     place_views(spec, model, data, sim_cfg.views)
     columns = {uid: index_sensor(model, plan, entities) for uid, plan in sensors.items()}
-    return CompiledScene(model, spec, entities, row, columns, tuple(notes), terrain)
+    row.flags.writeable = False  # all simulations of this scene start from it
+    return CompiledScene(
+        model=model,
+        spec=spec,
+        parts=parts,
+        entities=entities,
+        initial_row=row,
+        sensors=columns,
+        notes=tuple(notes),
+        terrain=terrain,
+    )
 
 
 def _check(

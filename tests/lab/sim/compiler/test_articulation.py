@@ -14,6 +14,7 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.compile_scene import compile_scene
 from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
+from embodichain.lab.sim.compiler.scene_parts import SceneParts
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import (
     GRIPPER_URDF,
@@ -54,8 +55,8 @@ def test_the_same_file_can_be_added_twice_and_parsed_robots_compiled_again():
         parse_articulation("left", RobotCfg(fpath=UR10, init_pos=(0, 1, 0))),
         parse_articulation("right", RobotCfg(fpath=UR10, init_pos=(0, -1, 0))),
     ]
-    scene = compile_scene(SimulationManagerCfg(), robots, {}, {})
-    again = compile_scene(SimulationManagerCfg(), robots, {}, {})
+    scene = compile_scene(SceneParts(SimulationManagerCfg(), robots))
+    again = compile_scene(SceneParts(SimulationManagerCfg(), robots))
     assert scene.model.nq == again.model.nq == 12
     assert scene.entities["right"].qpos_adr.tolist() == [6, 7, 8, 9, 10, 11]
     assert scene.entities["right"].actuator_ids.tolist() == [6, 7, 8, 9, 10, 11]

@@ -8,6 +8,7 @@ from embodichain.lab.sim.cfg import RobotCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.compile_scene import compile_scene
 from embodichain.lab.sim.compiler.geoms.shape_geoms import VISUAL_GROUP
 from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
+from embodichain.lab.sim.compiler.scene_parts import SceneParts
 from embodichain.utils.errors import ConfigError
 from tests.data.robot_catalog import LOADABLE, NOT_LOADABLE, REPAIRED
 from tests.lab.sim.compiler.helpers import start
@@ -27,7 +28,7 @@ def test_a_robot_loads_and_steps(name):
     notes = [note for note in parsed.notes if "collide as hulls" not in note]
     assert len(notes) == len(said)
     assert all(part in note for part, note in zip(said, notes, strict=True))
-    scene = compile_scene(SimulationManagerCfg(), [parsed], {}, {})
+    scene = compile_scene(SceneParts(SimulationManagerCfg(), [parsed]))
     data = start(scene, {"robot": parsed.init_qpos})
     if name != OUT_OF_PLACE:
         assert_looks_like_its_collision_shapes(scene.model, data)

@@ -9,6 +9,7 @@ from PIL import Image
 from embodichain.lab.sim.cfg import AttachmentCfg, RigidObjectCfg, RobotCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.compile_scene import compile_scene
 from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
+from embodichain.lab.sim.compiler.scene_parts import SceneParts
 from embodichain.lab.sim.drawing.views import Viewpoint
 from embodichain.lab.sim.shapes import MeshCfg, VisualMaterialCfg
 from embodichain.lab.sim.sim_manager import SimulationManager
@@ -26,7 +27,7 @@ def cache(tmp_path, monkeypatch):
 
 def compiled(objects=None, robots=()):
     parsed = [parse_articulation(uid, cfg) for uid, cfg in robots]
-    return compile_scene(SimulationManagerCfg(), parsed, objects or {}, {}).model
+    return compile_scene(SceneParts(SimulationManagerCfg(), parsed, objects or {})).model
 
 
 def write(path, text):

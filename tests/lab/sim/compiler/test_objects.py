@@ -10,6 +10,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
 )
 from embodichain.lab.sim.compiler.compile_scene import compile_scene
+from embodichain.lab.sim.compiler.scene_parts import SceneParts
 from embodichain.lab.sim.shapes import (
     CapsuleCfg,
     CubeCfg,
@@ -195,12 +196,15 @@ def test_a_mesh_in_another_format_is_named(tmp_path):
 )
 def test_a_name_that_cannot_be_used_is_refused(uid, message):
     with pytest.raises(ConfigError, match=message):
-        compile_scene(SimulationManagerCfg(), [], {uid: RigidObjectCfg()}, {})
+        compile_scene(SceneParts(SimulationManagerCfg(), objects={uid: RigidObjectCfg()}))
 
 
 def test_lights_and_objects_share_their_names():
     with pytest.raises(ConfigError, match="uid 'x' is taken"):
-        compile_scene(SimulationManagerCfg(), [], {"x": RigidObjectCfg()}, {"x": LightCfg()})
+        parts = SceneParts(
+            SimulationManagerCfg(), objects={"x": RigidObjectCfg()}, lights={"x": LightCfg()}
+        )
+        compile_scene(parts)
 
 
 # -- the scene around them -------------------------------------------------------------------------
@@ -217,7 +221,7 @@ def test_lights_are_as_declared():
         "lamp": LightCfg(init_pos=(1, 2, 3), color=(1, 0.5, 0), intensity=15),
         "sun": LightCfg(light_type="sun", direction=(0, 1, -1)),
     }
-    model = compile_scene(SimulationManagerCfg(), [], {}, lights).model
+    model = compile_scene(SceneParts(SimulationManagerCfg(), lights=lights)).model
     lamp, sun = model.light("lamp"), model.light("sun")
     assert model.nlight == 2
     assert lamp.pos.tolist() == [1, 2, 3]

@@ -9,6 +9,7 @@ import pytest
 from embodichain.lab.sim.cfg import SimulationManagerCfg
 from embodichain.lab.sim.compiler.compile_scene import compile_scene
 from embodichain.lab.sim.compiler.scene.terrain import Terrain, terrain_heights
+from embodichain.lab.sim.compiler.scene_parts import SceneParts
 from embodichain.lab.sim.configs.scene_cfg import (
     BlocksPatchCfg,
     FlatPatchCfg,
@@ -120,7 +121,7 @@ def test_the_seed_alone_chooses_the_bytes() -> None:
 
 def compiled(cfg: TerrainCfg) -> tuple[mujoco.MjModel, Terrain]:
     sim = SimulationManagerCfg(headless=True, scene=SceneCfg(terrain=cfg))
-    scene = compile_scene(sim, [], {}, {})
+    scene = compile_scene(SceneParts(sim))
     if scene.terrain is None:
         raise RuntimeError("no terrain")
     return scene.model, scene.terrain

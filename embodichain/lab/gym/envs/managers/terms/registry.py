@@ -93,6 +93,8 @@ _LEAD_OF_QUANTITIES = ("obs", "action", "info")
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
+Draws = Callable[..., Iterable[Any]]
+"""Parameters of an event -> its `PhysicsDraw`s (`physics_draws`)."""
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
 _MODULES = ("shapes", "sampled_commands", "curricula", "terrain")
 _PACKAGES = ("actions", "events", "quantities")
@@ -115,6 +117,7 @@ class TermSpec:
         open_params: Whether it takes ``**kwargs``, so that any further name is allowed.
         lead: Which of ``obs``, ``action`` and ``info`` a quantity takes after ``env``; None for
             other terms.
+        draws: What an event declares to draw for drives and links, see `register_term`.
     """
 
     name: str
@@ -125,6 +128,7 @@ class TermSpec:
     open_params: bool = False
     lead: tuple[str, ...] | None = None
     _hints: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    draws: Draws | None = field(default=None, kw_only=True)
 
     @property
     def is_class(self) -> bool:
@@ -141,6 +145,13 @@ class TermSpec:
     def place(self) -> str:
         """Where it is defined: ``package.module:name``."""
         return _place(self.func)
+
+    @property
+    def draws_params(self) -> tuple[str, ...]:
+        """The parameters that `draws` takes, as a config names them."""
+        if self.draws is None:
+            return ()
+        return tuple(name.removesuffix("_") for name in inspect.signature(self.draws).parameters)
 
     def hints(self) -> dict[str, Any]:
         """Evaluated types of the parameters only: those of `env` and the result may need torch."""
@@ -244,24 +255,33 @@ TERMS = _TermTable()
 """Every registered term: ``TERMS[kind][name]``."""
 
 
-def register_term(*kinds: Kind, name: str | None = None) -> Callable[[T], T]:
+def register_term(
+    *kinds: Kind, name: str | None = None, draws: Draws | None = None
+) -> Callable[[T], T]:
     """Make a function or class available to configs under a name.
 
     Args:
         *kinds: The managers that may run it; one signature can serve several.
         name: Its name; None is the function's name.
+        draws: Of an event that draws drive gains, effort limits, armatures, masses or centres of
+            mass: a function that takes those of the event's parameters that it names (references as
+            `SceneEntityCfg`), and returns a `PhysicsDraw` for each quantity of each entity. It is
+            called before the scene is compiled.
 
     Returns:
         A decorator that returns its argument.
 
     Raises:
-        ValueError: If a kind is unknown, or the name is taken by another object.
+        ValueError: If a kind is unknown, the name is taken by another object, or `draws` takes a
+            parameter that the event does not have.
     """
     unknown = [kind for kind in kinds if kind not in KINDS]
     if unknown or not kinds:
         raise ValueError(f"unknown kind of term {unknown or kinds}; allowed: {', '.join(KINDS)}")
 
     def decorate(func: T) -> T:
+        if draws is not None:
+            _DRAWS[func] = draws
         for kind in kinds:
             add_term(describe_term(kind, func, name))
         return func
@@ -333,6 +353,8 @@ def _lead_of(func: Callable[..., Any]) -> tuple[str, ...]:
 
 _LEADS: dict[Callable[..., Any], tuple[str, ...]] = {}
 """Quantities -> the arguments that they take after `env`."""
+_DRAWS: dict[Callable[..., Any], Draws] = {}
+"""Events -> what they declare to draw; also for those that a config names by their path."""
 SHAPES: dict[str, TermSpec] = {}
 """Every registered shape by name; filled with the terms."""
 REDUCERS = (
@@ -350,7 +372,8 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
     """Describe a term by its signature.
 
     Raises:
-        ValueError: If the signature lacks the arguments that the manager passes.
+        ValueError: If the signature lacks the arguments that the manager passes, or the declaration
+            of an event's draws takes others than its parameters.
     """
     title = name or str(getattr(func, "__name__", type(func).__name__))
     of_quantity = _LEADS.get(func)
@@ -363,7 +386,7 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
         raise ValueError(f"{kind} term {title!r} must take ({', '.join(lead)}, ...) first")
     rest = params[len(lead) :]
     variable = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    return TermSpec(
+    spec = TermSpec(
         name=title,
         kind=kind,
         func=func,
@@ -371,7 +394,13 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
         doc=inspect.getdoc(func) or "",
         open_params=any(p.kind is inspect.Parameter.VAR_KEYWORD for p in rest),
         lead=of_quantity,
+        draws=_DRAWS.get(func) if kind == "event" else None,
     )
+    unknown = [name for name in spec.draws_params if name not in spec.params]
+    if unknown:
+        message = f"draws takes {', '.join(unknown)}, and {spec.label} has no such parameter"
+        raise ValueError(f"{message}; it has: {', '.join(spec.params) or 'none'}")
+    return spec
 
 
 def resolve_term(

@@ -6,14 +6,16 @@ An operation is applied to the bounds, so that the drawn number is the value; wi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.lab.gym.envs.managers.param_types import Box3, Positive, Ranges, ScaleRange
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.terms.physics_draws import PhysicsDraw, Quantity
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.mdp._friction_effect import check_friction_acts
 from embodichain.lab.gym.envs.mdp._model_fields import (
@@ -40,7 +42,37 @@ Distribution = Literal["uniform", "log_uniform", "gaussian"]
 bounds at three standard deviations, clipped there."""
 
 
-@register_term("event", name="randomize")
+def _declared_draws(
+    entity_cfg: SceneEntityCfg | None,
+    entity_cfgs: list[SceneEntityCfg] | None,
+    mass: Any,
+    com: Any,
+    stiffness: Any,
+    damping: Any,
+    effort_limit: Any,
+    armature: Any,
+    strength: Any,
+    operation: Operation | None,
+) -> Iterator[PhysicsDraw]:
+    """Yield the parameters that may make drives chatter, or that move centres of mass."""
+    entities = [*([] if entity_cfg is None else [entity_cfg]), *(entity_cfgs or [])]
+    ranges: dict[Quantity, Any] = {
+        "stiffness": stiffness,
+        "damping": damping,
+        "max_effort": effort_limit,
+        "armature": armature,
+        "strength": strength,
+        "mass": mass,
+    }
+    for entity in entities:
+        for quantity, bounds in ranges.items():
+            if bounds is not None:
+                yield PhysicsDraw(entity, quantity, bounds, operation or "abs")
+        if com is not None:
+            yield PhysicsDraw(entity, "com")
+
+
+@register_term("event", name="randomize", draws=_declared_draws)
 class Randomize:
     """Draws model fields of an entity, or of the scene, separately in each environment.
 
@@ -100,17 +132,6 @@ class Randomize:
     Example:
         ``{func: randomize, mode: reset, params: {of: {uid: cube}, mass: [0.5, 2.0], friction: [0.3, 1.2]}}``
     """  # noqa: E501  (an example is one line)
-
-    drive_ranges: ClassVar = {
-        "stiffness": "stiffness",
-        "damping": "damping",
-        "effort_limit": "max_effort",
-        "armature": "armature",
-        "strength": "strength",
-        "mass": "mass",
-        "com": "com",
-    }
-    """Parameters that may make drives chatter, or move a centre of mass; see `drive_changes`."""
 
     def __init__(
         self,
