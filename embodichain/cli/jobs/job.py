@@ -47,7 +47,7 @@ __all__ = [
     "Body",
     "Job",
     "check_extras",
-    "checked_job",
+    "check_job",
     "ended_early",
     "execute",
     "film_progress",
@@ -55,7 +55,7 @@ __all__ = [
     "pinned",
     "policy_name",
     "policy_of",
-    "resolved_job",
+    "resolve_job",
     "start",
 ]
 
@@ -292,7 +292,7 @@ def start(verb: Verb, body: Body, options: JobOptions) -> None:
 
     def check(lines: Sequence[str]) -> Resolved:
         """Check a job of Hydra's, which is resolved and compiled again where it runs."""
-        resolved = resolved_job(compose(lines, verb), verb)
+        resolved = resolve_job(compose(lines, verb), verb)
         compile_scene_of(resolved)
         return resolved
 
@@ -313,7 +313,7 @@ def start(verb: Verb, body: Body, options: JobOptions) -> None:
 
         call_hydra(verb, check, do, options, overrides)
     else:
-        do(resolved_job(compose(overrides, verb), verb))
+        do(resolve_job(compose(overrides, verb), verb))
 
 
 def output_overrides(options: OverrideOptions) -> list[str]:
@@ -331,7 +331,7 @@ def output_overrides(options: OverrideOptions) -> list[str]:
     return lines
 
 
-def checked_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Checked:
+def check_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Checked:
     """Check the whole config of a job, and that the verb reads each key of its command line.
 
     Args:
@@ -339,22 +339,22 @@ def checked_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Che
         verb: The verb of the job.
         any_key: Whether keys that the verb does not read are taken, too.
     """
-    from embodichain.config.resolved import checked
+    from embodichain.config.resolved import check_config
 
-    config = checked(composed, verb)
+    config = check_config(composed, verb)
     unread = [] if any_key else unread_keys(verb, composed.overrides)
     paths = {problem.path for problem in unread}
-    others = [problem for problem in config.found.problems if problem.path not in paths]
-    return replace(config, found=replace(config.found, problems=[*unread, *others]))
+    others = [problem for problem in config.check.problems if problem.path not in paths]
+    return replace(config, check=replace(config.check, problems=[*unread, *others]))
 
 
-def resolved_job(composed: Composed, verb: Verb) -> Resolved:
+def resolve_job(composed: Composed, verb: Verb) -> Resolved:
     """Check the whole config of a job; for a training, the algorithm's arguments too.
 
     Raises:
         ConfigError: Lists every mistake with its file and line.
     """
-    resolved = checked_job(composed, verb).resolved()
+    resolved = check_job(composed, verb).resolved()
     if verb == "train":
         from embodichain.learning.training.train import check_training
 

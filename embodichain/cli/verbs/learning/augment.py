@@ -50,7 +50,7 @@ def command(options: AugmentOptions) -> None:
     """Collect into a new run folder."""
     path = _source(options.source)
     lines = [*options.words, *output_overrides(options)]
-    execute(_resolved(path, lines), collect_job, command_line(), verb="collect")
+    execute(_resolve_log(path, lines), collect_job, command_line(), verb="collect")
 
 
 def _source(name: str) -> Path:
@@ -71,7 +71,7 @@ def _source(name: str) -> Path:
     return path.resolve()
 
 
-def _resolved(path: Path, lines: list[str]) -> Resolved:
+def _resolve_log(path: Path, lines: list[str]) -> Resolved:
     """The config of the log's task, to collect with `Augmented`.
 
     Raises:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.jobs.job import check_extras, checked_job, pinned
+from embodichain.cli.jobs.job import check_extras, check_job, pinned
 from embodichain.cli.jobs.unread_keys import verb_of_keys
 from embodichain.cli.jobs.work.demonstrations import first_episode
 from embodichain.cli.terminal import process
@@ -96,7 +96,7 @@ def command(options: ValidateOptions) -> int:
                 verb = verb_of_keys(lines)
             composed = compose(lines, verb)
             notes = composed.notes
-            config = checked_job(composed, verb, any_key=any_key)
+            config = check_job(composed, verb, any_key=any_key)
         further, problems = _every_mistake(config, notes)
         notes = (*notes, *further)
     except ConfigError as error:
@@ -134,8 +134,8 @@ def _every_mistake(
     from embodichain.config.sound_part import further_mistakes
 
     notes: list[Problem] = []
-    problems = list(config.found.problems)
-    root = config.found.types.root
+    problems = list(config.check.problems)
+    root = config.check.types.root
     if problems and root is not None:
         with _collecting(problems, config.locating):
             check_extras(root)
@@ -143,7 +143,7 @@ def _every_mistake(
         if config.verb == "train" and roots == {"task"}:
             from embodichain.learning.training.train import check_training
 
-            rest = replace(config, found=replace(config.found, problems=[]))
+            rest = replace(config, check=replace(config.check, problems=[]))
             with _collecting(problems, config.locating):
                 check_training(rest.resolved())
     elif not problems:

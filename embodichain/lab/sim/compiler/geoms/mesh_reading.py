@@ -301,7 +301,7 @@ def _resolver(mesh: Path, notes: list[str]) -> Any:
     """What trimesh reads the other files of a mesh with: as it does itself, but no PostScript."""
     from trimesh.resolvers import FilePathResolver
 
-    class Resolver(FilePathResolver):  # type: ignore[misc]
+    class Resolver(FilePathResolver):
         def get(self, name: str) -> Any:
             data = super().get(name)
             try:
