@@ -65,16 +65,18 @@ VIDEO = "rollout"
 _SAY_AFTER = 1.0
 """Seconds after which a film says how long it takes."""
 FRESH: dict[str, Any] = {
-    **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
-    **{
-        "trust": False,
-        "max_steps": None,
-        "video": None,
-        "total_timesteps": None,
-        "algo": None,
-        "dataset": None,
-    },
-    **{"output_dir": "outputs"},
+    "quiet": False,
+    "json": False,
+    "traceback": False,
+    "resume": None,
+    "allow_changed": False,
+    "trust": False,
+    "max_steps": None,
+    "video": None,
+    "total_timesteps": None,
+    "algo": None,
+    "dataset": None,
+    "output_dir": "outputs",
 }
 """Root keys of a run's config that do not carry over to another run of it."""
 _log = logging.getLogger(__name__)
@@ -423,10 +425,10 @@ def pinned(resolved: Resolved) -> Resolved:
     Raises:
         ConfigError: There is no such training any more.
     """
-    named, found = resolved.tree["policy"], resolved.pinned()
-    if named == "last":
-        take_last(Path(str(found.tree["policy"])))
-    return found
+    pinned_config = resolved.pinned()
+    if resolved.tree["policy"] == "last":
+        take_last(Path(str(pinned_config.tree["policy"])))
+    return pinned_config
 
 
 def _execute(job: Job, body: Body, command: Sequence[str], *, goes_on: bool) -> float | None:
@@ -434,7 +436,8 @@ def _execute(job: Job, body: Body, command: Sequence[str], *, goes_on: bool) -> 
     from embodichain.config.checks.viewer_access import without_token
     from embodichain.config.resolved import write_record
 
-    resolved, folder = job.resolved, job.folder
+    resolved = job.resolved
+    folder = job.folder
     command = without_token(with_paths(command))
     if not goes_on:
         write_record(folder, resolved, command)
@@ -527,8 +530,13 @@ def policy_of(
     def load(path: Path) -> Policy:
         from embodichain.learning.policies.policy import load_policy
 
-        how = {"allow_changed": root.allow_changed, "trust": root.trust}
-        return load_policy(path, env, deterministic=deterministic, **how)
+        return load_policy(
+            path,
+            env,
+            deterministic=deterministic,
+            allow_changed=root.allow_changed,
+            trust=root.trust,
+        )
 
     chosen = policy or root.policy or "random"
     if not isinstance(chosen, str):
@@ -538,15 +546,17 @@ def policy_of(
 
 def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
     """Return a callback that shows how many pictures are made, and how long the rest takes."""
-    begun, said = 0.0, False
+    begun = 0.0
+    shown = False
 
     def show(filmed: Filmed) -> None:
-        nonlocal begun, said
+        nonlocal begun, shown
         now = time.perf_counter()
         if filmed.pictures == 1:  # the first one takes longer: OpenGL starts
             begun = now
-        elif display.due or not (said or now - begun < _SAY_AFTER):
-            said, display.total = True, filmed.total
+        elif display.due or not (shown or now - begun < _SAY_AFTER):
+            shown = True
+            display.total = filmed.total
             left = (now - begun) / (filmed.pictures - 1) * (filmed.total - filmed.pictures)
             display.show(filmed.pictures, {"step": f"{filmed.step}", "left": f"{left:.0f} s"})
 
