@@ -127,7 +127,7 @@ class _Terminal(io.StringIO):
 
 def _train(count: int, settings: Settings, seed: int, folder: Path) -> Learner:
     """What `embodichain train` does with it: statistics, logs, and the dashboard on a terminal."""
-    from embodichain.cli.jobs.dashboard import Dashboard
+    from embodichain.cli.jobs.work.dashboard import Dashboard
     from embodichain.learning import SB3VecEnv
     from embodichain.learning.evaluation.episodes import TrainStatistics
     from embodichain.learning.training.session import Session

@@ -15,8 +15,8 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.opcode import Opcode
 
+from embodichain.recording.format.container.mcap_records import chunk_content, parse
 from embodichain.recording.format.log_error import DamageError
-from embodichain.recording.format.mcap_records import chunk_content, parse
 from embodichain.recording.format.seals import SEAL, sealed
 from embodichain.recording.read.chunks import MAGIC
 

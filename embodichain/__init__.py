@@ -28,7 +28,8 @@ require_files(__file__)
 names.install()
 moved.install()
 
-from embodichain.utils.plugins import TERM_MODULES  # noqa: E402  (found by the hook)
+from embodichain.utils.plugins import MISSING_NAMES, TERM_MODULES  # noqa: E402  (found by the hook)
 
 TERM_MODULES.append("embodichain.compat.terms")
+MISSING_NAMES.append("embodichain.compat.unavailable")
 register_with_gymnasium()

@@ -114,12 +114,12 @@ def _parameters(value: Any) -> str:
 def _command_line() -> Iterator[str]:
     import click
 
-    from embodichain.cli.app import VERBS
+    from embodichain.cli.app import load_verb
+    from embodichain.cli.verb import VERBS
 
     for verb in VERBS:
-        module = importlib.import_module(f"embodichain.cli.verbs.{verb.replace('-', '_')}")
         yield f"verb {verb}"
-        for parameter in module.command.params:
+        for parameter in load_verb(verb).params:
             if isinstance(parameter, click.Option):
                 for option in [*parameter.opts, *parameter.secondary_opts]:
                     yield f"option {verb} {option}"

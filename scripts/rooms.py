@@ -49,8 +49,9 @@ def picture(root: Path = ROOT) -> str:
     for package, layers in contracts(root).items():
         column = heights.index(min(heights))
         left = column * _PANEL + 10.0
-        columns[column] += _panel(root, package, layers, left, heights[column])
-        heights[column] += 30 + len(layers) * _STEP
+        lines, height = _panel(root, package, layers, left, heights[column])
+        columns[column] += lines
+        heights[column] += height
     width = _COLUMNS * _PANEL + 10
     height = int(max(heights))
     lines = [
@@ -66,27 +67,55 @@ def picture(root: Path = ROOT) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _panel(root: Path, package: str, layers: list[list[str]], left: float, top: float) -> list[str]:
-    """Title, boxes and arrows of one package."""
+def _panel(
+    root: Path, package: str, layers: list[list[str]], left: float, top: float
+) -> tuple[list[str], float]:
+    """Title, boxes and arrows of one package, and their height in pixels."""
     title = package.removeprefix("embodichain.")
     lines = [f'  <text x="{left:.0f}" y="{top + 12:.0f}" class="title">{escape(title)}</text>']
     folder = root / package.replace(".", "/")
     middle = left + (_PANEL - 20) / 2
     y = top + 20
-    for row, names in enumerate(layers):
-        widths = [len(name) * _CHARACTER + 12 for name in names]
-        x = middle - (sum(widths) + _GAP * (len(names) - 1)) / 2
-        for name, width in zip(names, widths, strict=True):
-            kind = ' class="folder"' if (folder / name).is_dir() else ""
-            lines += [
-                f'  <rect x="{x:.1f}" y="{y:.0f}" width="{width:.1f}" height="{_BOX}" rx="3"/>',
-                f'  <text x="{x + width / 2:.1f}" y="{y + 14:.0f}"{kind}>{escape(name)}</text>',
-            ]
-            x += width + _GAP
-        if row + 1 < len(layers):
-            end = y + _STEP - 3
-            lines.append(f'  <path d="M{middle:.1f} {y + _BOX}V{end:.0f}" marker-end="url(#tip)"/>')
-        y += _STEP
+    for number, names in enumerate(layers):
+        rows = _rows(names)
+        for row in rows:
+            lines += _boxes(folder, row, middle, y)
+            y += _BOX + _GAP
+        bottom = y - _GAP
+        y = bottom + _STEP - _BOX
+        if number + 1 < len(layers):
+            end = y - 3
+            lines.append(f'  <path d="M{middle:.1f} {bottom}V{end:.0f}" marker-end="url(#tip)"/>')
+    return lines, y + 10 - top
+
+
+def _rows(names: list[str]) -> list[list[str]]:
+    """The names of a layer in rows that fit into a panel."""
+    rows: list[list[str]] = [[]]
+    for name in names:
+        if rows[-1] and sum(map(_width, [*rows[-1], name])) > _PANEL - 20:
+            rows.append([])
+        rows[-1].append(name)
+    return rows
+
+
+def _width(name: str) -> float:
+    """Width of a box and the gap beside it, pixels."""
+    return len(name) * _CHARACTER + 12 + _GAP
+
+
+def _boxes(folder: Path, names: list[str], middle: float, y: float) -> list[str]:
+    """A row of boxes, centred."""
+    lines = []
+    x = middle - (sum(map(_width, names)) - _GAP) / 2
+    for name in names:
+        width = _width(name) - _GAP
+        kind = ' class="folder"' if (folder / name).is_dir() else ""
+        lines += [
+            f'  <rect x="{x:.1f}" y="{y:.0f}" width="{width:.1f}" height="{_BOX}" rx="3"/>',
+            f'  <text x="{x + width / 2:.1f}" y="{y + 14:.0f}"{kind}>{escape(name)}</text>',
+        ]
+        x += width + _GAP
     return lines
 
 

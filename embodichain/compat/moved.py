@@ -52,7 +52,7 @@ _TABLE: Final = {
     "learning.vec_env": "learning.sb3.vec_env",
     "recording.api": "recording.read.api",
     "recording.augmentation": "recording.demos.augmentation",
-    "recording.block": "recording.format.block",
+    "recording.block": "recording.format.messages.block",
     "recording.collection": "recording.demos.collection",
     "recording.demonstrations": "recording.demos.demonstrations",
     "recording.header": "recording.format.header",

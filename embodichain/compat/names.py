@@ -51,8 +51,9 @@ _PLACES: Final[Mapping[str, tuple[str, ...]]] = {
         *("ArticulationCfg", "ClothObjectCfg", "GizmoCfg", "LightCfg", "RigidObjectCfg"),
         *("RigidObjectGroupCfg", "RobotCfg", "SoftObjectCfg", "SolverCfg"),
     ),
-    f"{_SIM}.objects": ("BatchEntity", "ClothObject", "Gizmo", "Light", "RigidObjectGroup"),
-    f"{_SIM}.unavailable": ("SoftObject",),
+    f"{_SIM}.objects": (
+        *("BatchEntity", "ClothObject", "Gizmo", "Light", "RigidObjectGroup", "SoftObject"),
+    ),
     f"{_SIM}.sensors": (
         *("BaseSensor", "Camera", "CameraCfg", "SensorCfg", "StereoCamera", "StereoCameraCfg"),
     ),

@@ -14,7 +14,7 @@ from embodichain.config.composition.gym_config import load_gym_config, override_
 from embodichain.config.composition.hydra_loader import explain_yaml
 from embodichain.config.composition.locate import ConfigFile, Locator, display_path
 from embodichain.config.keys.schema import Verb
-from embodichain.config.resolved import Checked, Resolved, checked, compile_scene_of
+from embodichain.config.resolved import Checked, Resolved, check_config, compile_scene_of
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["checked_file", "notes_on_file", "resolve_file", "validate_file"]
@@ -64,7 +64,7 @@ def checked_file(path: str | Path, verb: Verb = "run") -> Checked:
     if not file.is_file():
         raise ConfigError([Problem("", f"no such file: {path}")])
     if file.suffix == ".json":
-        return checked(compose([override_of(str(file))], verb), verb)
+        return check_config(compose([override_of(str(file))], verb), verb)
     try:
         parsed = ConfigFile.read(file, "")
         tree = yaml.safe_load(file.read_text(encoding="utf-8"))
@@ -74,13 +74,13 @@ def checked_file(path: str | Path, verb: Verb = "run") -> Checked:
         found = Problem("", f"cannot be read: {error}", source=display_path(file))
         raise ConfigError([found]) from error
     if is_gym_config(tree):
-        return checked(compose([override_of(str(file))], verb), verb)
+        return check_config(compose([override_of(str(file))], verb), verb)
     if isinstance(tree, dict) and isinstance(tree.get("task"), dict):
         if parsed.misread:
             raise ConfigError(parsed.problems())
         source = Locator([parsed]).source
         return Checked(check_tree(tree, source, verb), verb, "task", source)
-    return checked(_composed_option(file.resolve(), verb), _verb_of(file.resolve(), verb))
+    return check_config(_composed_option(file.resolve(), verb), _verb_of(file.resolve(), verb))
 
 
 def notes_on_file(path: str | Path) -> tuple[Problem, ...]:

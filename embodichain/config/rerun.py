@@ -31,13 +31,13 @@ from embodichain.config.resolved import Resolved, resolve_tree
 from embodichain.config.run_folder import CONFIG, SUMMARY
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["read_config", "resolve_again", "task_of"]
+__all__ = ["read_config", "resolve_run", "task_of"]
 
 _FOLDER = re.compile(r"\d\d-\d\d-\d\d_(.+?)(_\d+)?")  # see `run_folder.claim`
 _GROUPS = ("record", "viewer", "sim")
 
 
-def resolve_again(
+def resolve_run(
     folder: Path,
     overrides: Sequence[str] = (),
     values: Mapping[str, Any] | None = None,

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from embodichain.config.checks.compiled_scene import compile_declared
-from embodichain.config.checks.validation import Check, check, check_tree
+from embodichain.config.checks.validation import Check, check_composed, check_tree
 from embodichain.config.checks.viewer_access import access_of, take_token, without_token
 from embodichain.config.composition.composed import Composed, compose
 from embodichain.config.composition.environment import notes_of_today, taken_today
@@ -52,7 +52,7 @@ __all__ = [
     "Checked",
     "Resolved",
     "build_env",
-    "checked",
+    "check_config",
     "compile_scene_of",
     "dump_yaml",
     "freeze",
@@ -225,7 +225,7 @@ class Checked:
     """A config that was checked, with its mistakes.
 
     Attributes:
-        found: The result of the check.
+        check: The mistakes, the config as data classes, and the declared scene.
         verb: The verb for which the task's suggestions are used.
         task_name: The option of the group `task`.
         source: Function from a key path to where the key was set, or an empty string.
@@ -234,7 +234,7 @@ class Checked:
         ships: Whether the policy that ships for the task may be chosen.
     """
 
-    found: Check
+    check: Check
     verb: Verb
     task_name: str
     source: Callable[[str], str]
@@ -252,7 +252,7 @@ class Checked:
         Raises:
             ConfigError: Lists every mistake with its place.
         """
-        resolved = _resolved(self.found, self.verb, self.task_name, self.source)
+        resolved = _fill_in(self.check, self.verb, self.task_name, self.source)
         if self.ships:
             resolved = _with_pretrained(resolved)
         notes = (*self.notes, *resolved.notes)
@@ -275,10 +275,10 @@ def resolve(
         ConfigError: Lists every mistake with its place.
     """
     composed = config if isinstance(config, Composed) else compose(config, verb, config_dir)
-    return checked(composed, verb).resolved()
+    return check_config(composed, verb).resolved()
 
 
-def checked(composed: Composed, verb: Verb) -> Checked:
+def check_config(composed: Composed, verb: Verb) -> Checked:
     """Check a whole config.
 
     Args:
@@ -287,7 +287,7 @@ def checked(composed: Composed, verb: Verb) -> Checked:
     """
     name = (composed.choices.get("task") or "task").rpartition("/")[2]
     return Checked(
-        check(composed, verb),
+        check_composed(composed, verb),
         verb,
         name,
         composed.source,
@@ -321,15 +321,16 @@ def resolve_tree(
     located = source if callable(source) else lambda path: source
     tree = taken_today(tree, source if isinstance(source, str) else "")
     notes = notes_of_today(tree)
-    found = check_tree(tree, located, verb, allow_import=allow_import)
-    return Checked(found, verb, task_name, located, notes=notes).resolved()
+    check = check_tree(tree, located, verb, allow_import=allow_import)
+    return Checked(check, verb, task_name, located, notes=notes).resolved()
 
 
-def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], str]) -> Resolved:
-    """The checked config; raises if it has mistakes."""
-    if found.problems:
-        raise ConfigError(found.problems)
-    tree, declared = _with_defaults(found.types.tree, verb), found.scene
+def _fill_in(check: Check, verb: Verb, task_name: str, source: Callable[[str], str]) -> Resolved:
+    """The checked config with defaults and derived values; raises if it has mistakes."""
+    if check.problems:
+        raise ConfigError(check.problems)
+    tree = _with_defaults(check.types.tree, verb)
+    declared = check.scene
     notes: tuple[Problem, ...] = ()
     if declared is not None:
         tree, notes = _with_armature(tree, declared.added_armature())
@@ -338,7 +339,7 @@ def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], 
         tree, chosen, doubtful = _with_learning_scale(tree)
         notes = (*notes, *chosen, *(problem.at(source(problem.path)) for problem in doubtful))
     recorded, token = take_token(tree)
-    notes = (*found.notes, *notes)
+    notes = (*check.notes, *notes)
     return Resolved(
         tree=freeze(recorded),
         overrides=(),

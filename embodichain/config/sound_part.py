@@ -45,9 +45,9 @@ def further_mistakes(
     Returns:
         Each mistake with its place; none that a known one could be the reason of.
     """
-    if checked.found.types.root is None:
+    if checked.check.types.root is None:
         return []
-    part = _SoundPart(checked.found.types.tree)
+    part = _SoundPart(checked.check.types.tree)
     found: list[Problem] = []
     known = {problem.path for problem in problems}
     new, pruned = list(problems), True
@@ -69,12 +69,12 @@ def _mistakes_of(
     known: set[str],
 ) -> list[Problem]:
     """The mistakes of a part: those of reading it or, without any, of building it."""
-    found = check_tree(tree, checked.source, checked.verb)
-    problems = [p for p in found.problems if p.path not in known]
-    if problems or found.types.root is None:
+    check = check_tree(tree, checked.source, checked.verb)
+    problems = [p for p in check.problems if p.path not in known]
+    if problems or check.types.root is None:
         return problems
     # What the job itself needs, such as a device, is no part of it.
-    whole = replace(checked, verb="run", found=replace(found, problems=[]), ships=False).resolved()
+    whole = replace(checked, verb="run", check=replace(check, problems=[]), ships=False).resolved()
     count = min(_TRIED_ENVS, whole.root.num_envs or 1)
     viewer = {**whole.tree["viewer"], "name": "none"}
     sim = {**whole.tree["sim"], "engine": "mujoco", "backend": "local"}

@@ -1,12 +1,14 @@
 import dataclasses
-import importlib
 import re
+from pathlib import Path
 
 import pytest
 
 import embodichain
 from embodichain.cli import main
-from embodichain.cli.app import EVERYDAY_KEYS, VERBS
+from embodichain.cli.app import FOLDERS, load_verb
+from embodichain.cli.verb import VERBS
+from embodichain.cli.words import EVERYDAY_KEYS
 from embodichain.config.keys.schema import RootCfg
 
 
@@ -24,6 +26,16 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.startswith(f"embodichain {embodichain.__version__} (Python ")
 
 
+def test_every_verb_has_one_module_in_one_folder() -> None:
+    verbs = Path(embodichain.__file__).parent / "cli/verbs"
+    modules = {f"{path.parent.name}/{path.stem}" for path in verbs.glob("*/[a-z]*.py")}
+    listed = [
+        f"{folder}/{name.replace('-', '_')}" for folder, names in FOLDERS.items() for name in names
+    ]
+    assert sorted(listed) == sorted(modules)
+    assert len(listed) == len(VERBS)
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_of_every_verb_shows_its_options_and_examples(
     verb: str, capsys: pytest.CaptureFixture[str]
@@ -33,9 +45,9 @@ def test_help_of_every_verb_shows_its_options_and_examples(
     assert text.startswith(f"Usage: embodichain {verb} ")
     assert VERBS[verb] in " ".join(text.split())
     assert "--json" in text
-    module = importlib.import_module(f"embodichain.cli.verbs.{verb.replace('-', '_')}")
-    assert module.command.examples
-    for example, what in module.command.examples:
+    examples = load_verb(verb).examples
+    assert examples
+    for example, what in examples:
         assert f"embodichain {example}" in text
         assert what in text
 
@@ -97,3 +109,16 @@ def test_what_was_mistyped_is_named_with_exit_code_2(
     assert err.startswith(f"error: {message}")
     assert "Traceback" not in err
     assert out == ""
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_options_of_every_verb_have_a_field_for_each_typed_value(verb: str) -> None:
+    """A frozen dataclass; click fills it, and no value of the command line is lost."""
+    command = load_verb(verb)
+    options = command.options
+    assert dataclasses.is_dataclass(options)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        options.__setattr__(object.__new__(options), "json", True)
+    values = {parameter.name for parameter in command.params if parameter.expose_value}
+    assert {field.name for field in dataclasses.fields(options)} == values
+    assert "Attributes:" in str(options.__doc__)

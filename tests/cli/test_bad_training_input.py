@@ -105,7 +105,7 @@ def test_what_is_no_policy(run, capsys, kind):
     ):
         err = refused(capsys, *arguments, *TINY[:1])
         assert "other.zip is no policy of Stable-Baselines3: " in err
-    assert "is no training's folder" in refused(capsys, "train", "resume=other.zip")
+    assert "is not a training's folder" in refused(capsys, "train", "resume=other.zip")
     other.replace(final)
     Path("run/checkpoints/step_000000000032.zip").unlink()
     err = refused(capsys, "train", f"resume={run}", "total_timesteps=128")

@@ -173,7 +173,7 @@ def test_it_gives_up(capsys: pytest.CaptureFixture[str]) -> None:
         (["task=reach", "policy=zero", "record.every=2"], "must be 1, got 2"),
         (["task=cart_pole", "policy=zero", "~task.metrics.success"], "what success is"),
         (["resume=last"], "there is no collection to resume yet"),
-        (["resume=nowhere"], "'nowhere' is no collection's folder"),
+        (["resume=nowhere"], "'nowhere' is not a collection's folder"),
         (["resume=nowhere", "seed=3"], "seed: a resumed collection keeps its config"),
         (["task=reach", "collect.success_step=3"], "Did you mean 'success_steps'?"),
     ],

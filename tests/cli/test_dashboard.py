@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from embodichain.cli.jobs.dashboard import Dashboard
+from embodichain.cli.jobs.work.dashboard import Dashboard
 from embodichain.learning.evaluation.episodes import TrainStatistics
 
 

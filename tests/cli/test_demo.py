@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from embodichain.cli import main
-from embodichain.cli.verbs import demo
+from embodichain.cli.verbs.running import demo
 from embodichain.data.pretrained import pretrained_tasks
 from tests.helpers.browser import chromium, needs_chromium
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from embodichain.cli import main
-from embodichain.cli.verbs.doctor import EXTRAS
+from embodichain.cli.verbs.running.doctor import EXTRAS
 
 PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 

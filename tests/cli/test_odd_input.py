@@ -44,7 +44,7 @@ def test_why_a_folder_has_no_log(capsys):
     run = Path("run")
     run.mkdir()
     for text, why in (
-        (None, "it is no run's folder"),
+        (None, "it is not the folder of a run"),
         ("record: {format: none}\n", "it was run with record=none"),
         ("record: {format: mcap}\n", "was killed, before its log began"),
     ):

@@ -81,7 +81,7 @@ def test_one_run_is_resumed_at_a_time(words: tuple[str, ...], flags: dict[str, o
 def test_the_folder_that_is_meant(tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()
-    with pytest.raises(ConfigError, match="is no collection's folder: it has no config.yaml"):
+    with pytest.raises(ConfigError, match="is not a collection's folder: it has no config.yaml"):
         resumed_folder(str(run), None, "collection")
     (run / "config.yaml").touch()
     assert resumed_folder(str(run), None, "collection") == run

@@ -9,7 +9,7 @@ import pytest
 
 from embodichain.cli import main
 from embodichain.cli.jobs.job import execute
-from embodichain.cli.verbs.train import train_job
+from embodichain.cli.jobs.work.train_job import train_job
 from embodichain.config import resolve
 from embodichain.recording import inspect, verify
 

@@ -51,7 +51,7 @@ _EXPECTED = "; expected key=value, +key=value or ~key"
         (["play", "lst"], "there is no run or policy 'lst'. Did you mean 'last'?"),
         (
             ["train", "resume=lst"],
-            "resume: 'lst' is no training's folder: it has no config.yaml. Did you mean 'last'?",
+            "resume: 'lst' is not a training's folder: it has no config.yaml. Did you mean 'last'?",
         ),
         (
             ["report", "last", "episodes=2"],

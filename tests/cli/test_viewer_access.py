@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from embodichain.cli import main
-from embodichain.config.rerun import resolve_again
+from embodichain.config.rerun import resolve_run
 from embodichain.config.resolved import resolve, thaw
 
 TASK = ("task=random_reach", "num_envs=2", "max_steps=3", "scene_png=false")
@@ -66,9 +66,9 @@ def test_a_given_token_is_in_no_record(viewer, embodichain, tmp_path):
     folder = the_run(tmp_path)
     assert yaml.safe_load((folder / "config.yaml").read_text())["viewer"]["token"] == "<token>"
     assert "viewer.token='<token>'" in yaml.safe_load((folder / "overrides.yaml").read_text())
-    again = resolve_again(folder)  # the text is no token itself: another one is drawn
+    again = resolve_run(folder)  # the text is no token itself: another one is drawn
     assert again.access.token == "auto"
-    again = resolve_again(folder, [f"viewer.token={TOKEN}"])
+    again = resolve_run(folder, [f"viewer.token={TOKEN}"])
     assert again.access.token == TOKEN
     assert TOKEN not in repr(again) and TOKEN not in str(thaw(again.tree))
 

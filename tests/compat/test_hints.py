@@ -8,13 +8,14 @@ import pytest
 import yaml
 
 from embodichain.cli import main
-from embodichain.cli.app import VERBS
-from embodichain.cli.verbs import run_env
+from embodichain.cli.verb import VERBS
+from embodichain.cli.verbs.running import run_env
+from embodichain.compat import unavailable
 from embodichain.compat.gym_config import functors, vocabulary
 from embodichain.compat.names import REASONS
 from embodichain.lab.gym.envs.managers.terms.registry import TERMS
 from embodichain.lab.gym.expert.steps import STEPS
-from embodichain.lab.sim import SimulationManagerCfg, unavailable
+from embodichain.lab.sim import SimulationManagerCfg
 from tests.helpers.house import REPO
 
 PUBLIC = (REPO / "tests/packaging/public_names.txt").read_text(encoding="utf-8")
@@ -36,8 +37,8 @@ def _texts(value: object) -> Iterator[str]:
 
 def _hints() -> Iterator[str]:
     for table in (
-        unavailable.SIMULATION_ANSWERS,
-        unavailable.SIMULATION_REFUSALS,
+        unavailable.ANSWERS,
+        unavailable.REFUSALS,
         REASONS,
         functors.LEFT_OUT,
         functors.PARAMS_LEFT_OUT,
@@ -49,8 +50,8 @@ def _hints() -> Iterator[str]:
         },
     ):
         yield from _texts(table)
-    for name in ("SoftObject", "ClothObject", "RigidObjectGroup", "RigidConstraint", "Gizmo"):
-        yield str(getattr(unavailable, name).__doc__)
+    for cls in unavailable.CLASSES.values():
+        yield str(cls.__doc__)
 
 
 HINTS = sorted(text for text in set(_hints()) if " " in text)

@@ -8,7 +8,7 @@ import pytest
 
 import embodichain
 from embodichain.config import compose, resolve, validate, write_record
-from embodichain.config.rerun import resolve_again
+from embodichain.config.rerun import resolve_run
 from embodichain.utils.errors import ConfigError
 from tests.config.conftest import GOOD, WriteTask
 
@@ -58,11 +58,11 @@ def test_of_a_run_that_was_made(write_task: WriteTask, tmp_path: Path) -> None:
     write_task("max_episode_steps: 50", "episode_length_s: 5")
     write_record(tmp_path, resolve(compose(["task=mine", "task.episode_length_s=4"])))
     (tmp_path / "summary.json").write_text(json.dumps({"task": "mine"}))
-    task = resolve_again(tmp_path, ["task.max_episode_steps=6"]).root.task
+    task = resolve_run(tmp_path, ["task.max_episode_steps=6"]).root.task
     assert (task.episode_length_s, int(task.max_episode_steps)) == (None, 6)
-    assert resolve_again(tmp_path).root.task.episode_length_s == 4
+    assert resolve_run(tmp_path).root.task.episode_length_s == 4
     assert dataclasses.is_dataclass(task)
-    rewards = resolve_again(tmp_path, ["task.rewards.near=null"]).root.task.rewards
+    rewards = resolve_run(tmp_path, ["task.rewards.near=null"]).root.task.rewards
     assert rewards == {}
 
 

@@ -10,7 +10,7 @@ import embodichain
 from embodichain.cli import main
 from embodichain.config.environments.factory import with_warp_values
 from embodichain.config.environments.host_arrays import why_host, why_not_device, with_arrays
-from embodichain.config.rerun import resolve_again
+from embodichain.config.rerun import resolve_run
 from embodichain.config.resolved import dump_yaml, resolve
 from embodichain.utils.errors import ConfigError
 
@@ -123,13 +123,13 @@ def test_an_earlier_run_is_chosen_for_anew(tmp_path):
     """Evaluating or playing a policy needs other arrays than its training did."""
     made = with_arrays(resolved(), "device")
     (tmp_path / "config.yaml").write_text(dump_yaml(made.tree))
-    assert resolve_again(tmp_path).tree["sim"]["warp"]["arrays"] == "auto"
-    again = resolve_again(tmp_path, ["sim.warp.arrays=host"]).tree["sim"]["warp"]
+    assert resolve_run(tmp_path).tree["sim"]["warp"]["arrays"] == "auto"
+    again = resolve_run(tmp_path, ["sim.warp.arrays=host"]).tree["sim"]["warp"]
     assert dict(again) == {"nconmax": 16, "njmax": 16, "arrays": "host"}
     older = yaml.safe_load(dump_yaml(made.tree))
     del older["sim"]["warp"]
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(older))
-    assert with_arrays(resolve_again(tmp_path), "host").root.sim.warp.arrays == "host"
+    assert with_arrays(resolve_run(tmp_path), "host").root.sim.warp.arrays == "host"
 
 
 def test_make_chooses_too(caplog):

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
-from embodichain.cli.app import VERBS
+from embodichain.cli.app import load_verb
+from embodichain.cli.verb import VERBS
 from embodichain.config import resolve
 from embodichain.config.keys.check_types import key_names, schema_at
 from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -94,7 +95,7 @@ def is_command(text: str) -> bool:
     _, name, *arguments = shlex.split(text)
     if name not in VERBS:
         return False
-    command = importlib.import_module(f"embodichain.cli.verbs.{name.replace('-', '_')}").command
+    command = load_verb(name)
     values = [a for a in arguments if "=" in a and not a.startswith("-")]
     job = name in ("run", "train", "collect") and any(v.startswith("task=") for v in values)
     if job and "-m" not in arguments:

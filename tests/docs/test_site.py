@@ -19,7 +19,7 @@ import pytest
 from mkdocs.config import load_config
 from mkdocs.structure.files import File, Files
 
-from embodichain.lab.sim import unavailable
+from embodichain.compat.unavailable import CLASSES
 from tests.helpers.browser import chromium, needs_chromium
 
 pytestmark = [pytest.mark.unmeasured, pytest.mark.slow, pytest.mark.timeout(900)]
@@ -36,7 +36,7 @@ PACKAGES = (
     "embodichain.lab.sim.sensors",
 )
 """Packages whose public names the API reference has."""
-NOT_DESCRIBED = {"AnySensorCfg", "EmbodiedEnv", *unavailable.__all__}
+NOT_DESCRIBED = {"AnySensorCfg", "EmbodiedEnv", *CLASSES}
 """A union, EmbodiChain's name of `BaseEnv`, and what raises an error."""
 
 

@@ -46,15 +46,15 @@ SOURCE = Path(__file__).with_name("nth_call.c")
 _WARM = (
     *("mujoco", "numpy", "torch", "stable_baselines3", "mcap", "h5py", "pandas", "pyarrow.parquet"),
     *(
-        "embodichain.cli.verbs.run",
-        "embodichain.cli.verbs.train",
-        "embodichain.cli.verbs.collect",
+        "embodichain.cli.jobs.work.run_job",
+        "embodichain.cli.jobs.work.train_job",
+        "embodichain.cli.jobs.work.collect_job",
         "matplotlib",
     ),
     *(
-        "embodichain.cli.verbs.export",
-        "embodichain.cli.verbs.report",
-        "embodichain.cli.verbs.recover",
+        "embodichain.cli.verbs.logs.export",
+        "embodichain.cli.verbs.logs.report",
+        "embodichain.cli.verbs.logs.recover",
     ),
     *("embodichain.recording.export.tables", "embodichain.recording.export.robomimic"),
     *(

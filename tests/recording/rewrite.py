@@ -8,8 +8,8 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
+from embodichain.recording.format.container.unpacking import unpacked_size
 from embodichain.recording.format.seals import SEAL, digest_of, sealed
-from embodichain.recording.format.unpacking import unpacked_size
 
 
 def rewrite(source, target, message=None, attachment=None, metadata=None, seal=True, crcs=True):

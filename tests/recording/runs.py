@@ -5,9 +5,9 @@ import math
 import numpy as np
 from mcap.reader import make_reader
 
-from embodichain.recording.format.block import unpack_steps
 from embodichain.recording.format.header import Header
-from embodichain.recording.format.schema import START_TOPIC, STEPS_TOPIC, message_class
+from embodichain.recording.format.messages.block import unpack_steps
+from embodichain.recording.format.messages.schema import START_TOPIC, STEPS_TOPIC, message_class
 from tests.recording.rewrite import rewrite
 
 

@@ -13,8 +13,8 @@ from mcap_protobuf.decoder import DecoderFactory
 
 import embodichain.recording as recording
 from embodichain.recording import RecordOptions
-from embodichain.recording.format.block import ArrayKind, pack_steps
 from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.messages.block import ArrayKind, pack_steps
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 from tests.recording.runs import header_of, recorded_steps, unpack

@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.recording.format.archive import load_mjz, scene_archive
+from embodichain.recording.format.container.archive import load_mjz, scene_archive
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 

@@ -5,10 +5,15 @@ import pytest
 import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-from embodichain.recording.format.block import ArrayKind, CallKind, pack_steps, unpack_steps
 from embodichain.recording.format.log_error import DamageError
-from embodichain.recording.format.packing import load, store
-from embodichain.recording.format.schema import (
+from embodichain.recording.format.messages.block import (
+    ArrayKind,
+    CallKind,
+    pack_steps,
+    unpack_steps,
+)
+from embodichain.recording.format.messages.packing import load, store
+from embodichain.recording.format.messages.schema import (
     descriptor_set,
     message_class,
     scalars_class,

@@ -7,8 +7,8 @@ import torch
 import embodichain
 import embodichain.recording as recording
 from embodichain.recording import McapRecorder, RecordOptions, verify
-from embodichain.recording.format.block import pack_steps, unpack_steps
 from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.messages.block import pack_steps, unpack_steps
 from embodichain.recording.read.playback import Playback, span_of
 from tests.helpers.warp_scene import RANDOMIZED
 from tests.recording.rewrite import rewrite

@@ -11,7 +11,7 @@ from embodichain.recording import RecordOptions
 from embodichain.recording.film.filming import film_log
 from embodichain.recording.film.frames import FilmCamera, frames
 from embodichain.recording.format.log_error import LogError
-from embodichain.recording.format.schema import STEPS_TOPIC, message_class
+from embodichain.recording.format.messages.schema import STEPS_TOPIC, message_class
 from embodichain.recording.read.playback import Playback, Span
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from embodichain.recording.format.hashing import row_hashes
+from embodichain.recording.format.messages.hashing import row_hashes
 
 ROWS = np.random.default_rng(0).normal(size=(4, 30))
 

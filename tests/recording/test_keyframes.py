@@ -8,7 +8,7 @@ import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import McapRecorder, RecordOptions, diff, inspect, verify
 from embodichain.recording.format.log_error import LogError
-from embodichain.recording.format.schema import START_TOPIC
+from embodichain.recording.format.messages.schema import START_TOPIC
 from embodichain.recording.read.playback import Playback, Span
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite

@@ -5,9 +5,9 @@ import pytest
 
 from embodichain.cli import main
 from embodichain.recording import RecordOptions, diff
-from embodichain.recording.format.block import pack_steps
 from embodichain.recording.format.log_error import LogError
-from embodichain.recording.format.schema import STEPS_TOPIC
+from embodichain.recording.format.messages.block import pack_steps
+from embodichain.recording.format.messages.schema import STEPS_TOPIC
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 from tests.recording.runs import changed, header_of, recorded_steps, unpack

@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from embodichain.recording.format.mcap_writer import McapWriter
+from embodichain.recording.format.container.mcap_writer import McapWriter
 
 RNG = np.random.default_rng(0)
 ROWS = [RNG.normal(size=(40, 16)) for _ in range(30)]

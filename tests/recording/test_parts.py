@@ -18,7 +18,7 @@ from embodichain.recording.export import FORMATS, Part, export
 from embodichain.recording.format.attachments import MODEL as MODEL_FILE
 from embodichain.recording.format.attachments import load_mjb, unpack_model
 from embodichain.recording.format.log_error import LogError
-from embodichain.recording.format.schema import START_TOPIC
+from embodichain.recording.format.messages.schema import START_TOPIC
 from embodichain.recording.read.recover import recover
 from embodichain.utils.errors import ConfigError
 from tests.recording.runs import changed, flip, runs

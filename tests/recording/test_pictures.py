@@ -9,7 +9,7 @@ import torch
 import embodichain
 from embodichain.cli.app import main
 from embodichain.recording import McapRecorder, inspect, verify
-from embodichain.recording.format.schema import PICTURES_TOPIC, message_class
+from embodichain.recording.format.messages.schema import PICTURES_TOPIC, message_class
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 from tests.recording.runs import messages

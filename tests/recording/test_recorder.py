@@ -10,12 +10,12 @@ import yaml
 from embodichain import recording
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.recording import McapRecorder, inspect, verify
-from embodichain.recording.format.archive import load_mjz
 from embodichain.recording.format.attachments import MODEL as MODEL_FILE
 from embodichain.recording.format.attachments import load_mjb, unpack_model
-from embodichain.recording.format.columns import Moved
+from embodichain.recording.format.container.archive import load_mjz
+from embodichain.recording.format.messages.columns import Moved
+from embodichain.recording.format.messages.schema import STEPS_TOPIC
 from embodichain.recording.format.options import RecordOptions
-from embodichain.recording.format.schema import STEPS_TOPIC
 from embodichain.recording.write import recorder
 from embodichain.utils.errors import ConfigError
 from tests.recording.runs import calls, header_of, messages, runs, starts, unpack

@@ -9,15 +9,15 @@ import pytest
 import zstandard
 
 from embodichain.recording import inspect, verify
-from embodichain.recording.format.log_error import DamageError
-from embodichain.recording.format.seals import digest_of, sealed
-from embodichain.recording.format.unpacking import (
+from embodichain.recording.format.container.unpacking import (
     listed,
     most_unpacked,
     unpack_zip,
     unpack_zstd,
     unpacked_size,
 )
+from embodichain.recording.format.log_error import DamageError
+from embodichain.recording.format.seals import digest_of, sealed
 from tests.recording.rewrite import as_before, rewrite
 
 MB = 2**20

@@ -19,8 +19,8 @@ from embodichain.recording.format.attachments import (
     model_digest,
     unpack_model,
 )
+from embodichain.recording.format.messages.schema import START_TOPIC
 from embodichain.recording.format.options import RecordOptions
-from embodichain.recording.format.schema import START_TOPIC
 from embodichain.recording.read.playback import Playback, Span
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-__all__ = ["access_given", "access_options"]
+if TYPE_CHECKING:
+    from embodichain.utils.system.access import Access
+
+__all__ = ["AccessOptions", "access_options"]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -25,13 +29,15 @@ def access_options(of: str) -> Callable[[_Command], _Command]:
             help=f"What {of} asks for: auto draws it (the default), none asks for none.",
         ),
         click.option(
-            *("--allow-host", "allow_hosts"),
+            "--allow-host",
+            "allow_hosts",
             metavar="NAME",
             multiple=True,
             help="A name of the server beside its address. May be repeated.",
         ),
         click.option(
-            *("--allow-origin", "allow_origins"),
+            "--allow-origin",
+            "allow_origins",
             metavar="SITE",
             multiple=True,
             help="A site whose pages may connect. May be repeated.",
@@ -46,10 +52,24 @@ def access_options(of: str) -> Callable[[_Command], _Command]:
     return add
 
 
-def access_given(options: Mapping[str, Any]) -> Any:
-    """Return the `Access` of these options; those that were not given have its defaults."""
-    from embodichain.utils.system.access import AUTO, Access
+@dataclass(frozen=True, kw_only=True)
+class AccessOptions:
+    """Who may connect to a verb that serves a log; values that were not typed are empty.
 
-    token = AUTO if options["token"] is None else options["token"]
-    origins = options["allow_origins"] or None
-    return Access(token, options["allow_hosts"], origins)
+    Attributes:
+        token: What the server asks for: ``auto`` draws it, ``none`` asks for none.
+        allow_hosts: Names of the server beside its address.
+        allow_origins: Sites whose pages may connect.
+    """
+
+    token: str | None
+    allow_hosts: tuple[str, ...]
+    allow_origins: tuple[str, ...]
+
+    @property
+    def access(self) -> Access:
+        """Who may connect, with the defaults of what was not typed."""
+        from embodichain.utils.system.access import AUTO, Access
+
+        token = AUTO if self.token is None else self.token
+        return Access(token, self.allow_hosts, self.allow_origins or None)

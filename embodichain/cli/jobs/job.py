@@ -18,11 +18,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.app import command_line, split_overrides
 from embodichain.cli.jobs.unread_keys import unread_keys
 from embodichain.cli.terminal.last import take_last, with_paths
 from embodichain.cli.terminal.process import Interrupted, StopFlag, started
 from embodichain.cli.terminal.reporting import ProgressDisplay, log_to, warn_if_public
+from embodichain.cli.verb import command_line
+from embodichain.cli.words import split_overrides
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils.errors import ConfigError, Problem, RenderError
@@ -30,6 +31,7 @@ from embodichain.utils.system import platforms
 from embodichain.utils.system.platforms import LIMITED
 
 if TYPE_CHECKING:
+    from embodichain.cli.verb import JobOptions, OverrideOptions
     from embodichain.config.composition.composed import Composed
     from embodichain.config.keys.schema import RootCfg, Verb
     from embodichain.config.resolved import Checked, Resolved
@@ -45,35 +47,36 @@ __all__ = [
     "Body",
     "Job",
     "check_extras",
-    "checked_job",
+    "check_job",
     "ended_early",
     "execute",
     "film_progress",
-    "job_options",
+    "output_overrides",
     "pinned",
     "policy_name",
     "policy_of",
-    "resolved_job",
+    "resolve_job",
     "start",
 ]
 
 LOG_FILE = "run.log"
 VIDEO = "rollout"
 """Name of the film in a run folder, without its suffix."""
-"""File name of a run's video in its folder."""
 _SAY_AFTER = 1.0
 """Seconds after which a film says how long it takes."""
 FRESH: dict[str, Any] = {
-    **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
-    **{
-        "trust": False,
-        "max_steps": None,
-        "video": None,
-        "total_timesteps": None,
-        "algo": None,
-        "dataset": None,
-    },
-    **{"output_dir": "outputs"},
+    "quiet": False,
+    "json": False,
+    "traceback": False,
+    "resume": None,
+    "allow_changed": False,
+    "trust": False,
+    "max_steps": None,
+    "video": None,
+    "total_timesteps": None,
+    "algo": None,
+    "dataset": None,
+    "output_dir": "outputs",
 }
 """Root keys of a run's config that do not carry over to another run of it."""
 _log = logging.getLogger(__name__)
@@ -265,7 +268,7 @@ Body = Callable[[Job], float | None]
 """The work of a job; returns the objective for a sweeper, or None."""
 
 
-def start(verb: Verb, body: Body, options: Any) -> None:
+def start(verb: Verb, body: Body, options: JobOptions) -> None:
     """Run one job, or pass the command line to Hydra's `main`.
 
     The config of every job is checked before the first starts.
@@ -282,7 +285,7 @@ def start(verb: Verb, body: Body, options: Any) -> None:
     from embodichain.config.composition.override_text import readable
     from embodichain.config.resolved import compile_scene_of
 
-    overrides = [*map(readable, split_overrides(options.words)), *job_options(options)]
+    overrides = [*map(readable, split_overrides(options.words)), *output_overrides(options)]
     if options.gym_config is not None:
         from embodichain.config.composition.gym_config import override_of
 
@@ -291,7 +294,7 @@ def start(verb: Verb, body: Body, options: Any) -> None:
 
     def check(lines: Sequence[str]) -> Resolved:
         """Check a job of Hydra's, which is resolved and compiled again where it runs."""
-        resolved = resolved_job(compose(lines, verb), verb)
+        resolved = resolve_job(compose(lines, verb), verb)
         compile_scene_of(resolved)
         return resolved
 
@@ -312,19 +315,25 @@ def start(verb: Verb, body: Body, options: Any) -> None:
 
         call_hydra(verb, check, do, options, overrides)
     else:
-        do(resolved_job(compose(overrides, verb), verb))
+        do(resolve_job(compose(overrides, verb), verb))
 
 
-def job_options(options: Any) -> list[str]:
+def output_overrides(options: OverrideOptions) -> list[str]:
     """Return `--quiet`, `--json` and `--traceback` as overrides.
 
     The workers of a sweep receive overrides only.
     """
-    found = [f"{name}=true" for name in ("quiet", "json") if getattr(options, name)]
-    return [*found, *(["traceback=true"] if "--traceback" in command_line() else [])]
+    lines = []
+    if options.quiet:
+        lines.append("quiet=true")
+    if options.json:
+        lines.append("json=true")
+    if "--traceback" in command_line():
+        lines.append("traceback=true")
+    return lines
 
 
-def checked_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Checked:
+def check_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Checked:
     """Check the whole config of a job, and that the verb reads each key of its command line.
 
     Args:
@@ -332,22 +341,22 @@ def checked_job(composed: Composed, verb: Verb, *, any_key: bool = False) -> Che
         verb: The verb of the job.
         any_key: Whether keys that the verb does not read are taken, too.
     """
-    from embodichain.config.resolved import checked
+    from embodichain.config.resolved import check_config
 
-    config = checked(composed, verb)
+    config = check_config(composed, verb)
     unread = [] if any_key else unread_keys(verb, composed.overrides)
     paths = {problem.path for problem in unread}
-    others = [problem for problem in config.found.problems if problem.path not in paths]
-    return replace(config, found=replace(config.found, problems=[*unread, *others]))
+    others = [problem for problem in config.check.problems if problem.path not in paths]
+    return replace(config, check=replace(config.check, problems=[*unread, *others]))
 
 
-def resolved_job(composed: Composed, verb: Verb) -> Resolved:
+def resolve_job(composed: Composed, verb: Verb) -> Resolved:
     """Check the whole config of a job; for a training, the algorithm's arguments too.
 
     Raises:
         ConfigError: Lists every mistake with its file and line.
     """
-    resolved = checked_job(composed, verb).resolved()
+    resolved = check_job(composed, verb).resolved()
     if verb == "train":
         from embodichain.learning.training.train import check_training
 
@@ -416,10 +425,10 @@ def pinned(resolved: Resolved) -> Resolved:
     Raises:
         ConfigError: There is no such training any more.
     """
-    named, found = resolved.tree["policy"], resolved.pinned()
-    if named == "last":
-        take_last(Path(str(found.tree["policy"])))
-    return found
+    pinned_config = resolved.pinned()
+    if resolved.tree["policy"] == "last":
+        take_last(Path(str(pinned_config.tree["policy"])))
+    return pinned_config
 
 
 def _execute(job: Job, body: Body, command: Sequence[str], *, goes_on: bool) -> float | None:
@@ -427,7 +436,8 @@ def _execute(job: Job, body: Body, command: Sequence[str], *, goes_on: bool) -> 
     from embodichain.config.checks.viewer_access import without_token
     from embodichain.config.resolved import write_record
 
-    resolved, folder = job.resolved, job.folder
+    resolved = job.resolved
+    folder = job.folder
     command = without_token(with_paths(command))
     if not goes_on:
         write_record(folder, resolved, command)
@@ -520,8 +530,13 @@ def policy_of(
     def load(path: Path) -> Policy:
         from embodichain.learning.policies.policy import load_policy
 
-        how = {"allow_changed": root.allow_changed, "trust": root.trust}
-        return load_policy(path, env, deterministic=deterministic, **how)
+        return load_policy(
+            path,
+            env,
+            deterministic=deterministic,
+            allow_changed=root.allow_changed,
+            trust=root.trust,
+        )
 
     chosen = policy or root.policy or "random"
     if not isinstance(chosen, str):
@@ -531,15 +546,17 @@ def policy_of(
 
 def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
     """Return a callback that shows how many pictures are made, and how long the rest takes."""
-    begun, said = 0.0, False
+    begun = 0.0
+    shown = False
 
     def show(filmed: Filmed) -> None:
-        nonlocal begun, said
+        nonlocal begun, shown
         now = time.perf_counter()
         if filmed.pictures == 1:  # the first one takes longer: OpenGL starts
             begun = now
-        elif display.due or not (said or now - begun < _SAY_AFTER):
-            said, display.total = True, filmed.total
+        elif display.due or not (shown or now - begun < _SAY_AFTER):
+            shown = True
+            display.total = filmed.total
             left = (now - begun) / (filmed.pictures - 1) * (filmed.total - filmed.pictures)
             display.show(filmed.pictures, {"step": f"{filmed.step}", "left": f"{left:.0f} s"})
 

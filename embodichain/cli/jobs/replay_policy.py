@@ -9,8 +9,7 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +22,12 @@ from embodichain.cli.terminal.reporting import ProgressDisplay
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.config.resolved import Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.policies import Policy
     from embodichain.recording.read.api import Log
     from embodichain.recording.read.episodes import LogEpisode
 
-__all__ = ["rerun"]
+__all__ = ["Repetition", "rerun"]
 
 _LONGER = 10
 _NEVER = 2**31 - 1
@@ -52,28 +51,88 @@ class _Pair:
     cut: bool  # the log ends before the episode: both cover its first steps only
 
 
-def rerun(path: Path, options: SimpleNamespace) -> int:
-    """Repeat recorded episodes with another policy, and compare returns."""
+@dataclass(frozen=True, slots=True)
+class Repetition:
+    """What is repeated, and by which policy.
+
+    Attributes:
+        policy: A training's folder, a file, or the policy's name.
+        env: Only this environment.
+        episode: Only this episode of each environment.
+        allow_changed: Whether the policy may be trained in another task.
+        trust: Whether code of the policy's file may run.
+    """
+
+    policy: str
+    env: int | None = None
+    episode: int | None = None
+    allow_changed: bool = False
+    trust: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Starts:
+    """The first recorded states.
+
+    Attributes:
+        columns: Component of the state -> (N, W) values.
+        tolerance: By how much a component may differ from them.
+    """
+
+    columns: dict[str, NDArray[np.float64]]
+    tolerance: float
+
+    def equal(self, env: BaseEnv) -> bool:
+        """Whether an environment that was just reset has these states."""
+        state = env.sim.engine.state
+        return all(
+            np.allclose(state(name), values, rtol=0.0, atol=self.tolerance)
+            for name, values in self.columns.items()
+        )
+
+
+def rerun(path: Path, repetition: Repetition, *, quiet: bool = False, json: bool = False) -> int:
+    """Repeat recorded episodes with another policy, and compare returns.
+
+    Args:
+        path: The log.
+        repetition: What is repeated, and by which policy.
+        quiet: Print nothing.
+        json: Print one JSON object.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        ConfigError: The log has no such episode, or the policy cannot act in its task.
+    """
     from embodichain.config.environments.factory import make_env
     from embodichain.data.pretrained import pretrained
     from embodichain.lab.gym.policies import PRETRAINED
     from embodichain.recording.demos.reenactment import config_of
     from embodichain.recording.shards import joining
 
-    target = find_target(options.policy)
+    target = find_target(repetition.policy)
     with joining.open(path) as log:
-        wanted = _wanted(log, options)
+        episodes = _chosen_episodes(log, repetition)
         resolved = config_of(log)
-        rounding = 0.0 if log.header.has_writes else _ROUNDING
         names = [name for name in _STATE if name in log.columns]
-        starts = {name: log.read(name, start=0, stop=1)[name][0] for name in names}
+        starts = _Starts(
+            columns={name: log.read(name, start=0, stop=1)[name][0] for name in names},
+            tolerance=0.0 if log.header.has_writes else _ROUNDING,
+        )
         warnings = list(log.warnings)
     policy = target.policy
     if policy == PRETRAINED:
         policy = str(pretrained(resolved.task_name).file)
     env = make_env(resolved)
     try:
-        pairs, same = _play(env, policy, resolved, wanted, (starts, rounding), options)
+        allowed = resolved.changed(allow_changed=repetition.allow_changed, trust=repetition.trust)
+        acting = policy_of(allowed.root, env, policy)
+        obs, _ = env.reset()
+        same = starts.equal(env)
+        with ProgressDisplay("replay", len(episodes), "episodes", quiet=quiet or json) as display:
+            pairs = _play(env, acting, obs, episodes, display)
     finally:
         env.close()
     if not same:
@@ -87,9 +146,9 @@ def rerun(path: Path, options: SimpleNamespace) -> int:
         "mean_return": float(np.mean([p.total_return for p in pairs])),
         "same_start": same,
     }
-    if options.json:
+    if json:
         print_json({**facts, "pairs": [asdict(pair) for pair in pairs]})
-    elif not options.quiet:
+    elif not quiet:
         print_table("episodes", [asdict(pair) for pair in pairs[:_MOST_ROWS]])
         if len(pairs) > _MOST_ROWS:
             sys.stdout.write(f"... and {len(pairs) - _MOST_ROWS} more: --env, --json\n")
@@ -97,73 +156,64 @@ def rerun(path: Path, options: SimpleNamespace) -> int:
     return process.OK
 
 
-def _wanted(log: Log, options: SimpleNamespace) -> dict[tuple[int, int], LogEpisode]:
-    """The log's episodes that the options select."""
+def _chosen_episodes(log: Log, repetition: Repetition) -> dict[tuple[int, int], LogEpisode]:
+    """The log's episodes that are repeated, by environment and number."""
     if any(e.episode for e in log.episodes if e.first_step == log.header.first_step):
         raise ConfigError(f"{log.path} does not begin with first episodes: seeds lead elsewhere")
-    found = {
+    episodes = {
         (e.env, e.episode): e
         for e in log.episodes
-        if options.env in (None, e.env) and options.episode in (None, e.episode)
+        if repetition.env in (None, e.env) and repetition.episode in (None, e.episode)
     }
-    if not found:
+    if not episodes:
         raise ConfigError(f"{log.path} has no such episode: there is nothing to compare")
-    return found
+    return episodes
 
 
 def _play(
     env: BaseEnv,
-    policy_name: str,
-    resolved: Resolved,
-    wanted: dict[tuple[int, int], LogEpisode],
-    recorded: tuple[dict[str, NDArray[np.float64]], float],
-    options: SimpleNamespace,
-) -> tuple[list[_Pair], bool]:
-    """The episodes, and whether all environments began in the recorded state.
+    policy: Policy,
+    obs: Any,
+    episodes: dict[tuple[int, int], LogEpisode],
+    display: ProgressDisplay,
+) -> list[_Pair]:
+    """Play until each of the episodes has its pair.
 
     Args:
-        env: The environment.
-        policy_name: The policy.
-        resolved: The config of the log.
-        wanted: The episodes that are repeated.
-        recorded: Components of the first states, and by how much they may differ.
-        options: Those of the command line.
+        env: The environment, just reset.
+        policy: The policy.
+        obs: Its first observation.
+        episodes: The recorded episodes that are repeated.
+        display: Shows how many are done.
     """
-    starts, rounding = recorded
-    allowed = resolved.changed(allow_changed=bool(options.allow_changed), trust=bool(options.trust))
-    policy = policy_of(allowed.root, env, policy_name)
-    obs, _ = env.reset()
-    state = env.sim.engine.state
-    same = all(
-        np.allclose(state(name), values, rtol=0.0, atol=rounding) for name, values in starts.items()
-    )
-    returns, steps = np.zeros(env.num_envs), np.zeros(env.num_envs, np.int64)
+    returns = np.zeros(env.num_envs)
+    steps = np.zeros(env.num_envs, np.int64)
     pairs: dict[tuple[int, int], _Pair] = {}
-    cut = {key for key, e in wanted.items() if not (e.terminated or e.truncated)}
+    # The log ends before these did: they are compared over their recorded steps.
+    cut = {key for key, e in episodes.items() if not (e.terminated or e.truncated)}
     # Without a time limit in the task, episodes of another policy might never end.
-    longest = max(e.steps for e in wanted.values())
+    longest = max(e.steps for e in episodes.values())
     limit = _LONGER * longest if env.max_episode_steps == _NEVER else _NEVER
-    quiet = options.quiet or options.json
-    with ProgressDisplay("replay", len(wanted), "episodes", quiet=quiet) as display:
-        while len(pairs) < len(wanted):
-            ids = env.episode_ids.numpy()
-            obs, reward, terminated, truncated, _ = env.step(policy(obs, env))
-            returns += reward.numpy(force=True)
-            steps += 1
-            if (steps >= limit).any():
-                env.truncate(np.flatnonzero(steps >= limit))
-            done = np.flatnonzero((terminated | truncated).numpy(force=True))
-            ended = [k for k in cut if k[1] == ids[k[0]] and steps[k[0]] == wanted[k].steps]
-            ended += [key for i in done.tolist() if (key := (i, int(ids[i]))) in wanted]
-            for key in ended:
-                cut.discard(key)
-                pairs.setdefault(key, _pair(wanted[key], int(steps[key[0]]), returns[key[0]]))
-            if len(done):
-                returns[done], steps[done] = 0.0, 0
-                policy.reset(done)
-            if display.due:
-                display.show(len(pairs), {})
-    return [pairs[key] for key in sorted(pairs)], same
+    while len(pairs) < len(episodes):
+        ids = env.episode_ids.numpy()
+        obs, reward, terminated, truncated, _ = env.step(policy(obs, env))
+        returns += reward.numpy(force=True)
+        steps += 1
+        if (steps >= limit).any():
+            env.truncate(np.flatnonzero(steps >= limit))
+        done = np.flatnonzero((terminated | truncated).numpy(force=True))
+        ended = [k for k in cut if k[1] == ids[k[0]] and steps[k[0]] == episodes[k].steps]
+        ended += [key for i in done.tolist() if (key := (i, int(ids[i]))) in episodes]
+        for key in ended:
+            cut.discard(key)
+            pairs.setdefault(key, _pair(episodes[key], int(steps[key[0]]), returns[key[0]]))
+        if len(done):
+            returns[done] = 0.0
+            steps[done] = 0
+            policy.reset(done)
+        if display.due:
+            display.show(len(pairs), {})
+    return [pairs[key] for key in sorted(pairs)]
 
 
 def _pair(recorded: LogEpisode, steps: int, total: float) -> _Pair:

@@ -2,22 +2,39 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.app import split_overrides
-from embodichain.cli.jobs.job import job_options
+from embodichain.cli.jobs.job import output_overrides
 from embodichain.cli.terminal.last import take_last
+from embodichain.cli.verb import JobOptions
+from embodichain.cli.words import split_overrides
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["parsed_changes", "resumed_folder", "resumption", "with_changes"]
+if TYPE_CHECKING:
+    from embodichain.config.resolved import Resolved
 
+__all__ = [
+    "COLLECTION_KEYS",
+    "parsed_changes",
+    "resumed_collection",
+    "resumed_folder",
+    "resumed_training",
+    "resumption",
+    "with_changes",
+]
+
+COLLECTION_KEYS = ("episodes", "num_envs", "max_steps", "collect", "viewer", "video", "device")
+"""Keys (and what is below them) that may change in a resumed collection, besides `_ALWAYS`."""
+TRAINING_KEYS = ("total_timesteps", "dataset", "checkpoint", "eval", "video", "wandb")
+"""Keys (and what is below them) that may change in a resumed training, besides `_ALWAYS`."""
 _ALWAYS = ("record", "sim", "output_dir", "allow_changed", "quiet", "json", "traceback")
 """Keys that may change in every resumption."""
 
 
-def resumption(options: Any) -> list[str] | None:
+def resumption(options: JobOptions) -> list[str] | None:
     """Return the overrides of a command that resumes a run, or None if it does not.
 
     Raises:
@@ -31,7 +48,7 @@ def resumption(options: Any) -> list[str] | None:
     if options.multirun or hydras or any(flag is not None for flag in flags):
         only = "no --multirun, no --gym-config, no key of Hydra's"
         raise ConfigError(f"resume continues one run: {only}")
-    return [*split_overrides(words), *job_options(options)]
+    return [*split_overrides(words), *output_overrides(options)]
 
 
 def parsed_changes(
@@ -86,28 +103,90 @@ def resumed_folder(name: str, newest: Path | None, what: str) -> Path:
     from embodichain.config.run_folder import CHECKPOINT, CONFIG, perhaps_last
     from embodichain.utils.system.atomic import remove_abandoned
 
-    found = newest if name == "last" else Path(name)
-    if found is None:
+    folder = newest if name == "last" else Path(name)
+    if folder is None:
         raise ConfigError([Problem("resume", f"there is no {what} to resume yet")])
-    if not (found / CONFIG).is_file():
-        message = f"{name!r} is no {what}'s folder: it has no {CONFIG}{perhaps_last(name)}"
+    if not (folder / CONFIG).is_file():
+        message = f"{name!r} is not a {what}'s folder: it has no {CONFIG}{perhaps_last(name)}"
         raise ConfigError([Problem("resume", message)])
     if name == "last":
-        take_last(found)
-    for folder in (found, found / Path(CHECKPOINT).parent):
-        remove_abandoned(folder)
-    return found.resolve()
+        take_last(folder)
+    for written in (folder, folder / Path(CHECKPOINT).parent):
+        remove_abandoned(written)
+    return folder.resolve()
 
 
 def with_changes(tree: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return a run's config with changed keys; an option of the group `record` sets the format."""
-    found = dict(tree)
+    changed = dict(tree)
     for key, value in changes.items():
         path = "record.format" if key == "record" and isinstance(value, str) else key
         *parents, last = path.split(".")
-        node = found
+        node = changed
         for parent in parents:
             node[parent] = dict(node.get(parent) or {})
             node = node[parent]
         node[last] = value
-    return found
+    return changed
+
+
+def resumed_collection(overrides: Sequence[str]) -> tuple[Resolved, Path, int]:
+    """The config of a collection that is resumed, its folder, and how many successes it has.
+
+    Raises:
+        ConfigError: There is no such collection, or a key may not change.
+    """
+    from embodichain.config.rerun import read_config, task_of
+    from embodichain.config.resolved import resolve_tree
+    from embodichain.config.run_folder import CONFIG, newest_run
+    from embodichain.recording.demos.collection import SUCCESSES, read_collection
+
+    changes = parsed_changes(overrides, (*COLLECTION_KEYS, "trust"), "a resumed collection")
+    name = str(changes.pop("resume"))
+    newest = newest_run(changes.get("output_dir", "outputs"), SUCCESSES)
+    folder = resumed_folder(name, newest, "collection")
+    done = len(read_collection(folder))
+    fresh = {"quiet": False, "json": False, "traceback": False, "resume": str(folder)}
+    fresh |= {"trust": False}  # whoever made the folder does not say whom to trust
+    tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
+    source = str(folder / CONFIG)
+    resumed = resolve_tree(tree, source, "collect", task_name=task_of(folder), allow_import=True)
+    resumed = dataclasses.replace(resumed, overrides=tuple(overrides))
+    return resumed, folder, done
+
+
+def resumed_training(overrides: Sequence[str]) -> Resolved:
+    """The config of a training that is resumed.
+
+    Args:
+        overrides: As typed: ``resume=RUN`` (or ``last``) and keys that may change.
+
+    Raises:
+        ConfigError: There is no such run, none of its checkpoints can be resumed, or an override
+            sets a key that may not change.
+    """
+    from embodichain.config.rerun import read_config
+    from embodichain.config.resolved import resolve_tree
+    from embodichain.config.run_folder import CONFIG, newest_run
+    from embodichain.learning.checkpoints.checkpoint import read_note
+    from embodichain.learning.training.keeper import find_resumable
+    from embodichain.learning.training.train import check_training
+
+    changes = parsed_changes(overrides, TRAINING_KEYS, "a resumed training")
+    name = str(changes.pop("resume"))
+    output_dir = changes.get("output_dir", "outputs")
+    folder = resumed_folder(name, newest_run(output_dir, "checkpoints/*.zip"), "training")
+    checkpoint, state = find_resumable(folder)
+    fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False}
+    fresh |= {"allow_changed": False, "trust": False, "resume": str(folder)}
+    tree = with_changes({**read_config(folder / CONFIG), **fresh}, changes)
+    task = str(read_note(checkpoint).get("task", "task"))
+    source = str(folder / CONFIG)
+    resumed = resolve_tree(tree, source, "train", task_name=task, allow_import=True)
+    check_training(resumed)
+    done = state["env_steps"]
+    wanted = resumed.root.total_timesteps or 0
+    if done >= wanted:
+        message = f"{checkpoint} has {done} steps already: give more, total_timesteps=N"
+        raise ConfigError([Problem("total_timesteps", message)])
+    return dataclasses.replace(resumed, overrides=tuple(overrides))

@@ -40,7 +40,7 @@ class Target:
         Args:
             overrides: As typed.
             values: Keys of the root to set if the run's config is used.
-            only_reads: As in `resolve_again`.
+            only_reads: As in `resolve_run`.
 
         Raises:
             ConfigError: There is neither, or the config has mistakes.
@@ -51,10 +51,10 @@ class Target:
             named = [] if self.file is not None else [f"policy={self.policy}"]
             resolved = resolve([*overrides, *named], "run")
         elif self.run is not None:
-            from embodichain.config.rerun import resolve_again
+            from embodichain.config.rerun import resolve_run
 
             fresh = {**values, "policy": None}
-            resolved = resolve_again(self.run, overrides, fresh, only_reads=only_reads)
+            resolved = resolve_run(self.run, overrides, fresh, only_reads=only_reads)
         else:
             from embodichain.lab.gym.policies import PRETRAINED, resolve_policy
 
@@ -116,9 +116,9 @@ def one_target(action: str, words: Sequence[str]) -> tuple[Target, list[str]]:
 
 def take(overrides: list[str], key: str, default: str) -> str:
     """Remove ``key=value`` from overrides and return its last value, or the default."""
-    found = [line for line in overrides if line.partition("=")[0].lstrip("+") == key]
-    overrides[:] = [line for line in overrides if line not in found]
-    return found[-1].partition("=")[2] if found else default
+    values = [line for line in overrides if line.partition("=")[0].lstrip("+") == key]
+    overrides[:] = [line for line in overrides if line not in values]
+    return values[-1].partition("=")[2] if values else default
 
 
 def _run_of(file: Path) -> Path | None:

@@ -37,6 +37,7 @@ from embodichain.cli.sweeps.sweep_progress import job_label
 from embodichain.cli.sweeps.sweep_run import run_sweep
 from embodichain.cli.terminal.plain_text import degrading_text
 from embodichain.cli.terminal.process import Interrupted
+from embodichain.cli.verb import JobOptions
 from embodichain.config.checks.viewer_access import refuse_token
 from embodichain.config.composition.composed import (
     WITHOUT_TASK,
@@ -71,7 +72,7 @@ def call_hydra(
     verb: Verb,
     check: Callable[[Sequence[str]], Resolved],
     do: Callable[[Resolved, Path | None, bool, Callable[[], None] | None], float | None],
-    options: Any,
+    options: JobOptions,
     overrides: Sequence[str],
 ) -> None:
     """Call Hydra's `main` for a verb; its exceptions are raised unchanged.
@@ -342,7 +343,7 @@ class _Labelled:
         return getattr(self._stream, name)
 
 
-def _flags(options: Any) -> list[str]:
+def _flags(options: JobOptions) -> list[str]:
     """Hydra's flags, which its parser accepts only before the overrides."""
     flags = ["--multirun"] if options.multirun else []
     flags += ["--resolve"] if options.resolve else []

@@ -36,6 +36,7 @@ __all__ = [
     "StopFlag",
     "check_mujoco_gl",
     "check_text",
+    "own_modules",
     "report",
     "signals_raise",
     "started",
@@ -240,6 +241,21 @@ class StopFlag:
         if self.stopped is not None and number == signal.SIGINT:
             raise KeyboardInterrupt(_TWICE)
         self.stopped = signal.Signals(number).name
+
+
+@contextmanager
+def own_modules() -> Iterator[None]:
+    """Let a config name functions of modules in the working directory, or in its `src`.
+
+    These folders are added at the end of `sys.path`, so that they hide no installed module.
+    """
+    added = [folder for folder in (os.getcwd(), os.path.abspath("src")) if folder not in sys.path]
+    sys.path += added
+    try:
+        yield
+    finally:
+        for folder in added:
+            sys.path.remove(folder)
 
 
 def report(error: BaseException, *, full: bool = False) -> int:

@@ -49,7 +49,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.scene_setup import DeclaredScene
 
-__all__ = ["Check", "check", "check_training_keys", "check_tree", "named_maps", "validate"]
+__all__ = ["Check", "check_composed", "check_training_keys", "check_tree", "named_maps", "validate"]
 
 Chosen = Callable[[str, str], bool]
 """``chosen(path, package)``: whether a key was set outside the group option at `package`."""
@@ -84,13 +84,13 @@ def validate(composed: Composed, verb: Verb = "run") -> list[Problem]:
         composed: The result of `compose`.
         verb: The verb for which the task's suggestions are used.
     """
-    found = check(composed, verb)
+    found = check_composed(composed, verb)
     if found.problems or found.types.root is None or found.scene is None:
         return found.problems
     return _located(_mistakes_in_model(found.types.root, found.scene, ()), composed.source)
 
 
-def check(composed: Composed, verb: Verb) -> Check:
+def check_composed(composed: Composed, verb: Verb) -> Check:
     """Check a whole composed config, with the task's suggestions for a verb."""
     unknown: list[Problem] = []
     if composed.usable:

@@ -34,6 +34,7 @@ from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import Problem
 from embodichain.utils.fields.defaults import KEEP_DEFAULT, DefaultFloat, DefaultInt
 from embodichain.utils.fields.no_effect import NO_EFFECT, NoEffect
+from embodichain.utils.plugins import missing_class
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
@@ -400,11 +401,10 @@ class MarkerCfg:
 
 
 def __getattr__(name: str) -> Any:
-    """Return a config class of EmbodiChain that is not available here yet."""
-    from embodichain.lab.sim import unavailable
-
-    if name in unavailable.__all__:
-        return getattr(unavailable, name)
+    """Return a config class of EmbodiChain that raises the reason why it is missing."""
+    cls = missing_class(name)
+    if cls is not None:
+        return cls
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -36,9 +36,9 @@ from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
-from embodichain.lab.sim.unavailable import with_simulation_members
 from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
+from embodichain.utils.plugins import with_missing_members
 from embodichain.utils.system.memory import require_memory_for
 from embodichain.utils.uncopied import Uncopied
 
@@ -88,7 +88,7 @@ def _lister(group: str) -> Callable[[SimulationManager], list[str]]:
     return uids
 
 
-@with_simulation_members
+@with_missing_members
 class SimulationManager(Uncopied):
     """N environments of one scene.
 

@@ -33,6 +33,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from mcap.records import Header as FileHeader
 
+from embodichain.recording.format.container.mcap_records import LIBRARIES, chunk_content, parse
 from embodichain.recording.format.header import (
     METADATA,
     METADATA_END,
@@ -41,7 +42,6 @@ from embodichain.recording.format.header import (
     check_header,
 )
 from embodichain.recording.format.log_error import LONGEST_CHUNK, DamageError
-from embodichain.recording.format.mcap_records import LIBRARIES, chunk_content, parse
 from embodichain.recording.format.parts import first_file
 from embodichain.recording.format.seals import SEAL, check_seal, digest_of
 from embodichain.recording.read.chunks import MAGIC, LogReader

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording.format.block import DRAWN, Call, CallKind, Run
-from embodichain.recording.format.columns import Moved, state_columns
-from embodichain.recording.format.hashing import row_hashes
 from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.messages.block import DRAWN, Call, CallKind, Run
+from embodichain.recording.format.messages.columns import Moved, state_columns
+from embodichain.recording.format.messages.hashing import row_hashes
 from embodichain.recording.read.api import Log
 from embodichain.recording.read.trajectory import runs
 

@@ -25,8 +25,8 @@ from embodichain.lab.gym.envs.observation import Observation
 from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver
 from embodichain.lab.sim.engine.api import F64, PhysicsEvent
 from embodichain.lab.sim.engine.fields import row_layout
-from embodichain.recording.format.block import CallKind
 from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.messages.block import CallKind
 from embodichain.recording.read.recorded_log import RecordedLog
 from embodichain.recording.read.simulation import Simulation
 from embodichain.recording.read.trajectory import Rows, Span, changes, follow, outcomes

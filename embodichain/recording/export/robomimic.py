@@ -24,7 +24,7 @@ from embodichain.recording.export.hdf5_files import (
     say_task,
 )
 from embodichain.recording.export.meaning import require_unique
-from embodichain.recording.format.columns import state_columns
+from embodichain.recording.format.messages.columns import state_columns
 from embodichain.recording.read.recorded_log import RecordedLog
 
 __all__ = ["write_episodes"]

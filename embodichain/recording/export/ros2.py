@@ -16,7 +16,7 @@ import numpy as np
 
 from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.export.formats import Part, poses, required
-from embodichain.recording.format.mcap_writer import McapWriter
+from embodichain.recording.format.container.mcap_writer import McapWriter
 from embodichain.recording.read.api import Log
 from embodichain.recording.views.channels import frame_names, scalar_joints
 from embodichain.recording.views.shapes import Shape, shapes

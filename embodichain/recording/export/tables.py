@@ -29,8 +29,8 @@ from embodichain.recording.export.hdf5_files import (
 )
 from embodichain.recording.export.meaning import require_unique
 from embodichain.recording.film.frames import FilmCamera, cameras_of, frames
-from embodichain.recording.format.columns import Column
 from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.messages.columns import Column
 from embodichain.recording.read.api import Log
 from embodichain.recording.read.arrays import LogArrays
 from embodichain.recording.read.playback import Playback, Span

@@ -18,11 +18,11 @@ import zstandard
 
 from embodichain.config.run_folder import versions
 from embodichain.lab.sim.engine.fields import row_layout
-from embodichain.recording.format.archive import load_mjz, scene_archive
+from embodichain.recording.format.container.archive import load_mjz, scene_archive
+from embodichain.recording.format.container.unpacking import unpack_zip, unpack_zstd
 from embodichain.recording.format.header import Header
 from embodichain.recording.format.log_error import DamageError, LogError
 from embodichain.recording.format.seals import digest_of
-from embodichain.recording.format.unpacking import unpack_zip, unpack_zstd
 
 __all__ = [
     "MODEL",

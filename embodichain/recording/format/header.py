@@ -14,8 +14,8 @@ import mujoco
 
 from embodichain.lab.gym.envs.action_columns import ActionColumn, action_columns
 from embodichain.lab.sim.engine.fields import row_layout
-from embodichain.recording.format.columns import moved_ranges
 from embodichain.recording.format.log_error import LARGEST_CHUNK, DamageError, LogError
+from embodichain.recording.format.messages.columns import moved_ranges
 from embodichain.recording.format.options import RecordOptions
 from embodichain.recording.format.seals import SEAL, check_seal, sealed
 from embodichain.utils.errors import ConfigError, Problem

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.restoring.snapshot import Drawn, Snapshot
 from embodichain.lab.sim.engine.api import F64, EnvIndex
-from embodichain.recording.format.block import DRAWN, Call, Run
 from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.messages.block import DRAWN, Call, Run
 from embodichain.recording.read.episodes import LogEpisode
 from embodichain.recording.read.playback import follower_of, span_of
 from embodichain.recording.read.recorded_log import RecordedLog

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import F64
-from embodichain.recording.format.block import CallKind, Run
-from embodichain.recording.format.columns import Column
 from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.messages.block import CallKind, Run
+from embodichain.recording.format.messages.columns import Column
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.simulation import Simulation
 from embodichain.recording.read.trajectory import Rows, Span, changes, follow, outcomes, runs

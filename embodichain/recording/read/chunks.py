@@ -18,6 +18,12 @@ from typing import Any, BinaryIO, Self
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 
+from embodichain.recording.format.container.mcap_records import (
+    UNREADABLE,
+    chunk_content,
+    parse,
+    reason_of,
+)
 from embodichain.recording.format.header import (
     METADATA,
     METADATA_END,
@@ -26,7 +32,6 @@ from embodichain.recording.format.header import (
     check_part,
 )
 from embodichain.recording.format.log_error import LONGEST_CHUNK, DamageError, LogError
-from embodichain.recording.format.mcap_records import UNREADABLE, chunk_content, parse, reason_of
 from embodichain.recording.format.parts import first_file, missing_part, part_name
 from embodichain.recording.format.seals import SEAL, check_seal, digest_of
 from embodichain.utils.errors import ConfigError

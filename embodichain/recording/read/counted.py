@@ -13,7 +13,7 @@ from google.protobuf.message import DecodeError
 
 from embodichain.recording.format.header import Header
 from embodichain.recording.format.log_error import DamageError
-from embodichain.recording.format.schema import message_class
+from embodichain.recording.format.messages.schema import message_class
 from embodichain.recording.read.episodes import LogEpisode
 
 __all__ = ["COUNTED_TOPIC", "Counting", "encode_counted"]

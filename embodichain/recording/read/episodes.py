@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.recording.format.log_error import DamageError
-from embodichain.recording.format.schema import message_class
+from embodichain.recording.format.messages.schema import message_class
 from embodichain.recording.read.arrays import LogArrays
 from embodichain.utils.errors import ConfigError
 

@@ -12,9 +12,9 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import F64, EnvIndex
-from embodichain.recording.format.block import DRAWN, CallKind
 from embodichain.recording.format.log_error import LogError
-from embodichain.recording.format.schema import scalars_class
+from embodichain.recording.format.messages.block import DRAWN, CallKind
+from embodichain.recording.format.messages.schema import scalars_class
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.trajectory import columns_of, runs
 

@@ -20,9 +20,9 @@ from embodichain.recording.format.attachments import (
     exact_model,
     model_to_simulate,
 )
-from embodichain.recording.format.columns import Column, state_columns
 from embodichain.recording.format.header import Header
 from embodichain.recording.format.log_error import DamageError, LogError
+from embodichain.recording.format.messages.columns import Column, state_columns
 from embodichain.recording.read.arrays import OUTCOMES, LogArrays, first_step, gather
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.counted import COUNTED_TOPIC, Counting

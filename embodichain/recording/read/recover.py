@@ -10,13 +10,13 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from embodichain.recording.format.block import unpack_steps
+from embodichain.recording.format.container.mcap_records import LIBRARIES
+from embodichain.recording.format.container.mcap_writer import McapWriter
 from embodichain.recording.format.header import METADATA, METADATA_END, METADATA_RECOVERED
 from embodichain.recording.format.log_error import DamageError, LogError
-from embodichain.recording.format.mcap_records import LIBRARIES
-from embodichain.recording.format.mcap_writer import McapWriter
+from embodichain.recording.format.messages.block import unpack_steps
+from embodichain.recording.format.messages.schema import STEPS_TOPIC
 from embodichain.recording.format.parts import first_file
-from embodichain.recording.format.schema import STEPS_TOPIC
 from embodichain.recording.format.seals import SEAL, sealed
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.trajectory import outcomes

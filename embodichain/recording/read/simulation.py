@@ -15,10 +15,10 @@ from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS
 from embodichain.recording.format.attachments import check_rows
-from embodichain.recording.format.block import Call, Run
-from embodichain.recording.format.columns import column_name
-from embodichain.recording.format.hashing import row_hashes
 from embodichain.recording.format.log_error import LogError
+from embodichain.recording.format.messages.block import Call, Run
+from embodichain.recording.format.messages.columns import column_name
+from embodichain.recording.format.messages.hashing import row_hashes
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.trajectory import Rows, columns_of
 

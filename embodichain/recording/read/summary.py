@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from embodichain.recording.format.attachments import MODEL, model_digest, unpack_model
-from embodichain.recording.format.block import unpack_steps
 from embodichain.recording.format.header import Header
 from embodichain.recording.format.log_error import DamageError, LogError
-from embodichain.recording.format.schema import STEPS_TOPIC
+from embodichain.recording.format.messages.block import unpack_steps
+from embodichain.recording.format.messages.schema import STEPS_TOPIC
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.counted import COUNTED_TOPIC, Counting
 from embodichain.recording.read.episodes import EPISODE_TOPIC, LogEpisode, decode_ends

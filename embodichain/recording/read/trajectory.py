@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.lab.sim.engine.cpu.cpu_engine import entries
-from embodichain.recording.format.block import Call, CallKind, Run, unpack_steps
-from embodichain.recording.format.columns import Moved
 from embodichain.recording.format.header import Header
 from embodichain.recording.format.log_error import DamageError, LogError
-from embodichain.recording.format.schema import START_TOPIC, STEPS_TOPIC
+from embodichain.recording.format.messages.block import Call, CallKind, Run, unpack_steps
+from embodichain.recording.format.messages.columns import Moved
+from embodichain.recording.format.messages.schema import START_TOPIC, STEPS_TOPIC
 from embodichain.recording.read.chunks import ChunkPlace, LogReader
 
 __all__ = [

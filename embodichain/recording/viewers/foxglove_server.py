@@ -25,7 +25,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
-from embodichain.recording.format.schema import descriptor_set
+from embodichain.recording.format.messages.schema import descriptor_set
 from embodichain.recording.viewers.door import Door
 from embodichain.recording.viewers.outbox import Outbox
 from embodichain.utils.errors import ConfigError, Problem

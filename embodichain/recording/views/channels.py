@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.lab.sim.engine.api import F64
 from embodichain.lab.sim.engine.fields import row_layout
-from embodichain.recording.format.schema import scalars_class, scalars_descriptor_set
+from embodichain.recording.format.messages.schema import scalars_class, scalars_descriptor_set
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import StepRecord

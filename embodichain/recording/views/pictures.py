@@ -26,8 +26,8 @@ from embodichain.lab.sim.drawing.views import Look, Output, Pictures, View, view
 from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
 from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.format.log_error import DamageError, LogError
+from embodichain.recording.format.messages.schema import PICTURES_TOPIC, message_class
 from embodichain.recording.format.options import LARGEST_SIDE
-from embodichain.recording.format.schema import PICTURES_TOPIC, message_class
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.simulation import Simulation, always, never
 from embodichain.recording.read.trajectory import follow

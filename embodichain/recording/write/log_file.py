@@ -8,11 +8,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from embodichain.recording.format.container.mcap_records import LIBRARIES
+from embodichain.recording.format.container.mcap_writer import McapWriter, nbytes
 from embodichain.recording.format.log_error import LARGEST_CHUNK
-from embodichain.recording.format.mcap_records import LIBRARIES
-from embodichain.recording.format.mcap_writer import McapWriter, nbytes
+from embodichain.recording.format.messages.schema import descriptor_set
 from embodichain.recording.format.parts import part_name
-from embodichain.recording.format.schema import descriptor_set
 from embodichain.utils.system.atomic import write_text_at
 
 __all__ = ["LogFile"]

@@ -21,10 +21,10 @@ from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRe
 from embodichain.lab.sim.configs.sensor_cfg import CameraCfg
 from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
 from embodichain.recording.format.attachments import attachments_of, model_bytes, model_digest
-from embodichain.recording.format.block import DRAWN, ArrayKind, CallKind, Recorded
-from embodichain.recording.format.columns import Moved
-from embodichain.recording.format.hashing import row_hashes
 from embodichain.recording.format.header import check_keyframes, header_of
+from embodichain.recording.format.messages.block import DRAWN, ArrayKind, CallKind, Recorded
+from embodichain.recording.format.messages.columns import Moved
+from embodichain.recording.format.messages.hashing import row_hashes
 from embodichain.recording.format.options import RecordOptions, check_options
 from embodichain.recording.format.parts import LogPlace
 from embodichain.recording.read.episodes import Ends

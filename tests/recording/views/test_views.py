@@ -8,8 +8,8 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
+from embodichain.recording.format.messages.schema import scalars_class
 from embodichain.recording.format.options import RecordOptions
-from embodichain.recording.format.schema import scalars_class
 from embodichain.recording.views.views import Views
 from tests.recording.scene import MODEL, SmallEnv
 

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader
 
-from embodichain.lab.sim.unavailable import (
-    ClothObject,
-    Gizmo,
-    RigidConstraint,
-    RigidObjectGroup,
-    SoftObject,
-)
+from embodichain.utils.plugins import missing_class
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.objects.articulation import Articulation
@@ -23,7 +17,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.objects.rigid_object import RigidObject
     from embodichain.lab.sim.objects.robot import Robot
 
-__getattr__, __dir__, _ = lazy_loader.attach(
+_lazy, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "articulation": ["Articulation"],
@@ -50,3 +44,8 @@ __all__ = [
     "Robot",
     "SoftObject",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Return a handle, or a class of EmbodiChain that raises the reason why it is missing."""
+    return missing_class(name) or _lazy(name)

@@ -13,8 +13,8 @@ from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import GAINS, Drives
 from embodichain.lab.sim.objects.frame_reads import FrameReads
-from embodichain.lab.sim.unavailable import not_available
 from embodichain.utils.arrays import as_env_ids, columns_of, to_tensor
+from embodichain.utils.plugins import with_missing_members
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ __all__ = ["Articulation"]
 Ids = NDArray[np.int64]
 
 
+@with_missing_members
 class Articulation(FrameReads):
     """One jointed mechanism in N environments: D one-degree joints in qpos order, L links.
 
@@ -488,9 +489,3 @@ class Articulation(FrameReads):
         self.drives.clear(ids)
         if self._effort_times is not None:
             self._effort_times[slice(None) if ids is None else ids] = np.nan
-
-    set_fix_base = not_available("set_fix_base", "declare fix_base: it is compiled into the model")
-    set_self_collision = not_available("set_self_collision", "declare disable_self_collision")
-    set_link_physical_attr = not_available(
-        "set_link_physical_attr", "declare attrs; set_mass works"
-    )

@@ -13,9 +13,9 @@ from embodichain.lab.sim.compiler.geoms.shape_geoms import inertia_about_axes
 from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.rigid_body_data import RigidBodyData
 from embodichain.lab.sim.objects.solid import Solid
-from embodichain.lab.sim.unavailable import not_available
 from embodichain.utils.arrays import as_env_ids, field_values, may_be_set, rows_at, to_tensor
 from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
+from embodichain.utils.plugins import with_missing_members
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["RigidObject"]
 
 
+@with_missing_members
 class RigidObject(BatchEntity):
     """One rigid body with one shape, or in each environment one of several, in N environments.
 
@@ -493,11 +494,3 @@ class RigidObject(BatchEntity):
         if self.index.variants is not None:
             self._variant[...] = state["shape"]
             self._mass0[...] = rows_at(self.index.variants.mass, self._variant)
-
-    set_body_type = not_available("set_body_type", "the body type is compiled into the model")
-    set_attrs = not_available("set_attrs", "use set_mass, set_friction, set_damping, set_inertia")
-    set_collision_filter = not_available("set_collision_filter", "environments never share a world")
-    set_physical_visible = not_available("set_physical_visible", "use set_visible")
-    set_visual_material = not_available("set_visual_material", "declare shape.visual_material")
-    get_vertices = not_available("get_vertices", "it comes with sensors and meshes")
-    get_triangles = not_available("get_triangles", "it comes with sensors and meshes")

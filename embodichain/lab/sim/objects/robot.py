@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from embodichain.lab.sim.objects.articulation import Articulation
-from embodichain.lab.sim.unavailable import not_available
 from embodichain.utils.arrays import as_env_ids, as_rows, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
+from embodichain.utils.plugins import with_missing_members
 from embodichain.utils.tensor_mapping import TensorMapping
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["Robot"]
 
 
+@with_missing_members
 class Robot(Articulation):
     """An articulation with drives, control parts and inverse kinematics.
 
@@ -241,5 +242,3 @@ class Robot(Articulation):
                 raise ValueError(f"{self.uid}: {len(joints)} joints are wanted, got {qpos.shape}")
             whole[:, joints] = qpos
         return whole
-
-    init_solver = not_available("init_solver", "declare solver_cfg: tool points are compiled")

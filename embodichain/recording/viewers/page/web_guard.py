@@ -91,7 +91,13 @@ GUARDS: WeakKeyDictionary[socket.socket, Guard] = WeakKeyDictionary()
 
 
 def guard_serving() -> None:
-    """Make MuJoCo's server check requests to guarded sockets first."""
+    """Make MuJoCo's server check requests to guarded sockets first, in this process.
+
+    MuJoCo's server calls `websockets.serve` in a function of its own thread, with its own handlers:
+    no argument, subclass or socket of ours comes between a request and its answer. So the name
+    that this function calls is replaced, in the one process where nobody else can use it: it is
+    started for one page (`web_process.py`) and ends with it. No process of a user calls this.
+    """
     plain: Callable[..., Any] = web_server.serve
 
     def serve(handler: Callable[[Any], Any], *args: Any, **kwargs: Any) -> Any:

@@ -18,7 +18,7 @@ from embodichain.lab.sim.configs.scene_cfg import (
 )
 from embodichain.lab.sim.shapes import CubeCfg, SphereCfg
 from embodichain.lab.sim.sim_manager import SimulationManager
-from embodichain.recording.format.archive import load_mjz, scene_archive
+from embodichain.recording.format.container.archive import load_mjz, scene_archive
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import HOME, UR10
 

@@ -109,7 +109,7 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     if checked is None or problems:
         raise ConfigError(problems)
     spec = checked.spec
-    values, names = _resolved_values(env, checked, where), checked.names
+    values, names = _values_in_scene(env, checked, where), checked.names
     if isinstance(spec, AliasSpec):
         names = {**names, **{key: names.get(name, name) for key, name in spec.names.items()}}
     columns = columns_of_term(env, checked.values, values, spec.hints())
@@ -272,7 +272,7 @@ class _Several:
             part.load_state_dict(kept)
 
 
-def _resolved_values(env: TermContext, checked: CheckedTerm, where: str) -> dict[str, Any]:
+def _values_in_scene(env: TermContext, checked: CheckedTerm, where: str) -> dict[str, Any]:
     """The parameters, with references replaced by the objects they refer to."""
     hints = checked.spec.hints()
     values: dict[str, Any] = {}
@@ -280,7 +280,7 @@ def _resolved_values(env: TermContext, checked: CheckedTerm, where: str) -> dict
     for key, given in checked.values.items():
         path = f"{where}.{checked.names.get(key, key)}"
         try:
-            value = _resolved(env, given, path)
+            value = _in_scene(env, given, path)
             for reference in references(hints.get(key)) if value is not None else ():
                 with _under(path):
                     value = reference.resolve(env, value)
@@ -292,14 +292,14 @@ def _resolved_values(env: TermContext, checked: CheckedTerm, where: str) -> dict
     return values
 
 
-def _resolved(env: TermContext, value: Any, path: str) -> Any:
+def _in_scene(env: TermContext, value: Any, path: str) -> Any:
     """Replace references to entities by `ResolvedEntity`, within lists and maps too."""
     if isinstance(value, SceneEntityCfg):
         return resolve_entity(env.sim, value, path)
     if isinstance(value, (list, tuple)):
-        return type(value)(_resolved(env, v, f"{path}.{i}") for i, v in enumerate(value))
+        return type(value)(_in_scene(env, v, f"{path}.{i}") for i, v in enumerate(value))
     if isinstance(value, dict):
-        return {k: _resolved(env, v, f"{path}.{k}") for k, v in value.items()}
+        return {k: _in_scene(env, v, f"{path}.{k}") for k, v in value.items()}
     return value
 
 

@@ -16,7 +16,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.utils.system.pictures import no_programs
+from embodichain.utils.system.pictures import open_picture, refuse_postscript
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -30,6 +30,8 @@ Rgba = tuple[float, float, float, float]
 """Red, green, blue, opacity, each in [0, 1]."""
 
 _SUFFIXES = (".dae", ".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
+_EMBEDDING = (".glb", ".gltf")
+"""Formats with pictures inside, which trimesh opens without asking for a file."""
 _MAX_PIXELS = 512
 """Longest side: models and logs contain uncompressed images."""
 _MAX_COLORS = 16  # face colours that become parts; with more, one part in their mean colour
@@ -121,8 +123,7 @@ def read_mesh(path: Path) -> MeshData:
         message = f"{path}: format {path.suffix or 'none'} is none of {', '.join(_SUFFIXES)}"
         raise MeshError(message)
     try:
-        with no_programs():
-            data = _read_collada(path) if path.suffix.lower() == ".dae" else _read_other(path)
+        data = _read_collada(path) if path.suffix.lower() == ".dae" else _read_other(path)
     except ImportError as error:
         message = f"{path}: needs {error.name}: pip install trimesh pycollada"
         raise MeshError(message) from error
@@ -269,15 +270,13 @@ def _open_texture(mesh: Path, name: str, notes: list[str]) -> Image | None:
 
     The name is a path relative to the folder of the mesh, or a ``file://`` URI.
     """
-    from PIL import Image, UnidentifiedImageError
-
     path = mesh.parent / unquote(name.removeprefix("file://")).replace("\\", "/")
     try:
-        with Image.open(path) as image:
+        with open_picture(path) as image:
             return _as_rgb(image)
     except FileNotFoundError:
         notes.append(f"texture {name!r} is missing: drawn in the material's colour")
-    except (UnidentifiedImageError, OSError, ValueError) as error:
+    except (OSError, ValueError) as error:
         notes.append(f"texture {name!r} cannot be read ({error}): drawn in the material's colour")
     return None
 
@@ -298,16 +297,35 @@ def _mean_color(image: Image) -> Rgba:
 # ----------------------------------------------------------------------------------- other formats
 
 
+def _resolver(mesh: Path, notes: list[str]) -> Any:
+    """What trimesh reads the other files of a mesh with: as it does itself, but no PostScript."""
+    from trimesh.resolvers import FilePathResolver
+
+    class Resolver(FilePathResolver):
+        def get(self, name: str) -> Any:
+            data = super().get(name)
+            try:
+                refuse_postscript(data)
+            except OSError as error:  # trimesh goes on without the texture, and says nothing
+                notes.append(f"texture {name!r} cannot be read ({error})")
+                raise
+            return data
+
+    return Resolver(str(mesh))
+
+
 def _read_other(path: Path) -> MeshData:
     import trimesh
 
+    data = MeshData([])
     try:
-        scene = trimesh.load_scene(path, process=False)
+        if path.suffix.lower() in _EMBEDDING:
+            refuse_postscript(path.read_bytes())
+        scene = trimesh.load_scene(path, resolver=_resolver(path, data.notes), process=False)
         meshes = [m for m in scene.dump() if isinstance(m, trimesh.Trimesh) and len(m.faces)]
     except (ValueError, KeyError, IndexError, TypeError, OSError, AttributeError) as error:
         # trimesh may raise any exception for a broken file
         raise MeshError(f"{path}: cannot be read: {error}") from error
-    data = MeshData([])
     for mesh in meshes:
         data.parts += _parts(mesh, data.notes)
     if not data.parts:

@@ -10,7 +10,7 @@ import mujoco
 
 from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.utils.errors import OutsideError, Problem
-from embodichain.utils.system.pictures import no_programs
+from embodichain.utils.system.pictures import open_picture
 
 __all__ = ["add_textures", "check_textures", "declared_textures"]
 
@@ -42,7 +42,7 @@ def check_textures(names: Sequence[str], path: str) -> list[Problem]:
             problems.append(Problem(key, message))
         for file in files:
             try:
-                with no_programs(), Image.open(file) as image:
+                with open_picture(file) as image:
                     if max(image.size) > _LARGEST:
                         raise ValueError(f"at most {_LARGEST} pixels a side, it has {image.size}")
                     image.load()
@@ -58,13 +58,11 @@ def _without(error: Exception, file: Path) -> str:
 
 def add_textures(spec: mujoco.MjSpec, uid: str, names: Sequence[str]) -> list[str]:
     """Add the textures of checked files, and of the images in folders; return their names."""
-    from PIL import Image
-
     files = [file for name in names for file in _files(name)]
     pictures: dict[str, bytes] = {}
     for number, file in enumerate(files):
         buffer = io.BytesIO()
-        with no_programs(), Image.open(file) as image:  # MuJoCo reads PNG only
+        with open_picture(file) as image:  # MuJoCo reads PNG only
             image.convert("RGB").save(buffer, format="PNG")
         inside = f"{uid}_texture_{number}.png"
         pictures[inside] = buffer.getvalue()

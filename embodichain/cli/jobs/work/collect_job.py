@@ -1,0 +1,201 @@
+"""`collect_job`: record episodes of a policy until enough of them succeeded."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from embodichain.cli.jobs.job import Job, policy_name, policy_of
+from embodichain.cli.jobs.work.summary_file import failure_in_summary, write_summary
+from embodichain.cli.results.summaries import collection_rows
+from embodichain.cli.terminal.output import print_facts, print_json
+from embodichain.cli.terminal.reporting import ProgressDisplay, episodes_of
+from embodichain.config.run_folder import LOG
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.recording import McapRecorder
+    from embodichain.recording.demos.collecting import Collected, Collector
+    from embodichain.recording.demos.collection import CollectionWriter
+
+__all__ = ["CollectionError", "collect_job"]
+
+_log = logging.getLogger(__name__)
+
+
+class CollectionError(Exception):
+    """A collection gave up."""
+
+
+def collect_job(job: Job) -> float | None:
+    """Collect into the job's folder, write `summary.json` and print the results.
+
+    Args:
+        job: A job with a config of the verb `collect`.
+
+    Returns:
+        The yield.
+
+    Raises:
+        CollectionError: Too many episodes failed in a row.
+    """
+    from embodichain.recording.demos.collection import CollectionWriter
+
+    root = job.root
+    about = {
+        "task": job.resolved.task_name,
+        "folder": str(job.folder),
+        "seed": root.seed,
+        "policy": policy_name(root),
+    }
+    with CollectionWriter(job.folder) as writer:
+        with failure_in_summary(job, about):
+            summary = about | _collect(job, writer)
+        write_summary(job, summary)
+    _log.info("summary: %s", json.dumps(summary, default=str))
+    summary |= job.film(summary["log"])
+    if root.json:
+        print_json(summary)
+    elif not root.quiet:
+        print_facts(str(summary["task"]), collection_rows(summary))
+    if summary["status"] == "gave_up":
+        most = next(iter(summary["failed_in"]))
+        count = root.collect.give_up_after
+        message = f"gave up after {count} failures in a row, most of all: {most}"
+        raise CollectionError(f"{message} (collect.give_up_after)")
+    share: float | None = summary["yield"]
+    return share
+
+
+def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
+    """Build, collect and close; returns the summary."""
+    from embodichain.config.environments.factory import make_env
+    from embodichain.learning.checkpoints.curriculum_stage import hold_at_stage
+    from embodichain.recording.demos.attempts import Attempts
+    from embodichain.recording.demos.collecting import Collected, Collector, EndRules
+    from embodichain.recording.demos.collection import new_log, read_collection
+
+    root = job.root
+    wanted = root.episodes or 1
+    before = read_collection(job.folder, failures=True)
+    collected = Collected()
+    for episode in before:
+        collected.add(episode)
+    collected.failures_in_a_row = 0
+    succeeded = [e.attempt for e in before if e.success is True]
+    failed = [e.attempt for e in before if e.success is False]
+    if before and collected.successes >= wanted:  # it ended before it could say so
+        logs = sorted({e.log for e in before})
+        log = str(job.folder / before[-1].log)
+        return _counted(job, collected, 0, 0, 0.0) | {"log": log, "logs": logs}
+    attempts = Attempts(wanted, succeeded, failed)
+    count = min(root.num_envs or 1, wanted - collected.successes)
+    name = new_log(job.folder, LOG)
+    run_dir = job.folder if name == LOG else job.folder / Path(name).stem
+    resolved = job.resolved.changed(num_envs=count)
+    env = make_env(
+        resolved,
+        compiled_scene=job.compiled_scene,
+        run_dir=run_dir,
+        autoreset_mode="DISABLED",
+    )
+    try:
+        policy = policy_of(root, env)
+        hold_at_stage(env, policy)
+        recorder: McapRecorder | None = dataclasses.replace(job, resolved=resolved).attach_log(
+            env, name
+        )
+        job.attach_viewer(env, policy, realtime=False)
+        if recorder is None:
+            raise ConfigError([Problem("record.format", "a collection is a log")])
+        rules = EndRules(root.collect.success_steps, root.collect.wait_steps)
+        collector = Collector(env, policy, recorder, writer, attempts, rules, collected)
+        job.begin()
+        counted = _play(job, env, collector)
+    finally:
+        env.close()  # finishes the log too
+    log = recorder.stats.path
+    logs = sorted({e.log for e in before} | {log.name})
+    return counted | {"log": str(log), "logs": logs}
+
+
+def _play(job: Job, env: BaseEnv, collector: Collector) -> dict[str, Any]:
+    """Collect until the collection is complete, or something ends it; returns what was counted."""
+    root = job.root
+    stop = job.stop
+    collected = collector.collected
+    wanted = root.episodes or 1
+    before = collected.successes
+    limit = root.max_steps or float("inf")
+    patience = root.collect.give_up_after or float("inf")
+    status = "finished"
+    steps = 0
+    start = time.perf_counter()
+    task = job.resolved.task_name
+
+    def rate() -> float:
+        """Successes per second since the start or the resumption."""
+        return (collected.successes - before) / max(time.perf_counter() - start, 1e-9)
+
+    unit = episodes_of(env.num_envs, "successes")
+    with ProgressDisplay(task, wanted, unit, quiet=job.quiet) as display:
+        try:
+            for steps, _ in enumerate(collector.play(), 1):
+                if env.sim.is_window_open:  # in real time
+                    time.sleep(max(0.0, start + steps * env.step_dt - time.perf_counter()))
+                if display.due:
+                    display.show(collected.successes, _facts(collected, wanted, rate()))
+                if collector.complete:
+                    break
+                if stop.is_stopped():
+                    status = "interrupted"
+                elif collected.failures_in_a_row >= patience:
+                    status = "gave_up"
+                elif steps >= limit:
+                    status = "max_steps"
+                if status != "finished":
+                    break
+        finally:
+            collector.write()
+        seconds = time.perf_counter() - start
+        display.show(collected.successes, _facts(collected, wanted, rate()))
+    counted = _counted(job, collected, env.num_envs, steps, seconds)
+    return counted | {"status": status, "episodes_per_minute": round(60 * rate(), 3)}
+
+
+def _counted(
+    job: Job, collected: Collected, num_envs: int, steps: int, seconds: float
+) -> dict[str, Any]:
+    """What a summary counts, of a collection that is complete."""
+    return {
+        "status": "finished",
+        "signal": job.stop.stopped,
+        "num_envs": num_envs,
+        "successes": collected.successes,
+        "successes_wanted": job.root.episodes or 1,
+        "failures": collected.failures,
+        "yield": collected.share,
+        "failed_in": dict(collected.failed_in.most_common()),
+        "episodes_per_minute": 0.0,
+        "mean_length": collected.mean_length,
+        "control_steps": steps,
+        "env_steps": steps * num_envs,
+        "seconds": round(seconds, 6),
+        "fps": round(steps * num_envs / seconds, 3) if seconds else 0.0,
+    }
+
+
+def _facts(collected: Collected, wanted: int, rate: float) -> dict[str, str]:
+    """The numbers shown beside the progress bar."""
+    facts = {}
+    if collected.share is not None:
+        facts["yield"] = f"{collected.share:.1%}"
+    if rate > 0:
+        left = round((wanted - collected.successes) / rate)
+        facts |= {"per minute": f"{60 * rate:,.0f}", "left": f"{left // 60}:{left % 60:02}"}
+    return facts

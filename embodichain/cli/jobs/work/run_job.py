@@ -1,0 +1,220 @@
+"""`run_job`: build a task, run a policy in it, write log and summary to the run folder."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from embodichain.cli.jobs.job import Job, policy_of
+from embodichain.cli.jobs.work.summary_file import failure_in_summary, write_summary
+from embodichain.cli.results.summaries import run_rows
+from embodichain.cli.terminal.output import print_facts, print_json
+from embodichain.cli.terminal.reporting import ProgressDisplay, episodes_of
+from embodichain.lab.gym.failures import failed_in
+from embodichain.learning.episode_statistics import EpisodeStatistics, play
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.policies import Policy
+    from embodichain.recording.write.recorder import RecordStats
+
+__all__ = ["run_job"]
+
+_PICTURE_SIZE = (1280, 960)
+_log = logging.getLogger(__name__)
+
+
+def run_job(job: Job) -> float | None:
+    """Build, roll out, close and summarize; a failure is written to `summary.json` too."""
+    root = job.root
+    policy = root.policy
+    if policy is not None and not isinstance(policy, str):
+        policy = policy.func
+    facts: dict[str, Any] = {
+        "task": job.resolved.task_name,
+        "folder": str(job.folder),
+        "seed": root.seed,
+        "policy": policy,
+    }
+    with failure_in_summary(job, facts):
+        results, log = _simulate(job)
+    if log is not None:
+        facts["log"] = str(log.path)
+        facts["log_bytes"] = log.nbytes
+    summary = {**facts, **results}
+    write_summary(job, summary)
+    _log.info("summary: %s", json.dumps(summary, default=str))
+    summary |= job.film(None if log is None else log.path)
+    if root.json:
+        print_json(summary)
+    elif not root.quiet:
+        print_facts(str(summary["task"]), run_rows(summary))
+    returns = summary["return"]
+    return None if returns is None else returns["mean"]
+
+
+def _simulate(job: Job) -> tuple[dict[str, Any], RecordStats | None]:
+    """Build, roll out and close; returns the summary and what was recorded."""
+    from embodichain.config.environments.factory import make_batch
+    from embodichain.learning.checkpoints.curriculum_stage import hold_at_stage
+
+    root = job.root
+    env = make_batch(job.resolved, compiled_scene=job.compiled_scene, run_dir=job.folder)
+    picture: _StartPicture | None = None
+    try:
+        policy = policy_of(root, env)
+        hold_at_stage(env, policy)
+        recorder = job.attach_log(env, quota=[root.episodes or 1] * env.num_envs)
+        job.attach_viewer(env, policy)
+        obs, _ = env.reset()
+        picture = _StartPicture(env) if root.scene_png else None
+        job.begin()
+        results = _roll_out(env, policy, obs, job)
+    finally:
+        env.close()  # finishes the log too
+        if picture is not None:
+            picture.draw(job.folder / "scene.png")
+    if recorder is None:
+        return results, None
+    return results, recorder.stats
+
+
+def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any]:
+    """Step `env` with `policy` from `obs` to the end of the run; in real time if a window is open.
+
+    `env` was just reset and resets its environments automatically; `policy` is reset for
+    environments that begin a new episode.
+
+    Returns:
+        The statistics for `summary.json`. The status is ``finished`` if every environment completed
+        its episodes, ``max_steps`` if the limit was reached, ``interrupted`` after a signal.
+    """
+    max_steps = job.root.max_steps
+    stop = job.stop
+    counted = EpisodeStatistics(env.num_envs, job.root.episodes or 1)
+    limit = float("inf") if max_steps is None else max_steps
+    start = time.perf_counter()
+    status = "interrupted" if stop.is_stopped() else "finished"
+    with ProgressDisplay(
+        job.resolved.task_name, counted.wanted, episodes_of(env.num_envs), quiet=job.quiet
+    ) as display:
+
+        def show() -> None:
+            seconds = time.perf_counter() - start
+            display.show(counted.episodes, _facts(counted, max_steps, seconds))
+
+        steps = play(env, policy, obs, counted)
+        if job.root.sim.backend == "ray":
+            from embodichain.cli.jobs.sharding import play_inside
+
+            steps = play_inside(job.root, env, counted) or steps
+        if stop.is_stopped():  # while the environment was built: no step is made
+            steps = iter(())
+        for _ in steps:
+            if env.sim.is_window_open:  # in real time
+                time.sleep(max(0.0, start + counted.steps * env.step_dt - time.perf_counter()))
+            if display.due:
+                show()
+            if not counted.complete and (stop.is_stopped() or counted.steps >= limit):
+                status = "interrupted" if stop.is_stopped() else "max_steps"
+                break
+        seconds = time.perf_counter() - start
+        show()
+    env_steps = counted.steps * counted.num_envs
+    return {
+        "status": status,
+        "signal": stop.stopped,
+        "num_envs": counted.num_envs,
+        "control_steps": counted.steps,
+        "env_steps": env_steps,
+        "seconds": round(seconds, 6),
+        "fps": round(env_steps / seconds, 3),
+        "episodes": counted.episodes,
+        "episodes_wanted": counted.wanted,
+        "return": _spread(counted, "return"),
+        "length": _spread(counted, "length"),
+        "success_rate": counted.mean("success"),
+        "terminated": int(counted.column("terminated").sum()),
+        "diverged": int(counted.column("diverged").sum()),
+        "metrics": _means(counted, "metrics/"),
+        "rewards": _means(counted, "rewards/"),
+        **_failures(counted),
+    }
+
+
+def _facts(counted: EpisodeStatistics, max_steps: int | None, seconds: float) -> dict[str, str]:
+    """The numbers shown beside the progress bar."""
+    steps = f"{counted.steps}/{max_steps}" if max_steps is not None else f"{counted.steps}"
+    facts = {"step": steps, "FPS": f"{counted.steps * counted.num_envs / seconds:,.0f}"}
+    mean_return = counted.mean("return")
+    success = counted.mean("success")
+    if mean_return:  # a task without rewards always returns 0
+        facts["return"] = f"{mean_return:.3g}"
+    if success is not None:
+        facts["success"] = f"{success:.0%}"
+    return facts
+
+
+def _spread(counted: EpisodeStatistics, name: str) -> dict[str, float] | None:
+    column = counted.column(name)
+    if not column.size:
+        return None
+    return {name: float(getattr(column, name)()) for name in ("mean", "std", "min", "max")}
+
+
+def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float | None]:
+    names = [name for name in counted.names() if name.startswith(prefix)]
+    return {name.removeprefix(prefix): counted.mean(name) for name in names}
+
+
+def _failures(counted: EpisodeStatistics) -> dict[str, Any]:
+    """Of a planned policy: how many episodes failed in each step, and why the first of them did.
+
+    Every failure is a line of `run.log`.
+    """
+    if "failure" not in counted.names():
+        return {}
+    steps: Counter[str] = Counter()
+    first: dict[str, str] = {}
+    columns = (counted.column(name) for name in ("env", "episode", "failure"))
+    for env, episode, failure in zip(*columns, strict=True):
+        if failure:
+            _log.info("episode %d of environment %d failed: %s", episode, env, failure)
+            steps[failed_in(failure)] += 1
+            first.setdefault(failed_in(failure), failure)
+    listed = dict(steps.most_common())
+    return {"failed_in": listed, "failed_for": {step: first[step] for step in listed}}
+
+
+class _StartPicture:
+    """Environment 0 as it is at construction, rendered when the run ends."""
+
+    def __init__(self, env: BaseEnv) -> None:
+        template: BaseEnv | None = getattr(env, "template", None)  # of a batch in shards
+        if template is not None:
+            template.reset()
+        self._data = (template or env).sim.engine.data_of(0)
+
+    def draw(self, path: Path) -> None:
+        """Write the picture; warn if there is no OpenGL or the file cannot be written."""
+        from contextlib import closing
+
+        from PIL import Image
+
+        from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+        from embodichain.lab.sim.drawing.states import DataState
+        from embodichain.utils.errors import RenderError
+        from embodichain.utils.system.atomic import atomic_file
+
+        state = DataState(self._data)
+        try:
+            with closing(OffscreenRenderer(state.model)) as renderer:
+                pixels = renderer.pictures(state, "default", _PICTURE_SIZE)[0]
+            with atomic_file(path) as temporary:
+                Image.fromarray(pixels).save(temporary, format="PNG")
+        except (RenderError, OSError) as error:
+            _log.warning("no scene.png: %s", error)

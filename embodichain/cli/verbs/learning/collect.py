@@ -1,0 +1,47 @@
+"""`embodichain collect`: record episodes of a policy until enough of them succeeded.
+
+``resume=FOLDER`` adds to a collection in its own folder, with its own config.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from embodichain.cli.jobs.job import execute, start
+from embodichain.cli.jobs.resuming import resumed_collection, resumption
+from embodichain.cli.jobs.work.collect_job import collect_job
+from embodichain.cli.sweeps.sweep_jobs import read_summary
+from embodichain.cli.terminal.output import print_json
+from embodichain.cli.verb import JobOptions, command_line, job_arguments, verb
+
+__all__ = ["command"]
+
+
+@verb(
+    "collect",
+    ("collect task=pick_place episodes=1000", "1000 successes of the task's expert"),
+    ("collect task=reach policy=last episodes=50", "of a trained policy; any policy will do"),
+    ("collect resume=last", "continue after an interruption"),
+    ("collect resume=FOLDER episodes=2000", "more, into the same folder"),
+    ("collect task=pick_place num_envs=64 sim.num_threads=2", "64 environments at once"),
+    options=JobOptions,
+    keys=True,
+    config_dir=True,
+    quiet=True,
+)
+@job_arguments("collect")
+def command(options: JobOptions) -> None:
+    """Collect once, or once for each point of a sweep, or continue."""
+    lines = resumption(options)
+    if lines is None:
+        start("collect", collect_job, options)
+    else:
+        resolved, folder, done = resumed_collection(lines)
+        summed_up = read_summary(folder).get("status") == "finished"
+        if summed_up and done >= (resolved.root.episodes or 0):  # a loop that starts it again ends
+            what = f"{folder} has {done} successful episodes: episodes=N collects more"
+            sys.stderr.write(f"finished already: {what}\n")
+            if resolved.root.json:
+                print_json(read_summary(folder))
+            return
+        execute(resolved, collect_job, command_line(), folder, verb="collect", goes_on=True)

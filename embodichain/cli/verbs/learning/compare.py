@@ -1,0 +1,108 @@
+"""`embodichain compare`: a table and learning curves of several trainings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+
+from embodichain.cli.results.comparison_tables import (
+    comparison_table,
+    seed_estimates,
+    too_few_seeds,
+)
+from embodichain.cli.terminal.last import take_last
+from embodichain.cli.terminal.output import print_json, print_table
+from embodichain.cli.verb import complete_last, verb
+from embodichain.config.run_folder import CHECKPOINT, newest_run, perhaps_last, whole_run
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["command"]
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """What was typed after `compare`.
+
+    Attributes:
+        runs: Folders of trainings and of sweeps, or ``last``.
+        output: Path of a new picture of the learning curves.
+        json: Print the result as one JSON object.
+    """
+
+    runs: tuple[str, ...]
+    output: str | None
+    json: bool
+
+
+@verb(
+    "compare",
+    ("compare outputs/2026-11-21/*_reach", "runs that differ by their seed are one line"),
+    ("compare last outputs/older -o curves.png", "with learning curves"),
+    options=CompareOptions,
+)
+@click.argument("runs", nargs=-1, required=True, metavar="RUN...", shell_complete=complete_last)
+@click.option("--output", "-o", metavar="OUT", help="A new picture: .png, .svg, .pdf.")
+def command(options: CompareOptions) -> None:
+    """Print a table of trainings, one line for runs that differ only in the seed; draw curves.
+
+    RUN is a folder of a training or of a sweep, or `last`.
+    """
+    from embodichain.learning.evaluation.comparison import group_runs, read_run
+
+    groups = group_runs(map(read_run, _trainings(options.runs)))
+    if options.output is not None:
+        from embodichain.learning.evaluation.plots import plot_curves
+
+        plot_curves(groups, Path(options.output))
+    numbers = [seed_estimates(group) for group in groups]
+    if options.json:
+        data = [
+            {
+                "label": group.label,
+                "seeds": [run.seed for run in group.runs],
+                "folders": [str(run.folder) for run in group.runs],
+                "numbers": {name: asdict(x) for name, x in estimates.items() if x is not None},
+            }
+            for group, estimates in zip(groups, numbers, strict=True)
+        ]
+        print_json({"groups": data, "picture": options.output})
+        return
+    print_table(*comparison_table(groups))
+    for note in too_few_seeds(groups):
+        sys.stdout.write(f"{note}\n")
+    if options.output is not None:
+        sys.stdout.write(f"{options.output}\n")
+
+
+def _trainings(names: Sequence[str]) -> list[Path]:
+    """The folders of the named trainings and of the trainings in a sweep's folder.
+
+    Evaluations and files, which a shell pattern may match, are left out with a note.
+    """
+    from embodichain.learning.evaluation.comparison import trainings_in
+
+    paths = dict.fromkeys(map(_path, names))
+    inside = {path: trainings_in(path) if path.is_dir() else [] for path in paths}
+    if not any(inside.values()):
+        return list(paths)  # reading them reports the mistake
+    for path in paths:
+        if not inside[path]:
+            sys.stderr.write(f"left out: {path} is not a training\n")
+    return list(dict.fromkeys(training for trainings in inside.values() for training in trainings))
+
+
+def _path(name: str) -> Path:
+    path = newest_run("outputs", CHECKPOINT) if name == "last" else Path(name)
+    if path is not None and name == "last":
+        path = take_last(whole_run(path))
+    if path is None:
+        raise ConfigError("no training in outputs yet: embodichain train task=NAME")
+    if not path.exists() and "=" in name:
+        raise ConfigError(f"{name}: `compare` reads no KEY=VALUE")
+    if not path.exists():
+        raise ConfigError(f"there is no run {name!r}{perhaps_last(name)}")
+    return path.resolve()

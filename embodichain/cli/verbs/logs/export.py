@@ -1,0 +1,320 @@
+"""`embodichain export`: a log in another program's format; a policy as ONNX or TorchScript."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from embodichain.cli.jobs.job import ended_early, film_progress
+from embodichain.cli.jobs.trained import Target, one_target
+from embodichain.cli.jobs.unread_keys import refuse_unread
+from embodichain.cli.terminal.output import print_json, say_warnings
+from embodichain.cli.terminal.process import Interrupted, StopFlag
+from embodichain.cli.terminal.reporting import ProgressDisplay, warnings_on_stderr
+from embodichain.cli.verb import verb
+from embodichain.cli.words import log_of, pair
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.learning.policies.exporting import Format
+    from embodichain.recording.export.formats import Part
+    from embodichain.recording.read.api import Log
+
+__all__ = ["command"]
+
+_POLICIES: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
+"""Format of a policy -> the suffix of its file."""
+_NOTHING = "nothing was written, an export is whole or not there"
+
+
+def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    return [word for word in ("policy", "last") if word.startswith(incomplete)]
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What was typed after `export`.
+
+    Attributes:
+        words: Logs, their folders or ``last``; or ``policy``, a policy and overrides.
+        form: The format; None is ONNX for a policy.
+        output: Path of the new file (lerobot: folder).
+        observations: Write the task's observations instead of states.
+        group: The observation group; None is ``policy``.
+        failures: With observations: write all episodes, not successes only.
+        env: Of a log: only this environment.
+        episode: Only this episode of `env`.
+        start: First control step.
+        stop: The control step to stop before.
+        cameras: Cameras to draw; empty for the task's sensors.
+        size: Pixels of the pictures, ``WIDTHxHEIGHT``; None is each camera's own.
+        json: Print the result as one JSON object.
+    """
+
+    words: tuple[str, ...]
+    form: str | None
+    output: str | None
+    observations: bool
+    group: str | None
+    failures: bool
+    env: int | None
+    episode: int | None
+    start: int | None
+    stop: int | None
+    cameras: tuple[str, ...]
+    size: str | None
+    json: bool
+
+
+@verb(
+    "export",
+    ("export last --format csv", "the newest log as a table, beside it"),
+    ("export FOLDER --format robomimic", "successes, with the task's observations"),
+    ("export FILE --format lerobot --observations", "the same as a LeRobot data set"),
+    ("export FILE --format hdf5 -o demos.hdf5", "states, in robomimic's layout"),
+    ("export last --format ros2 --env 2 --from 0 --to 100", "a ROS 2 bag of a part"),
+    ("export last --format mp4 --camera default --size 320x240", "a film"),
+    ("export policy last", "policy.onnx in the run's folder"),
+    ("export policy last --format torchscript -o reach.pt", "for C++ and PyTorch"),
+    ("export policy my_model.zip task=reach", "a zip of your own"),
+    options=ExportOptions,
+    config_dir=True,
+)
+@click.argument(
+    "words",
+    nargs=-1,
+    metavar="FILE|FOLDER|last... | policy RUN|last|PATH [task=NAME]",
+    shell_complete=_complete,
+)
+@click.option(
+    "--format",
+    "form",
+    metavar="F",
+    help="Of a log: csv, npz, parquet, hdf5, robomimic, lerobot, rrd, ros2 or mp4; of a policy: "
+    "onnx (default) or torchscript.",
+)
+@click.option("--output", "-o", metavar="OUT", help="A new file (lerobot: folder).")
+@click.option(
+    "--observations",
+    is_flag=True,
+    help="lerobot: the task's observations instead of states; of several logs, too. robomimic has "
+    "no other.",
+)
+@click.option("--group", metavar="G", help="The observation group. Default: policy.")
+@click.option(
+    "--failures", is_flag=True, help="With observations: all episodes, not successes only."
+)
+@click.option("--env", type=int, metavar="I", help="Of a log: only this environment.")
+@click.option("--episode", type=int, metavar="K", help="Only this episode of --env.")
+@click.option("--from", "start", type=int, metavar="T", help="First control step.")
+@click.option("--to", "stop", type=int, metavar="T", help="The control step to stop before.")
+@click.option(
+    "--camera",
+    "cameras",
+    multiple=True,
+    metavar="NAME",
+    help="hdf5, lerobot, rrd, mp4: draw this camera; may be repeated. Default: the task's sensors.",
+)
+@click.option("--size", metavar="WxH", help="Pixels of the pictures. Default: each camera's own.")
+def command(options: ExportOptions) -> None:
+    """Write a log, or a part of it, or a policy, to a new file."""
+    if not options.words:
+        raise ConfigError("export what? One of: policy RUN, FILE (a log), last")
+    if options.words[0] == "policy":
+        _export_policy(options)
+    elif options.form is None:
+        from embodichain.recording.export.formats import EPISODE_FORMATS, FORMATS
+
+        raise ConfigError(f"--format is needed: {', '.join(FORMATS | EPISODE_FORMATS)}")
+    elif _has_observations(options):
+        _export_episodes(options.form, options)
+    elif len(options.words) > 1:
+        raise ConfigError(f"one log at a time: {', '.join(options.words)}")
+    else:
+        _export_log(options.form, options)
+
+
+def _has_observations(options: ExportOptions) -> bool:
+    """Whether the task's observations are exported.
+
+    Raises:
+        ConfigError: If other options do not fit.
+    """
+    if options.form == "robomimic" or options.observations:
+        of_steps = ("env", "episode", "start", "stop", "cameras", "size")
+        typed = [name for name in of_steps if getattr(options, name) not in (None, ())]
+        if typed:
+            flag = {"start": "from", "stop": "to", "cameras": "camera"}.get(typed[0], typed[0])
+            raise ConfigError(f"--{flag} is not for observations: they are of whole episodes")
+        return True
+    for flag in ("group", "failures"):
+        if getattr(options, flag):
+            raise ConfigError(f"--{flag} needs --observations or --format robomimic")
+    return False
+
+
+def _export_episodes(form: str, options: ExportOptions) -> None:
+    """Write the episodes of logs with observations; a signal leaves no file."""
+    from embodichain.recording.export.episodes import export_episodes
+
+    paths = [log_of(word).parent if word == "last" else Path(word) for word in options.words]
+    count = 0
+    with (
+        warnings_on_stderr(),
+        ProgressDisplay("export", None, "episodes", quiet=options.json) as display,
+    ):
+
+        def progress(done: int) -> None:
+            nonlocal count
+            count = done
+            if display.due:
+                display.show(done, {})
+
+        try:
+            path = export_episodes(
+                paths,
+                form,
+                options.output,
+                group=options.group or "policy",
+                failures=options.failures,
+                progress=progress,
+            )
+        except Interrupted as error:
+            raise Interrupted(f"{error}; {_NOTHING}") from None
+    if options.json:
+        print_json({"file": str(path), "bytes": _size(path), "episodes": count})
+    else:
+        sys.stdout.write(f"{path}: {count} episodes, {_size(path) / 1e6:.2f} MB\n")
+
+
+def _export_policy(options: ExportOptions) -> None:
+    name = options.form or "onnx"
+    form = next((form for form in _POLICIES if form == name), None)
+    if form is None:
+        raise ConfigError(f"--format of a policy is one of {', '.join(_POLICIES)}, not {name}")
+    target, lines = one_target("export", options.words[1:])
+    refuse_unread("export policy", lines)
+    if target.file is None or target.file.suffix in _POLICIES.values():
+        message = f"policy: only zips of trainings are exported, not {target.policy}"
+        raise ConfigError(message)
+    if options.output is not None:
+        out = Path(options.output)
+    elif target.run is not None:
+        out = target.run / f"policy{_POLICIES[form]}"
+    else:  # a file that belongs to no run
+        out = Path(target.policy).with_suffix(_POLICIES[form])
+    facts = _write_policy(target, lines, out, form)
+    if options.json:
+        print_json(facts)
+    else:
+        worst = f"at most {facts['largest_difference']:.2g} from the policy's actions"
+        sys.stdout.write(f"{out}: {facts['task']}, {facts['algo']}, {worst}\n")
+
+
+def _write_policy(target: Target, overrides: list[str], out: Path, form: Format) -> dict[str, Any]:
+    from embodichain.config.composition.environment import notes_of_today
+    from embodichain.config.environments.factory import make_env
+    from embodichain.learning.policies.exporting import export_policy
+    from embodichain.learning.policies.policy import load_checkpoint
+
+    fresh = {"viewer": {"name": "none"}, "algo": None, "num_envs": 1, "resume": None}
+    fresh |= {"allow_changed": False, "trust": False}
+    resolved = target.resolve(overrides, fresh, only_reads=True)
+    for note in notes_of_today(resolved.tree):
+        sys.stderr.write(f"warning: {note}\n")
+    env = make_env(resolved)
+    try:
+        policy = load_checkpoint(Path(target.policy), env, trust=resolved.root.trust)
+        policy.allow_changed = resolved.root.allow_changed
+        worst = export_policy(policy, env, out, form, task=resolved.task_name)
+    finally:
+        env.close()
+    return {
+        "file": str(out),
+        "format": form,
+        "task": resolved.task_name,
+        "algo": policy.algo,
+        "policy": target.policy,
+        "largest_difference": worst,
+    }
+
+
+def _export_log(form: str, options: ExportOptions) -> None:
+    from embodichain.recording.export.formats import Part
+    from embodichain.recording.shards import joining
+
+    if options.episode is not None and options.env is None:
+        raise ConfigError("--episode needs --env: episodes are counted in each environment")
+    size: tuple[int, int] | None = None
+    if options.size is not None:
+        size = pair("--size", options.size, "WIDTHxHEIGHT in pixels, such as 640x480")
+    part = Part(
+        options.env,
+        options.episode,
+        options.start or 0,
+        options.stop,
+        options.cameras or None,
+        size,
+    )
+    ended = ""
+    with warnings_on_stderr(), joining.open(log_of(options.words[0]), simulate=True) as log:
+        if form == "mp4":
+            path, ended = _film(log, part, options)
+        else:
+            path = _write(log, form, part, options.output)
+        say_warnings(log.path, log.warnings)
+        if options.json:
+            print_json({"file": str(path), "bytes": _size(path), "complete": log.complete})
+        else:
+            sys.stdout.write(f"{path}: {_size(path) / 1e6:.2f} MB\n")
+    if ended:
+        raise Interrupted(ended)
+
+
+def _write(log: Log, form: str, part: Part, out: str | None) -> Path:
+    """Write any format but a video; a signal leaves no file."""
+    from embodichain.recording.export.formats import export
+
+    try:
+        return export(log, form, out, part)
+    except Interrupted as error:
+        raise Interrupted(f"{error}; {_NOTHING}") from None
+
+
+def _film(log: Log, part: Part, options: ExportOptions) -> tuple[Path, str]:
+    """Write a video; also returns a message if a signal ended it early."""
+    from embodichain.recording.export.formats import export
+    from embodichain.recording.film.filming import Filmed
+
+    filmed = Filmed(0, -1, whole=False)
+    with StopFlag() as stop, ProgressDisplay("film", None, "pictures", quiet=options.json) as bar:
+        show = film_progress(bar)
+
+        def progress(now: Filmed) -> None:
+            nonlocal filmed
+            filmed = now
+            show(now)
+
+        path = export(
+            log,
+            "mp4",
+            options.output,
+            part,
+            progress=progress,
+            stop=stop.is_stopped,
+        )
+        if not filmed.pictures:
+            raise Interrupted(ended_early(stop, filmed, path))
+        if stop.is_stopped():
+            return path, ended_early(stop, filmed, path)
+        return path, ""
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    files = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
+    return sum(file.stat().st_size for file in files)

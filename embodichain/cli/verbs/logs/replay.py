@@ -1,0 +1,423 @@
+"""`embodichain replay`: prints, verifies, films or views a log, or replays it with a policy."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from embodichain.cli.jobs.access_options import AccessOptions, access_options
+from embodichain.cli.jobs.job import ended_early, film_progress
+from embodichain.cli.terminal import process
+from embodichain.cli.terminal.output import print_facts, print_json, print_table, say_warnings
+from embodichain.cli.terminal.process import Interrupted, StopFlag
+from embodichain.cli.terminal.reporting import ProgressDisplay, warn_if_public
+from embodichain.cli.verb import log_argument, verb
+from embodichain.cli.words import log_of, pair
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.recording.format.header import Header
+    from embodichain.recording.read.api import Log
+    from embodichain.recording.read.episodes import LogEpisode
+    from embodichain.recording.read.summary import LogSummary
+    from embodichain.recording.viewers.log_player import Screen
+
+__all__ = ["command"]
+
+_COLUMNS = (
+    "env",
+    "episode",
+    "steps",
+    "total_reward",
+    "terminated",
+    "last_step",
+    "success",
+    "counted",
+)
+"""Columns of the table of episodes."""
+_MOST_EPISODES = 20
+_ACTIONS = ("verify", "video", "policy", "view")
+"""Options of which one at most is typed: each is another thing to do with the log."""
+_ONLY_WITH = {
+    "images": ("verify",),
+    "speed": ("video", "view"),
+    "allow_changed": ("policy",),
+    "trust": ("policy",),
+    "camera": ("video",),
+    "size": ("video",),
+    "host": ("view",),
+    "port": ("view",),
+    "token": ("view",),
+    "allow_hosts": ("view",),
+    "allow_origins": ("view",),
+}
+"""Option -> the actions that read it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayOptions(AccessOptions):
+    """What was typed after `replay`.
+
+    Attributes:
+        file: The log, its folder, or ``last``.
+        verify: Simulate again and compare.
+        images: With `verify`: also draw the first picture of each episode and compare it.
+        env: Only this environment.
+        episode: Only this episode, counted from 0.
+        start: First control step.
+        stop: The control step to stop before.
+        speed: Speed of `view` and `video`; 1 is real time.
+        policy: Play the same episodes with this policy.
+        allow_changed: With `policy`: allow one that was trained in another task.
+        trust: With `policy`: run code of its file, if it cannot be read without.
+        view: Play it: ``native``, ``web``, or empty for the one that this machine can show.
+        host: Address of `view`.
+        port: Port of `view`.
+        video: Path of the film to write.
+        camera: The camera of the scene that films.
+        size: Pixels of the film, ``WIDTHxHEIGHT``.
+        quiet: Print no progress and no report.
+        json: Print the result as one JSON object.
+    """
+
+    file: str
+    verify: bool
+    images: bool
+    env: int | None
+    episode: int | None
+    start: int | None
+    stop: int | None
+    speed: float | None
+    policy: str | None
+    allow_changed: bool | None
+    trust: bool | None
+    view: str | None
+    host: str | None
+    port: int | None
+    video: str | None
+    camera: str | None
+    size: str | None
+    quiet: bool
+    json: bool
+
+    @property
+    def last(self) -> int | None:
+        """The last control step, included."""
+        return None if self.stop is None else self.stop - 1
+
+
+@verb(
+    "replay",
+    ("replay last", "the newest run's log"),
+    ("replay last --verify", "simulate it again from the file alone"),
+    ("replay last --verify --env 2 --episode 0", "only that environment and episode"),
+    ("replay last --env 2 --from 100 --to 200", "list its episodes between these steps"),
+    ("replay last --view web", "play it in a browser; --view alone: in a window"),
+    ("replay last --policy zero", "the same episodes with another policy, side by side"),
+    ("replay last --video film.mp4 --env 2 --speed 0.5", "film it, at half the speed"),
+    ("replay outputs/latest/rollout.mcap --json", "what it contains, for scripts"),
+    options=ReplayOptions,
+    quiet=True,
+)
+@log_argument()
+@click.option("--verify", is_flag=True, help="Simulate again and compare.")
+@click.option(
+    "--images",
+    is_flag=True,
+    help="With --verify: also draw the first picture of each episode and compare it.",
+)
+@click.option("--env", type=int, metavar="I", help="Only this environment.")
+@click.option("--episode", type=int, metavar="K", help="Only this episode, counted from 0.")
+@click.option("--from", "start", type=int, metavar="T", help="First control step.")
+@click.option("--to", "stop", type=int, metavar="T", help="The control step to stop before.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="X",
+    help="Speed of --view and --video; 1 is real time.",
+)
+@click.option("--policy", metavar="P", help="Play the same episodes with this policy.")
+@click.option(
+    "--allow-changed",
+    is_flag=True,
+    default=None,
+    help="With --policy: allow one that was trained in another task.",
+)
+@click.option(
+    "--trust",
+    is_flag=True,
+    default=None,
+    help="With --policy: run code of its file, if it cannot be read without.",
+)
+@click.option(
+    "--view",
+    is_flag=False,
+    flag_value="",
+    metavar="[WHERE]",
+    help="Play it in a window (native) or a browser (web). Default: native, if there is a display.",
+)
+@click.option("--host", metavar="H", help="Address of --view web. Default: 127.0.0.1.")
+@click.option("--port", type=int, metavar="P", help="Its port. Default: a free one from 8080.")
+@access_options("--view web")
+@click.option(
+    "--video",
+    metavar="OUT",
+    help="Write an MP4 or a GIF of --env. Default: environment 0.",
+)
+@click.option("--camera", metavar="NAME", help="Film with this camera of the scene.")
+@click.option("--size", metavar="WxH", help="Pixels of the film. Default: 640x480.")
+def command(options: ReplayOptions) -> int:
+    """Print the contents of a log, or verify, film, view or replay it."""
+    _check(options)
+    path = log_of(options.file)
+    if options.video is not None:
+        return _film(path, Path(options.video), options)
+    if options.view is not None:
+        return _view(path, options)
+    if options.policy is not None:
+        return _rerun(path, options.policy, options)
+    if options.verify:
+        return _verify(path, options)
+    return _inspect(path, options)
+
+
+def _check(options: ReplayOptions) -> None:
+    """Refuse options that exclude each other, or that nothing would read."""
+    typed = {name for name, value in vars(options).items() if value not in (None, False, ())}
+    actions = [name for name in _ACTIONS if name in typed]
+    if len(actions) > 1:
+        raise ConfigError(
+            f"--{actions[0]} and --{actions[1]} exclude each other: give one at a time"
+        )
+    for name, readers in _ONLY_WITH.items():
+        if name in typed and not set(readers) & typed:
+            needed = " or ".join(f"--{action}" for action in readers)
+            option = name.removesuffix("s") if name.startswith("allow_") else name
+            raise ConfigError(f"--{option.replace('_', '-')} needs {needed}")
+    if options.verify and {"start", "stop"} & typed:
+        raise ConfigError("--from and --to choose what is listed; --verify needs every step before")
+
+
+def _rerun(path: Path, policy: str, options: ReplayOptions) -> int:
+    from embodichain.cli.jobs.replay_policy import Repetition, rerun
+
+    repetition = Repetition(
+        policy=policy,
+        env=options.env,
+        episode=options.episode,
+        allow_changed=bool(options.allow_changed),
+        trust=bool(options.trust),
+    )
+    return rerun(path, repetition, quiet=options.quiet, json=options.json)
+
+
+def _inspect(path: Path, options: ReplayOptions) -> int:
+    from embodichain.recording import inspect
+
+    summary = inspect(path)
+    episodes = [e for e in summary.episodes if _is_wanted(e, options)]
+    say_warnings(path, summary.warnings)
+    if options.json:
+        data = {
+            **asdict(summary),
+            "messages": summary.messages,
+            "duration_s": summary.duration_s,
+            "mean_reward": summary.mean_reward,
+        }
+        print_json({**data, "episodes": [_row(episode) for episode in episodes]})
+    elif not options.quiet:
+        _print_summary(summary, episodes)
+    return process.OK
+
+
+def _is_wanted(episode: LogEpisode, options: ReplayOptions) -> bool:
+    """Whether an episode matches --env and --episode and has a step in [--from, --to)."""
+    return (
+        options.env in (None, episode.env)
+        and options.episode in (None, episode.episode)
+        and (options.start is None or episode.last_step >= options.start)
+        and (options.stop is None or episode.first_step < options.stop)
+    )
+
+
+def _row(episode: LogEpisode) -> dict[str, Any]:
+    return {name: getattr(episode, name) for name in _COLUMNS}
+
+
+def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
+    header = summary.header
+    started = datetime.fromtimestamp(header.start_ns / 1e9)
+    state = "complete" if summary.complete else "INCOMPLETE"
+    facts: list[tuple[str, Any]] = [
+        ("task", header.task),
+        ("recorded", f"{started:%Y-%m-%d %H:%M:%S}, {header.recorded_with}"),
+        ("environments", f"{header.num_envs}, seed {header.seed}"),
+        ("steps", f"{summary.steps} control steps = {summary.duration_s:.2f} s simulated"),
+        ("episodes ended", _ended(summary)),
+        ("mean return", summary.mean_reward),
+        ("file", f"{state}, {summary.nbytes / 1e6:.2f} MB, {summary.messages} messages"),
+        ("attachments", list(summary.attachments)),
+        ("verifiable", _verifiable(header)),
+    ]
+    print_facts(str(summary.path), facts)
+    print_table("channels", [asdict(channel) for channel in summary.channels])
+    print_table("episodes", [_row(episode) for episode in episodes[:_MOST_EPISODES]])
+    if len(episodes) > _MOST_EPISODES:
+        sys.stdout.write(f"... and {len(episodes) - _MOST_EPISODES} more: --env, --json\n")
+
+
+def _ended(summary: LogSummary) -> str:
+    """How many episodes ended, and how many of them count."""
+    ended = f"{len(summary.episodes)}"
+    if summary.counted is None:
+        return ended
+    return f"{ended}, of which {summary.counted} count"
+
+
+def _verifiable(header: Header) -> str:
+    import mujoco
+
+    from embodichain.recording.format.header import MUJOCO
+
+    if header.unverifiable or header.unknown_engine:
+        return f"no: {header.unverifiable or header.unknown_engine}"
+    if header.mujoco_version != mujoco.__version__:
+        return f"not to the bit: this is MuJoCo {mujoco.__version__}; states can be played"
+    if header.engine != MUJOCO:
+        first = "writes and resets to the bit, " if header.has_writes else ""
+        physics = f"{first}physics of {header.engine} within a tolerance"
+        return physics if first else f"{physics}; resets and events are not in the log"
+    return "yes"
+
+
+def _verify(path: Path, options: ReplayOptions) -> int:
+    from embodichain.recording import verify
+
+    quiet = options.quiet or options.json
+    with ProgressDisplay("verify", None, "steps", quiet=quiet) as display:
+
+        def progress(steps: int) -> None:
+            if display.due:
+                display.show(steps, {})
+
+        report = verify(
+            path,
+            env=options.env,
+            episode=options.episode,
+            progress=progress,
+            images=options.images,
+        )
+    if options.json:
+        print_json(asdict(report))
+    elif not report.ok:
+        sys.stderr.write(f"{path}: {report}\n")
+    elif not options.quiet:
+        sys.stdout.write(f"{report}\n")
+    return process.OK if report.ok else process.FAILED
+
+
+def _film(path: Path, out: Path, options: ReplayOptions) -> int:
+    """Write the video and print its path."""
+    from embodichain.recording.film.filming import film_log
+    from embodichain.recording.shards import joining
+
+    size = pair("--size", options.size or "640x480", "WIDTHxHEIGHT in pixels, such as 640x480")
+    quiet = options.quiet or options.json
+    display = ProgressDisplay("film", None, "pictures", quiet=quiet)
+    with joining.open(path) as log, StopFlag() as stop, display:
+        filmed = film_log(
+            log,
+            out,
+            env=options.env or 0,
+            episode=options.episode,
+            first=options.start,
+            last=options.last,
+            speed=options.speed or 1.0,
+            size=size,
+            camera=options.camera,
+            progress=film_progress(display),
+            stop=stop.is_stopped,
+        )
+        say_warnings(log.path, log.warnings)
+    if filmed.pictures:
+        nbytes = out.stat().st_size
+        if options.json:
+            facts = {"pictures": filmed.pictures, "bytes": nbytes, "complete": filmed.whole}
+            print_json({"file": str(out), **facts})
+        elif not options.quiet:
+            sys.stdout.write(f"{out}: {filmed.pictures} pictures, {nbytes / 1e6:.2f} MB\n")
+    if not (filmed.pictures and filmed.whole):
+        raise Interrupted(ended_early(stop, filmed, out))
+    return process.OK
+
+
+def _view(path: Path, options: ReplayOptions) -> int:
+    """Play until the window is closed or Ctrl-C is pressed."""
+    from embodichain.recording.read.playback import span_of
+    from embodichain.recording.shards import joining
+    from embodichain.recording.viewers.log_player import play_log
+
+    with StopFlag() as stop, joining.open(path) as log:
+        # A mistake is reported before a window opens.
+        span_of(
+            log,
+            options.env or 0,
+            episode=options.episode,
+            first=options.start,
+            last=options.last,
+        )
+        say_warnings(log.path, log.warnings)
+        screen = _screen(log, options, stop)
+        try:
+            play_log(
+                log,
+                screen,
+                episode=options.episode,
+                first=options.start,
+                last=options.last,
+                speed=options.speed or 1.0,
+                stopped=stop.is_stopped,
+            )
+        finally:
+            screen.close()
+    return process.OK
+
+
+def _screen(log: Log, options: ReplayOptions, stop: StopFlag) -> Screen:
+    from embodichain.recording.viewers.log_player import NativeScreen
+    from embodichain.utils.system.display import has_display
+
+    env = options.env or 0
+    name = options.view or ("native" if has_display() else "web")
+    if name == "foxglove":
+        raise ConfigError("Foxglove and Lichtblick play the file itself: embodichain view FILE")
+    if name not in ("native", "web"):
+        raise ConfigError(f"--view {name}: there are native, web")
+    if name == "native":
+        if options.host is not None or options.port is not None:
+            raise ConfigError("--host and --port are for --view web")
+        if options.token is not None or options.allow_hosts or options.allow_origins:
+            raise ConfigError("--token, --allow-host and --allow-origin are for --view web")
+        return NativeScreen(env, stop.is_stopped)
+    from embodichain.recording.viewers.page.web_page import PageOptions, WebPage
+
+    host = options.host or "127.0.0.1"
+    page_options = PageOptions(
+        host,
+        options.port,
+        env,
+        resets=False,
+        title=f"{log.task}: {log.path.name}",
+        access=options.access,
+    )
+    page = WebPage(log.model, page_options, num_envs=log.num_envs, stopped=stop.is_stopped)
+    if not options.quiet or page.url != page.address:
+        sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
+        sys.stderr.flush()
+    warn_if_public(host, page.url, controls=True)
+    return page

@@ -1,0 +1,81 @@
+"""`embodichain report`: one HTML page about a run, with its pictures and curves inside."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from embodichain.cli.terminal.last import take_last
+from embodichain.cli.terminal.output import print_json
+from embodichain.cli.verb import complete_last, verb
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["command"]
+
+_PAGE = "report.html"
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """What was typed after `report`.
+
+    Attributes:
+        run: The folder of a run, a training, an evaluation or a sweep, or ``last``.
+        output: Path of a new page; None replaces `report.html` of the folder.
+        quiet: Print no progress and no report.
+        json: Print the result as one JSON object.
+    """
+
+    run: str
+    output: str | None
+    quiet: bool
+    json: bool
+
+
+@verb(
+    "report",
+    ("report last", "of the newest run, into its folder"),
+    ("report outputs/latest -o reach.html", "into a file to send around"),
+    options=ReportOptions,
+    quiet=True,
+)
+@click.argument("run", metavar="RUN", shell_complete=complete_last)
+@click.option("--output", "-o", metavar="OUT", help="A new file. Default: RUN/report.html.")
+def command(options: ReportOptions) -> None:
+    """Write a page about a run, a training, an evaluation or a sweep: RUN is its folder, or `last`.
+
+    `report.html` of the run's folder is replaced, a file named by --output is not.
+
+    Raises:
+        ConfigError: If there is no such run, a file of it is damaged, or the page cannot be
+            written.
+    """
+    from embodichain.cli.results.report_page import page_of
+    from embodichain.cli.sweeps.sweep_report import has_finished_training, page_of_sweep
+    from embodichain.config.run_folder import CONFIG, SWEEP, find_run, newest_run, whole_run
+    from embodichain.utils.system.atomic import write_text
+
+    newest = newest_run("outputs", CONFIG) if options.run == "last" else None
+    if newest is None:
+        folder = find_run(options.run)
+    else:
+        whole = whole_run(newest)  # a page of a sweep compares trainings
+        folder = take_last(whole if has_finished_training(whole) else newest)
+    out = folder / _PAGE if options.output is None else Path(options.output)
+    if options.output is not None and os.path.lexists(out):
+        raise ConfigError(f"{out} exists; it is never replaced")
+    is_sweep = not (folder / CONFIG).is_file() and (folder / SWEEP).is_file()
+    text = page_of_sweep(folder) if is_sweep else page_of(folder)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_text(out, text, new=options.output is not None)
+    except OSError as error:
+        raise ConfigError(f"cannot write {out}: {error}") from error
+    if options.json:
+        print_json({"file": str(out), "bytes": len(text.encode())})
+    elif not options.quiet:
+        sys.stdout.write(f"{out}: {len(text.encode()) / 1e6:.2f} MB\n")

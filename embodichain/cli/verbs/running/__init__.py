@@ -1,0 +1,1 @@
+"""Verbs that run tasks here, measure them, and check the machine that does."""

@@ -1,0 +1,180 @@
+"""`embodichain demo`: a robot that solves a task, on a page in the browser or in a film.
+
+The policy is the trained one that ships for the task, else the task's expert.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import time
+import webbrowser
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import click
+
+from embodichain.cli.jobs.job import Body, Job, execute, output_overrides, policy_of
+from embodichain.cli.jobs.unread_keys import refuse_unread
+from embodichain.cli.jobs.work.run_job import run_job
+from embodichain.cli.terminal.output import print_facts, print_json
+from embodichain.cli.verb import OverrideOptions, command_line, overrides, verb
+from embodichain.cli.words import split_overrides
+from embodichain.utils.errors import ConfigError, Problem, RenderError
+
+if TYPE_CHECKING:
+    from embodichain.recording.viewers.web import WebView
+
+__all__ = ["command"]
+
+_TASK = "pick_place"
+_SEED = "1"
+_PAGE = {"viewer": "web", "record": "none", "scene_png": "false", "episodes": "100"}
+_FILM = {"video.size": "[400,300]", "scene_png": "false", "episodes": "1"}
+_GONE = 5.0
+"""Seconds without a browser after which the page is closed."""
+_NAP = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions(OverrideOptions):
+    """What was typed after `demo`.
+
+    Attributes:
+        web: Show a page.
+        film: Write a film.
+    """
+
+    web: bool
+    film: bool
+
+
+@verb(
+    "demo",
+    ("demo", "an arm puts a cube on a stand, in the browser"),
+    ("demo push_cube", "a trained policy that ships: embodichain list policies"),
+    ("demo --film", "a film; also where there is no display"),
+    ("demo --web viewer.port=8090", "the page, for a browser of another machine (ssh -L)"),
+    options=DemoOptions,
+    keys=True,
+    config_dir=True,
+    quiet=True,
+)
+@overrides("[TASK] [KEY=VALUE]...")
+@click.option("--web", is_flag=True, help="A page. Default, if there is a display.")
+@click.option("--film", is_flag=True, help="A film in a new run folder. Default without a display.")
+def command(options: DemoOptions) -> None:
+    """Show a task that is solved."""
+    from embodichain.config.resolved import resolve
+    from embodichain.utils.system.display import has_display
+
+    if options.web and options.film:
+        raise ConfigError("--web and --film exclude each other")
+    display = has_display()
+    on_page = options.web or (display and not options.film)
+    lines = split_overrides(options.words)
+    refuse_unread("demo", lines)
+    if on_page:
+        refuse_unread("demo --web", lines)
+    typed_keys = {line.partition("=")[0].lstrip("+~") for line in lines}
+    if not {"task", "gym_config"} & typed_keys:
+        lines.append(f"task={_TASK}")
+    if "policy" not in typed_keys:
+        lines.append(f"policy={_policy(lines)}")
+    defaults = {"num_envs": "1", "seed": _SEED}
+    body: Body
+    if on_page:
+        defaults |= _PAGE
+        body = _Page(display)
+    else:
+        encoder = importlib.util.find_spec("imageio_ffmpeg") is not None
+        defaults |= _FILM
+        defaults["video.format"] = "mp4" if encoder else "gif"
+        body = run_job
+    lines += [f"{key}={value}" for key, value in defaults.items() if key not in typed_keys]
+    resolved = resolve([*lines, *output_overrides(options)], "run")
+    try:
+        execute(resolved, body, command_line())
+    except RenderError as error:
+        raise RenderError(f"{error}\n--web shows it in a browser, without OpenGL here") from error
+
+
+def _policy(lines: list[str]) -> str:
+    """The policy that solves the task.
+
+    Raises:
+        ConfigError: If the task has none, or there is no such task.
+    """
+    from embodichain.config.composition.composed import compose
+    from embodichain.data.pretrained import pretrained_tasks
+
+    composed = compose(lines, "run")
+    name = composed.choices.get("task")
+    tasks = pretrained_tasks()
+    if name in tasks:
+        return "pretrained"
+    task = composed.tree.get("task")
+    if composed.problems or (isinstance(task, dict) and task.get("expert")):
+        return "expert"
+    message = (
+        f"{name} has no `expert`, and no trained policy ships for it (for {', '.join(tasks)}); "
+        f"`embodichain train task={name}`, then `embodichain play last`"
+    )
+    raise ConfigError([Problem("task", message)])
+
+
+class _Page:
+    """Plays episodes on a page, until it is closed, Ctrl-C is pressed, or all are played.
+
+    Args:
+        display: Whether to open a browser here.
+    """
+
+    def __init__(self, display: bool) -> None:
+        self._display = display
+
+    def __call__(self, job: Job) -> float | None:
+        """Play; the first step waits for a browser."""
+        from embodichain.config.environments.factory import make_env
+        from embodichain.learning.episode_statistics import EpisodeStatistics, play
+
+        counted = EpisodeStatistics(int(job.root.num_envs or 1), int(job.root.episodes or 1))
+        env = make_env(job.resolved, compiled_scene=job.compiled_scene, run_dir=job.folder)
+        try:
+            policy = policy_of(job.root, env)
+            view = job.attach_viewer(env, policy)
+            obs, _ = env.reset()
+            job.begin()
+            if view is None or self._wait(job, view):
+                last_seen = time.monotonic()
+                for _ in play(env, policy, obs, counted):
+                    now = time.monotonic()
+                    if view is None or view.watched:
+                        last_seen = now
+                    if job.stop.is_stopped() or now - last_seen > _GONE:
+                        break
+        finally:
+            env.close()
+        success = counted.mean("success")
+        facts = {"task": job.resolved.task_name, "episodes": counted.episodes, "success": success}
+        if job.root.json:
+            print_json(facts)
+        elif not job.quiet:
+            shown = None if success is None else f"{success:.0%}"
+            print_facts(str(facts["task"]), [("episodes", counted.episodes), ("success", shown)])
+        return success
+
+    def _wait(self, job: Job, view: WebView) -> bool:
+        """Wait for a browser; returns False if the run was stopped."""
+        # Other users can read a browser's command line: what is in it opens one page, once.
+        url = view.url
+        why = ""
+        if self._display:
+            url = view.url_once
+            if not webbrowser.open(url):
+                why = "no browser could be opened here; "
+        if not job.root.quiet:
+            sys.stderr.write(f"{why}waiting for a browser at {url} (Ctrl-C ends the demo)\n")
+        while not view.watched and not job.stop.is_stopped():
+            time.sleep(_NAP)
+        return view.watched

@@ -1,0 +1,247 @@
+"""`embodichain doctor`: checks of this machine, with advice on what is missing.
+
+A check never raises. The exit code is 1 if something that every run needs is missing.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+from embodichain.cli.terminal import process
+from embodichain.cli.terminal.output import print_json, print_table
+from embodichain.cli.verb import verb
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.system import platforms
+
+__all__ = ["EXTRAS", "Check", "command"]
+
+EXTRAS = {
+    "robots": ("robots of example-robot-data", "example-robot-data"),
+    "rsl-rl": ("trainings on the environment's device: algo=rsl_rl_ppo", "rsl-rl-lib"),
+    "skrl": ("trainings on the environment's device: algo=skrl_ppo", "skrl"),
+    "gpu": ("MuJoCo Warp: sim.engine=warp, device=cuda", "mujoco-warp", "warp-lang"),
+    "decompose": ("convex parts of meshes: collision: decompose", "coacd"),
+    "plot": ("curves of trainings as PNG", "matplotlib"),
+    "wandb": ("trainings in Weights & Biases", "wandb"),
+    "sweep": (
+        "sweeps in parallel, and searches with Optuna",
+        *("hydra-joblib-launcher", "hydra-optuna-sweeper", "joblib", "alembic", "sqlalchemy"),
+    ),
+    "slurm": ("sweeps on Slurm: hydra/launcher=slurm", "submitit"),
+    "ray": ("many machines: sim.backend=ray, hydra/launcher=ray", "ray", "cloudpickle"),
+    "export": ("policies as ONNX files", "onnx", "onnxruntime"),
+    "video": ("films: video=true, replay --video", "imageio-ffmpeg"),
+    "h264": ("videos of cameras in logs: record.images", "av"),
+    "pandas": ("logs as data frames", "pandas"),
+    "parquet": ("logs as Parquet files", "pyarrow"),
+    "hdf5": ("logs as HDF5 files", "h5py"),
+    "ros2": ("logs as ROS 2 bags", "rosbags"),
+    "rerun": ("logs as recordings for Rerun", "rerun-sdk"),
+    "lerobot": ("logs as LeRobot data sets", "pandas", "pyarrow", "imageio-ffmpeg"),
+}
+"""Extra of this package -> its purpose and its packages (versions are in `pyproject.toml`)."""
+OTHERS = {
+    "tensorboard": "event files of trainings",
+    "sb3-contrib": "algorithms TRPO, TQC, CrossQ, RecurrentPPO",
+}
+"""Optional package that is in no extra -> its purpose."""
+_CORE = (
+    *("mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3", "hydra-core"),
+    *("omegaconf", "pydantic", "mcap", "protobuf", "rich"),
+)
+_LOW_DISK_GB = 2.0
+_BALL = "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1'/></worldbody></mujoco>"
+_NO_PICTURE = (
+    "apt-get install libegl1 libgl1-mesa-dri libopengl0, or set MUJOCO_GL to what works here"
+)
+_RENDER = "from embodichain.cli.verbs.running.doctor import render_once; render_once()"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of the report.
+
+    Attributes:
+        part: Name of the check.
+        state: ``ok``; ``warn``: works with limits; ``missing``: optional, not installed; ``fail``.
+        found: The result.
+        advice: What to do, or empty.
+    """
+
+    part: str
+    state: Literal["ok", "warn", "missing", "fail"]
+    found: str
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class DoctorOptions:
+    """What was typed after `doctor`.
+
+    Attributes:
+        json: Print the result as one JSON object.
+    """
+
+    json: bool
+
+
+@verb(
+    "doctor",
+    ("doctor", "a table, with what to do about what is missing"),
+    ("doctor --json", ""),
+    options=DoctorOptions,
+)
+def command(options: DoctorOptions) -> int:
+    """Run all checks and print their results."""
+    # _randomness is the first that imports MuJoCo: it says whether that is possible.
+    sections = _versions, _threads, _rendering, _display, _disk, _randomness, _optional
+    checks = [check for section in sections for check in section()]
+    if options.json:
+        print_json({"checks": [asdict(check) for check in checks]})
+    else:
+        print_table("this machine", [asdict(check) for check in checks])
+    return process.FAILED if any(check.state == "fail" for check in checks) else process.OK
+
+
+def _installed(packages: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """Versions of the packages that are installed, and the names of the others."""
+    versions: dict[str, str] = {}
+    for name in packages:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions, [name for name in packages if name not in versions]
+
+
+def _versions() -> Iterator[Check]:
+    import embodichain
+
+    yield Check("embodichain", "ok", embodichain.__version__)
+    yield Check("Python", "ok", f"{platform.python_version()} on {platform.platform()}")
+    if sys.platform not in {"linux"}:
+        about = "untried: everything is developed and tested on Linux"
+        yield Check("system", "warn", about, "docs/install.md names what is missing here")
+    for limit in platforms.limits():
+        yield Check(limit.feature, "missing", limit.reason, limit.instead)
+    versions, missing = _installed(_CORE)
+    yield from (Check(name, "ok", version) for name, version in versions.items())
+    yield from (Check(name, "fail", "not installed", f"pip install {name}") for name in missing)
+
+
+def _threads() -> Iterator[Check]:
+    present = os.cpu_count()
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else present
+    yield Check("threads", "ok", f"{usable} of {present} cores; sim.num_threads=0 uses them all")
+    limit = os.environ.get("OMP_NUM_THREADS")
+    if limit:
+        yield Check("OMP_NUM_THREADS", "ok", f"{limit} (torch's threads; not the engine's)")
+
+
+def _rendering() -> Iterator[Check]:
+    """Render a small picture, in a separate process that a broken driver may crash."""
+    command = [sys.executable, "-c", _RENDER]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    except subprocess.TimeoutExpired:
+        yield Check("rendering", "warn", "no picture within 60 s", _NO_PICTURE)
+        return
+    if done.returncode == 0:
+        yield Check("rendering", "ok", done.stdout.strip())
+    else:
+        lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+        yield Check("rendering", "warn", lines[-1], _NO_PICTURE)
+
+
+def render_once() -> None:
+    """Render one small picture and print which renderer made it; raise if rendering fails."""
+    import mujoco
+
+    from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+    from embodichain.lab.sim.drawing.states import DataState
+    from embodichain.lab.sim.drawing.views import Viewpoint
+
+    model = mujoco.MjModel.from_xml_string(_BALL)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    renderer = OffscreenRenderer(model)
+    if renderer.kind == "rays":
+        raise RuntimeError("no OpenGL: depth and masks are drawn with rays, colours are not")
+    at = Viewpoint.look_at((0.4, -0.4, 0.4), (0.0, 0.0, 0.0))
+    picture = renderer.pictures(DataState(data), at, (64, 48))
+    if picture.max() == picture.min():
+        raise RuntimeError(f"the {renderer.kind} renderer draws an empty picture")
+    sys.stdout.write(f"{renderer.kind} renderer: {renderer.about}")
+
+
+def _display() -> Iterator[Check]:
+    display = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
+    if display:
+        yield Check("display", "ok", f"{display}: viewer=native opens a window")
+    else:
+        yield Check("display", "missing", "none: viewer=native warns and runs without a window")
+
+
+def _disk() -> Iterator[Check]:
+    folder = Path("outputs").resolve()
+    existing = next(p for p in (folder, *folder.parents) if p.exists())
+    free = shutil.disk_usage(existing).free / 1e9
+    space = f"{free:.1f} GB free for {folder}"
+    if free > _LOW_DISK_GB:
+        yield Check("disk", "ok", space)
+    else:
+        yield Check(
+            "disk", "warn", space, "logs of many environments are large: record=none, or room"
+        )
+    if not os.access(existing, os.W_OK):
+        yield Check("outputs", "warn", f"{existing} cannot be written", "run elsewhere")
+
+
+def _optional() -> Iterator[Check]:
+    extras = {name: (purpose, f"'embodichain[{name}]'") for name, (purpose, *_) in EXTRAS.items()}
+    others = {name: (purpose, name) for name, purpose in OTHERS.items()}
+    for name, (purpose, install) in {**extras, **others}.items():
+        versions, missing = _installed(EXTRAS[name][1:] if name in EXTRAS else [name])
+        listed = ", ".join(f"{package} {version}" for package, version in versions.items())
+        if not missing:
+            yield Check(name, "ok", listed)
+            continue
+        lacking = f"not installed: {', '.join(missing)}"
+        installed = f"{lacking} (there: {listed})" if listed else lacking
+        yield Check(name, "missing", installed, f"{purpose}: pip install {install}")
+    yield _cuda()
+
+
+def _cuda() -> Check:
+    from embodichain.lab.sim.engine.warp.warp_support import cuda_devices, why_missing
+
+    reason = why_missing("cuda")
+    if reason:
+        return Check("CUDA", "missing", reason, "device=cuda needs both: see docs/gpu.md")
+    return Check("CUDA", "ok", ", ".join(cuda_devices()))
+
+
+def _randomness() -> Iterator[Check]:
+    """Classes and terms that draw from a global generator, so that results depend on num_envs."""
+    try:
+        process.check_mujoco_gl()
+    except ConfigError as error:  # then tasks cannot be imported
+        yield Check("MUJOCO_GL", "fail", error.problems[0].message, "unset MUJOCO_GL")
+        return
+    from embodichain.cli.results.global_random import global_draws, registered_code
+
+    advice = "use env.rand or env.randn: the same numbers whatever num_envs is"
+    draws = [(name, draw) for name, thing in registered_code() for draw in global_draws(thing)]
+    for name, draw in draws:
+        yield Check(name, "warn", f"draws from a global generator: {draw}", advice)
+    if not draws:
+        yield Check("random numbers", "ok", "no registered class or term uses a global generator")

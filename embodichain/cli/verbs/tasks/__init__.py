@@ -1,0 +1,1 @@
+"""Verbs that show, check and write tasks; none of them runs one."""

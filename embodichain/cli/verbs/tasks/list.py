@@ -1,0 +1,157 @@
+"""`embodichain list`: lists tasks, robots, policies or terms. Imports neither MuJoCo nor torch."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from embodichain.cli.terminal.output import print_json, print_table, wrapped
+from embodichain.cli.verb import verb
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hydra.plugins.config_source import ConfigSource
+
+__all__ = ["command"]
+
+Rows = list[dict[str, Any]]
+_FAULT = "cannot load"
+
+
+@dataclass(frozen=True)
+class ListOptions:
+    """What was typed after `list`.
+
+    Attributes:
+        what: ``tasks``, ``robots``, ``policies`` or ``terms``.
+        markdown: Print terms as the page docs/terms.md.
+        json: Print the result as one JSON object.
+    """
+
+    what: str
+    markdown: bool
+    json: bool
+
+
+@verb(
+    "list",
+    ("list tasks", "every task that task=NAME finds"),
+    ("list robots", "robot files that a task can name"),
+    ("list policies", "trained policies that ship, and how often they succeed"),
+    ("list terms", "functions for events, observations, rewards, ..."),
+    ("list terms --markdown", "the same as a page, with parameters and examples"),
+    options=ListOptions,
+    config_dir=True,
+)
+@click.argument("what", type=click.Choice(["tasks", "robots", "policies", "terms"]))
+@click.option("--markdown", is_flag=True, help="Terms as the page docs/terms.md.")
+def command(options: ListOptions) -> None:
+    """List tasks, robots, policies or terms, as a table or as JSON."""
+    if options.markdown:
+        if options.what != "terms" or options.json:
+            raise ConfigError("--markdown goes with `list terms`, without --json")
+        from embodichain.cli.results.terms import catalogue
+
+        sys.stdout.write(catalogue())
+        return
+    made = {"tasks": _tasks, "robots": _robots, "policies": _policies, "terms": _terms}
+    rows = made[options.what]()
+    if options.json:
+        print_json({options.what: rows})
+        return
+    print_table(options.what, [{k: v for k, v in row.items() if k != _FAULT} for row in rows])
+    _print_list(_FAULT, [f"{row['name']}: {text}" for row in rows if (text := row.get(_FAULT))])
+    if options.what == "robots":
+        _print_list("not here", _absent_robots(rows))
+
+
+def _print_list(title: str, lines: list[str]) -> None:
+    if lines:
+        folded = [f"{wrapped(line, '  ', '    ')}\n" for line in lines]
+        sys.stdout.write("".join([f"{title}:\n", *folded, "\n"]))
+
+
+def _tasks() -> Rows:
+    """Every option of the group `task` in the search path; a broken file is listed too."""
+    from embodichain.config.composition.hydra_loader import config_loader
+
+    rows = []
+    with config_loader() as loader:
+        for name in loader.get_group_options("task"):
+            path = f"task/{name}"
+            source = next(s for s in loader.get_sources() if s.is_config(path))
+            place = "embodichain" if source.provider == "main" else source.provider
+            rows.append({"name": name, "what": _description(source, path), "from": place})
+    return rows
+
+
+def _description(source: ConfigSource, path: str) -> str:
+    import yaml
+    from omegaconf import DictConfig, OmegaConf
+
+    from embodichain.utils.env_text import is_from_env, shown
+
+    try:
+        config = source.load_config(path).config
+    except yaml.YAMLError:
+        return f"(malformed YAML: embodichain validate task={path.removeprefix('task/')})"
+    if not isinstance(config, DictConfig):
+        return ""
+    raw: Any = OmegaConf.to_container(config, resolve=False)
+    written = raw.get("description", "")
+    return str(shown(written) if is_from_env(written) else config.get("description", ""))
+
+
+def _robots() -> Rows:
+    from embodichain.data import fault_of, list_robots
+
+    return [
+        {"name": a.name, "format": a.format, "from": a.source, _FAULT: fault_of(a.path)}
+        for a in list_robots()
+    ]
+
+
+def _policies() -> Rows:
+    """The policies that ship; ``policy=pretrained`` is that of the task."""
+    from embodichain.data.pretrained import pretrained, pretrained_tasks
+
+    rows = []
+    for about in map(pretrained, pretrained_tasks()):
+        low, high = about.interval
+        success = f"{about.success:.1%}  [{low:.1%}, {high:.1%}] of {about.episodes}"
+        rows.append({"task": about.task, "success": success, "made by": about.command})
+    return rows
+
+
+def _absent_robots(rows: Rows) -> list[str]:
+    """Sources of robots that are not installed, and how to get them."""
+    from embodichain.data import data_root
+    from embodichain.data.lookup import HOW
+
+    ways = {
+        "example-robot-data": "example-robot-data: `pip install 'embodichain[robots]'`",
+        "menagerie": HOW,
+        "EMBODICHAIN_DATA_ROOT": f"your own: files below {data_root()} ($EMBODICHAIN_DATA_ROOT)",
+    }
+    found = {row["from"].partition(",")[0] for row in rows}
+    return [way for place, way in ways.items() if place not in found]
+
+
+def _terms() -> Rows:
+    from embodichain.cli.results.terms import SECTION_OF, all_entries
+
+    entries = all_entries()
+    return [
+        {
+            "kind": kind,
+            "name": entry.name,
+            "params": entry.signature.removeprefix(entry.name)[1:-1],
+            "what": entry.doc.summary,
+        }
+        for kind in SECTION_OF
+        for entry in entries
+        if kind in entry.kinds
+    ]

@@ -1,0 +1,259 @@
+"""`embodichain validate`: prints every mistake in a task or a file that `run` would refuse.
+
+One environment is built as a run builds it, which needs torch. Where a part of the config is wrong,
+the rest is built, so that all mistakes are found in one round.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from embodichain.cli.jobs.job import check_extras, check_job, pinned
+from embodichain.cli.jobs.unread_keys import verb_of_keys
+from embodichain.cli.jobs.work.demonstrations import first_episode
+from embodichain.cli.terminal import process
+from embodichain.cli.terminal.output import print_json
+from embodichain.cli.terminal.reporting import warnings_on_stderr
+from embodichain.cli.verb import overrides, verb
+from embodichain.cli.words import split_overrides
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.config.keys.schema import Verb
+    from embodichain.config.resolved import Checked, Resolved
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.compiler.compile_scene import CompiledScene
+
+__all__ = ["command"]
+
+
+@dataclass(frozen=True)
+class ValidateOptions:
+    """What was typed after `validate`.
+
+    Attributes:
+        words: A file, or overrides.
+        train: Check the config as `train` would read it.
+        collect: Check it as `collect` would.
+        json: Print the result as one JSON object.
+    """
+
+    words: tuple[str, ...]
+    train: bool
+    collect: bool
+    json: bool
+
+
+@verb(
+    "validate",
+    ("validate task=reach", "a task that ships with embodichain"),
+    ("validate --train task=reach algo=sac", "as `train` would read it"),
+    ("validate --collect task=pick_place", "as `collect` would"),
+    ("validate task=reach task.max_episode_steps=50", "with overrides"),
+    ("validate --config-dir my_conf task=random_reach", "with a folder of yours"),
+    options=ValidateOptions,
+    keys=True,
+    config_dir=True,
+)
+@overrides("FILE | [task=NAME] [KEY=VALUE]...")
+@click.option("--train", is_flag=True, help="As `train` would read it.")
+@click.option("--collect", is_flag=True, help="As `collect` would read it.")
+def command(options: ValidateOptions) -> int:
+    """Print every mistake on stderr and exit with 2, or report that there is none."""
+    if options.train and options.collect:
+        raise ConfigError("either --train or --collect")
+    verb: Verb = "train" if options.train else "collect" if options.collect else "run"
+    name = " ".join(options.words)
+    # By the suffix, so that a missing file is reported as missing.
+    endings = (".yaml", ".yml", ".json")
+    files = [word for word in options.words if "=" not in word and word.endswith(endings)]
+    notes: tuple[Problem, ...] = ()
+    problems: tuple[Problem, ...] = ()
+    if files and len(options.words) > 1:
+        raise ConfigError(f"either one file or overrides: {name}")
+    if not options.words:
+        raise ConfigError("validate what? task=NAME or a file: `embodichain list tasks`")
+    try:
+        if files:
+            from embodichain.config.file_validation import checked_file, notes_on_file
+
+            notes = notes_on_file(name)
+            config = checked_file(name, verb)
+        else:
+            from embodichain.config.composition.composed import compose
+
+            lines = split_overrides(options.words)
+            any_key = not (options.train or options.collect)
+            if any_key:
+                verb = verb_of_keys(lines)
+            composed = compose(lines, verb)
+            notes = composed.notes
+            config = check_job(composed, verb, any_key=any_key)
+        further, problems = _every_mistake(config, notes)
+        notes = (*notes, *further)
+    except ConfigError as error:
+        problems = error.problems
+    if options.json:
+        mistakes = [asdict(p.at(p.source)) for p in problems]
+        listed = {"notes": [asdict(p) for p in notes]} if notes else {}
+        print_json({"checked": name, "ok": not problems, "mistakes": mistakes, **listed})
+        return process.WRONG_INPUT if problems else process.OK
+    for note in notes:
+        sys.stderr.write(f"note: {note}\n")
+    if problems:
+        raise ConfigError(problems)
+    sys.stdout.write(f"{name}: ok\n")
+    return process.OK
+
+
+def _every_mistake(
+    config: Checked, before: Sequence[Problem]
+) -> tuple[list[Problem], tuple[Problem, ...]]:
+    """Check a config as far as a job of it can be, also where a part of it has mistakes.
+
+    Args:
+        config: The checked config.
+        before: Notes that are known.
+
+    Returns:
+        Further notes; and every mistake: of the config, of packages that it needs, of its building.
+
+    Raises:
+        Exception: Any other error that would end the job.
+    """
+    from embodichain.config.environments.factory import with_warp_values
+    from embodichain.config.resolved import compile_scene_of
+    from embodichain.config.sound_part import further_mistakes
+
+    notes: list[Problem] = []
+    problems = list(config.check.problems)
+    root = config.check.types.root
+    if problems and root is not None:
+        with _collecting(problems, config.locating):
+            check_extras(root)
+        roots = {problem.path.partition(".")[0] for problem in problems}
+        if config.verb == "train" and roots == {"task"}:
+            from embodichain.learning.training.train import check_training
+
+            rest = replace(config, check=replace(config.check, problems=[]))
+            with _collecting(problems, config.locating):
+                check_training(rest.resolved())
+    elif not problems:
+        with warnings_on_stderr():
+            resolved = pinned(config.resolved())
+            notes += [note for note in resolved.notes if note not in before]
+            with _collecting(problems, resolved.locating):
+                if config.verb == "train":
+                    from embodichain.learning.training.train import check_training
+
+                    check_training(resolved)
+            with _collecting(problems, resolved.locating):
+                check_extras(resolved.root)
+            with _collecting(problems, resolved.locating):
+                scene = compile_scene_of(resolved)
+                known = resolved.notes
+                resolved = with_warp_values(resolved, config.verb, compiled_scene=scene)
+                notes += resolved.notes[len(known) :]
+                notes += _try_out(resolved, scene, config.verb, complete=not problems)
+    if problems:
+        problems += further_mistakes(config, problems, _build)
+    return notes, tuple(problems)
+
+
+@contextmanager
+def _collecting(
+    problems: list[Problem], locating: Callable[[], AbstractContextManager[None]]
+) -> Iterator[None]:
+    """Add the mistakes that are raised inside the context, with their places, to a list."""
+    try:
+        with locating():
+            yield
+    except ConfigError as error:
+        problems += [problem for problem in error.problems if problem not in problems]
+
+
+def _build(resolved: Resolved) -> None:
+    """Build the environment of a config, which evaluates each term once."""
+    from embodichain.config.environments.factory import make_env
+
+    with tempfile.TemporaryDirectory() as folder:
+        make_env(resolved, run_dir=Path(folder)).close()
+
+
+def _try_out(
+    resolved: Resolved, compiled_scene: CompiledScene | None, verb: Verb, *, complete: bool
+) -> list[Problem]:
+    """Build what the job builds, reset it and take one step.
+
+    Terms write files into a temporary folder, which is removed; no viewer is opened and no log is
+    written.
+
+    Args:
+        resolved: A checked config.
+        compiled_scene: Its scene.
+        verb: ``train`` also builds the algorithm, ``run`` and ``collect`` the policy.
+        complete: Whether nothing is wrong so far; else only the environment is built.
+
+    Returns:
+        Links of robots that overlap in many postures, one note for each robot.
+
+    Raises:
+        ConfigError: A mistake that the job would refuse, with its place.
+        Exception: Any other error that would end the job.
+    """
+    from embodichain.cli.jobs.job import policy_name, policy_of
+    from embodichain.config.environments.factory import make_env
+
+    unseen = resolved.changed(viewer={**resolved.tree["viewer"], "name": "none"})
+    root = resolved.root
+    with tempfile.TemporaryDirectory() as folder, resolved.locating():
+        env = make_env(unseen, compiled_scene=compiled_scene, run_dir=Path(folder))
+        try:
+            if not complete:
+                return []
+            if verb == "train":
+                from embodichain.learning.training.train import check_algorithm, check_episode
+
+                check_algorithm(resolved, env)
+                if root.dataset is not None:
+                    check_episode(resolved, env, first_episode(root, env))
+                return _overlaps(env)
+            if root.record.images is not None:
+                from embodichain.recording import ImageOptions
+                from embodichain.recording.views.images import image_topics
+
+                image_topics(env, ImageOptions(**vars(root.record.images)))
+            policy = policy_of(root, env)
+            if policy_name(root) == "teleop":
+                from embodichain.lab.gym.teleop import IdleOperator, Teleop
+
+                if isinstance(policy, Teleop):
+                    policy.operator = IdleOperator()
+            obs, _ = env.reset()
+            env.step(policy(obs, env))
+            return _overlaps(env)
+        finally:
+            env.close()
+
+
+def _overlaps(env: BaseEnv) -> list[Problem]:
+    """Return a note for each robot with links that overlap in many postures."""
+    from embodichain.lab.sim.compiler.robot.overlaps import overlapping_links
+
+    notes: list[Problem] = []
+    for uid, asset in {**env.sim.robots, **env.sim.articulations}.items():
+        often = overlapping_links(asset.parsed)
+        listed = ", ".join(f"{a} and {b} {share:.0%}" for (a, b), share in often.items())
+        if listed:
+            what = f"links that are in each other in many of 200 postures: {listed}"
+            advice = "self_collision.exclude leaves pairs out, include says that they are meant"
+            notes.append(Problem(uid, f"{what}; {advice}"))
+    return notes

@@ -1,0 +1,178 @@
+"""Words of the command line: overrides, the name of a log, a pair of numbers."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shlex
+from pathlib import Path
+
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["EVERYDAY_KEYS", "ROOT_KEYS", "log_of", "pair", "split_overrides"]
+
+EVERYDAY_KEYS = (
+    "task",
+    "num_envs",
+    "episodes",
+    "max_steps",
+    "total_timesteps",
+    "seed",
+    "policy",
+    "record",
+    "viewer",
+    "device",
+    "sim",
+    "output_dir",
+)
+"""Keys of the root that the help lists."""
+ROOT_KEYS = (
+    *EVERYDAY_KEYS,
+    "algo",
+    "video",
+    "resume",
+    "dataset",
+    "scene_png",
+    "allow_changed",
+    "trust",
+    "experiment",
+)
+"""Keys that are flags of other tools."""
+
+
+def split_overrides(words: tuple[str, ...]) -> list[str]:
+    """Return words as overrides; a word without ``=`` is the name of the task.
+
+    Raises:
+        ConfigError: More than one bare word, or a map or list that the shell has split.
+    """
+    _check_quotes(words)
+    if "=" in words:
+        at = words.index("=")
+        typed = "".join(words[max(at - 1, 0) : at + 2])
+        raise ConfigError(f"write {typed}, without blanks around =")
+    bare = [word for word in words if "=" not in word and not word.startswith("~")]
+    _check_blanks(words, bare)
+    if len(bare) > 1:
+        raise ConfigError(f"one task at a time: {', '.join(bare)}. Values are given as key=value")
+    tasks = [f"task={word}" for word in bare]
+    return tasks + [word for word in words if word not in bare]
+
+
+def _check_blanks(words: tuple[str, ...], bare: list[str]) -> None:
+    """Refuse ``task reach``, ``task: reach``, ``task= reach`` and ``task =reach``, by the form."""
+    for word, value in itertools.pairwise(words):
+        key = word.rstrip("=:")
+        split = word.endswith("=") or (word in bare and key in ROOT_KEYS)
+        if value.startswith("=") or (split and value in bare):
+            whole = f"{key}={value.lstrip('=')}"
+            if _open_brackets(whole):
+                following = words[words.index(value) + 1 :]
+                whole = _quoted(" ".join([whole, *following]))
+            raise ConfigError(f"write {whole}, without a blank after the key")
+
+
+def _check_quotes(words: tuple[str, ...]) -> None:
+    """Refuse ``KEY={func: NAME}`` without quotes, of which a shell makes two words."""
+    for i, word in enumerate(words):
+        if "=" not in word or not _open_brackets(word):
+            continue
+        whole = word
+        for following in words[i + 1 :]:
+            whole += f" {following}"
+            if not _open_brackets(whole):
+                key = word.lstrip("+").partition("=")[0]
+                new = "" if word.startswith("+") else f"; a new entry is +{key}=..."
+                raise ConfigError(f"put quotes around it for your shell: {_quoted(whole)}{new}")
+        raise ConfigError(f"{word!r} has a bracket without its other one")
+
+
+def _quoted(word: str) -> str:
+    """Return a word in quotes for a shell, double ones if it has single ones."""
+    double = "'" in word and not set(word) & set('"$`\\')
+    return f'"{word}"' if double else shlex.quote(word)
+
+
+def _open_brackets(text: str) -> bool:
+    """Whether brackets or quotes of a text are open at its end."""
+    closing = {"{": "}", "[": "]", "(": ")"}
+    still_open: list[str] = []
+    quote = ""
+    escaped = False
+    for sign in text.partition("=")[2]:
+        if escaped:
+            escaped = False
+        elif sign == "\\":
+            escaped = True
+        elif quote:
+            quote = "" if sign == quote else quote
+        elif sign in "'\"":
+            quote = sign
+        elif sign in closing:
+            still_open.append(closing[sign])
+        elif still_open and sign == still_open[-1]:
+            still_open.pop()
+    return bool(still_open)
+
+
+def pair(option: str, text: str, form: str) -> tuple[int, int]:
+    """Return the numbers of an option's value such as ``640x480``.
+
+    Args:
+        option: The option.
+        text: Its value.
+        form: The allowed form, for the message.
+
+    Raises:
+        ConfigError: The value has another form, or a number is 0.
+    """
+    numbers = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
+    if numbers is None:
+        raise ConfigError(f"{option} is {form}, not {text!r}")
+    return int(numbers[1]), int(numbers[2])
+
+
+def log_of(name: str) -> Path:
+    """Return the log of a name: a file, a run's folder, or ``last`` for the newest run.
+
+    Temporary files of processes that were killed are removed from its folder.
+
+    Raises:
+        ConfigError: There is no log yet, no such file, or the folder has none.
+    """
+    from embodichain.config.run_folder import LOG, SHARDS, newest_run, perhaps_last
+    from embodichain.utils.system.atomic import remove_abandoned
+
+    path = newest_run("outputs", LOG, SHARDS) if name == "last" else Path(name)
+    if path is None:
+        raise ConfigError("no run in outputs has a log yet: embodichain run task=NAME")
+    if name == "last":
+        from embodichain.cli.terminal.last import take_last
+
+        take_last(path)
+    if not path.exists():
+        raise ConfigError(f"{name} does not exist{perhaps_last(name)}")
+    remove_abandoned(path if path.is_dir() else path.parent)
+    if not path.is_dir():
+        return path
+    log = path.resolve() / LOG
+    if not log.exists() and (path / SHARDS).exists():
+        return path.resolve() / SHARDS
+    if not log.exists():
+        raise ConfigError(f"{path.resolve()} has no {LOG}: {_why_no_log(path)}")
+    return log
+
+
+def _why_no_log(folder: Path) -> str:
+    """Why a run's folder has no log, as its config says."""
+    from embodichain.config.rerun import read_config
+    from embodichain.config.run_folder import CONFIG, SUMMARY
+
+    if not (folder / CONFIG).is_file():
+        return f"it is not the folder of a run, which has a {CONFIG}"
+    record = read_config(folder / CONFIG).get("record")
+    if isinstance(record, dict) and record.get("format") == "none":
+        return "it was run with record=none"
+    if (folder / SUMMARY).is_file():
+        return "the run failed before its log began, or the log was moved"
+    return "the run ended, or was killed, before its log began"

@@ -1,0 +1,1 @@
+"""The file around messages: MCAP's records, archives, and unpacking with limits."""
