@@ -114,6 +114,11 @@ class ObservedEnv(Protocol):
         ...
 
     @property
+    def revision(self) -> tuple[int, ...]:
+        """Numbers that change when a step is computed in another way: limit, terms, model."""
+        ...
+
+    @property
     def observers(self) -> Sequence[StepObserver]:
         """The observers, in the order in which they are called."""
         ...

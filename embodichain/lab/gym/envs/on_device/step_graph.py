@@ -13,7 +13,7 @@ from __future__ import annotations
 import gc
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 
@@ -24,12 +24,11 @@ from embodichain.lab.sim.engine.device.device_array import DeviceArray, EnvMask
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observation import Observation
-    from embodichain.lab.gym.envs.on_device.step_copies import StepCopies
+    from embodichain.lab.gym.envs.observers import ObservedEnv
     from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
-    from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvObs
 
-__all__ = ["RecordedEnv", "StepGraph"]
+__all__ = ["StepGraph"]
 
 logger = logging.getLogger(__name__)
 _WARM_UP = 2
@@ -44,22 +43,6 @@ _COUNTERS = {
 Step = tuple["EnvObs", torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
 
-class RecordedEnv(Protocol):
-    """What `StepGraph` uses of an environment."""
-
-    control_step: int
-    arrays_moved: bool
-    copies: StepCopies | None
-
-    @property
-    def sim(self) -> SimulationManager:
-        """The simulation."""
-
-    @property
-    def revision(self) -> tuple[int, ...]:
-        """Changes when steps are computed in another way."""
-
-
 class StepGraph:
     """Steps an environment, from its fourth step on by a CUDA graph.
 
@@ -70,7 +53,7 @@ class StepGraph:
         reason: Why steps are not recorded, or an empty string.
     """
 
-    def __init__(self, env: RecordedEnv) -> None:
+    def __init__(self, env: ObservedEnv) -> None:
         self._env = env
         self._engine = cast("DeviceEngine", env.sim.engine)
         self._left = _WARM_UP
@@ -81,38 +64,46 @@ class StepGraph:
         self._version = -1
         self.reason = ""
 
-    def step(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
+    def step(
+        self,
+        run: Callable[[torch.Tensor], Step],
+        action: torch.Tensor,
+        *,
+        arrays_moved: bool,
+        forget: Callable[[], None],
+    ) -> Step:
         """Take a control step.
 
         Args:
-            run: Takes a step by launching its kernels.
+            run: Takes a step by launching its kernels. It is not called where a graph is replayed.
             action: (N, A) on the device.
+            arrays_moved: Whether code outside of steps may have replaced arrays since the last one.
+            forget: Undoes what Python did in `run`, after a recording that failed: the numbers of
+                that step were not computed.
 
         Returns:
             What `run` returns. Observation, reward and flags are copies; ``info`` is valid until
             the next step.
         """
         self._engine.check_memory()
-        if self._graph is not None and not self._is_valid():
-            self._graph = self._revision = None
+        if self._graph is not None and not self._is_valid(arrays_moved):
+            self._graph = None
+            self._revision = None
             self._left = 1
         if self.reason or self._left:
             self._left = max(self._left - 1, 0)
             return run(action)
-        if self._graph is not None:
-            self._env.control_step += 1
-        elif self._revision is None:
-            return self._observe(run, action)
-        else:
-            self._record(run, action)
+        if self._graph is None:
+            if self._revision is None:
+                return self._observe(run, action)
+            self._record(run, action, forget)
             if self._graph is None:
                 return run(action)
         self._action.copy_(action)
         self._graph.replay()
         obs, reward, terminated, truncated, info = self._result
-        seen = cast("Observation", obs)
-        copies = reward.clone(), terminated.clone(), truncated.clone()
-        return seen.copy(), *copies, dict(info)
+        observation = cast("Observation", obs).copy()
+        return observation, reward.clone(), terminated.clone(), truncated.clone(), dict(info)
 
     def _observe(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
         """Take a step, and find the arrays that it reads and replaces."""
@@ -161,9 +152,13 @@ class StepGraph:
         self.reason = self.reason or reason
         logger.warning("steps are not recorded as a CUDA graph: %s", reason)
 
-    def _record(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> None:
+    def _record(
+        self,
+        run: Callable[[torch.Tensor], Step],
+        action: torch.Tensor,
+        forget: Callable[[], None],
+    ) -> None:
         """Record a step; its launches run when the graph is replayed."""
-        env = self._env
         places = self._places()[0]
         self._action = action.clone()
         for path in self._changing:  # each its own memory: two places may hold the same array
@@ -172,7 +167,6 @@ class StepGraph:
             places[path].set(self._kept[path])
         graph = torch.cuda.CUDAGraph()
         saved = {path: place.get() for path, place in places.items()}
-        control_step = env.control_step
         collecting = gc.isenabled()
         gc.collect()
         gc.disable()  # what it frees would be recorded
@@ -184,11 +178,8 @@ class StepGraph:
                 self._result = run(self._action)
                 self._keep()
         except (TypeError, ValueError, RuntimeError) as error:
-            # Nothing of the recorded step was computed: undo what Python did.
             torch.cuda.synchronize()
-            if env.copies is not None:
-                env.copies.restart()
-            env.control_step = control_step
+            forget()
             now = self._places()[0]
             for path, value in saved.items():
                 if path in now:
@@ -198,8 +189,10 @@ class StepGraph:
         finally:
             if collecting:
                 gc.enable()
-        self._graph, self._revision = graph, env.revision
-        self._numbers, self._version = _decisive(self._places()[1]), self._engine.version
+        self._graph = graph
+        self._revision = self._env.revision
+        self._numbers = _decisive(self._places()[1])
+        self._version = self._engine.version
 
     def _keep(self) -> None:
         """Copy the arrays that replaced kept ones into these, and put the kept ones back."""
@@ -222,7 +215,7 @@ class StepGraph:
             _tensor(kept).copy_(new)
             place.set(kept)
 
-    def _is_valid(self) -> bool:
+    def _is_valid(self, arrays_moved: bool) -> bool:
         """Whether the graph computes the next step, after changes by code outside of steps.
 
         What such code has put in place of kept arrays is copied into these. It may have written to
@@ -230,9 +223,8 @@ class StepGraph:
         """
         if self._revision != self._env.revision:
             return False
-        if not self._env.arrays_moved and self._version == self._engine.version:
+        if not arrays_moved and self._version == self._engine.version:
             return True
-        self._env.arrays_moved = False
         self._version = self._engine.version
         places, numbers = self._places()
         if not self._kept.keys() <= places.keys() or _decisive(numbers) != self._numbers:

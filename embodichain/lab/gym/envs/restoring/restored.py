@@ -1,7 +1,5 @@
 """Restoring a recorded moment: the state, the model and the draws of a `Snapshot`.
 
-`state_of` and `load_state` save and restore an environment of this process, to the bit.
-
 A snapshot has no states of terms (histories, delays, commands, timers) and of random streams: they
 begin as at a reset, and `not_restored` names them.
 """
@@ -9,7 +7,7 @@ begin as at a reset, and `not_restored` names them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -22,14 +20,10 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.manager import Manager
     from embodichain.lab.gym.envs.step.episodes import Episodes
-    from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.engine.api import Engine, EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
-    from embodichain.utils.random import RandomStreams
 
-__all__ = ["SavedEnv", "load_state", "not_restored", "put", "snapshot_of", "state_of"]
-
-_PARTS = ("sim", "streams", "episodes")
+__all__ = ["not_restored", "put", "snapshot_of"]
 
 _ALWAYS = ("random streams", "sums of rewards and metrics over the episode")
 
@@ -40,56 +34,6 @@ _EXTRAS = {
     "left": "when it is drawn next",
 }
 """Entries of a manager's state besides those of its terms."""
-
-
-class SavedEnv(Protocol):
-    """What `state_of` reads of an environment."""
-
-    @property
-    def num_envs(self) -> int:
-        """N."""
-
-    control_step: int
-    np_random: np.random.Generator
-    observation_buffer: ObservationBuffer
-    managers: dict[str, Manager[Any]]
-    sim: SimulationManager
-    streams: RandomStreams
-    episodes: Episodes
-
-
-def state_of(env: SavedEnv) -> dict[str, Any]:
-    """Return the state from which an environment continues bit for bit (copies)."""
-    state = {
-        "num_envs": env.num_envs,
-        "control_step": env.control_step,
-        "np_random": env.np_random.bit_generator.state,
-        "observation": env.observation_buffer.last.copy(),
-        "managers": {name: manager.state_dict() for name, manager in env.managers.items()},
-        **{name: getattr(env, name).state_dict() for name in _PARTS},
-    }
-    saved: dict[str, Any] = env.sim.arrays.saved(state)
-    return saved
-
-
-def load_state(env: SavedEnv, saved: dict[str, Any]) -> None:
-    """Continue where `state_of` was taken, in an environment of the same config.
-
-    Raises:
-        ValueError: If the number of environments differs.
-    """
-    if saved["num_envs"] != env.num_envs:
-        raise ValueError(
-            f"this state is of {saved['num_envs']} environments, the environment has {env.num_envs}"
-        )
-    saved = env.sim.arrays.loaded(saved)
-    for name in _PARTS:
-        getattr(env, name).load_state_dict(saved[name])
-    env.np_random.bit_generator.state = saved["np_random"]
-    for name, manager in env.managers.items():
-        manager.load_state_dict(saved["managers"][name])
-    env.control_step = saved["control_step"]
-    env.observation_buffer.last = saved["observation"].copy()
 
 
 def snapshot_of(
