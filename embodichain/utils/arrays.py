@@ -11,11 +11,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.utils.array_types import EnvIndex
 from embodichain.utils.random import RandomStreams
 
 if TYPE_CHECKING:
@@ -217,19 +218,21 @@ def field_values(
     return now, before
 
 
-def as_env_ids(env_ids: Any, num_envs: int) -> NDArray[np.int64] | None:
-    """Return sorted unique int64 environment indices, or None for all of them.
+def as_env_ids(env_ids: Any, num_envs: int) -> EnvIndex | None:
+    """Return sorted unique int64 environment indices, a mask on a device, or None for all of them.
 
     Args:
-        env_ids: None, a boolean mask (N,), or sorted unique indices in [0, N).
+        env_ids: None, a boolean mask (N,), sorted unique indices in [0, N), or an `EnvMask`, which
+            is returned.
         num_envs: N.
 
     Raises:
         ValueError: If indices are unsorted, repeated, out of range or of the wrong kind.
     """
-    if env_ids is None or hasattr(type(env_ids), "mask"):  # an `EnvMask`
-        masked: NDArray[np.int64] | None = env_ids
-        return masked
+    if env_ids is None:
+        return None
+    if hasattr(type(env_ids), "mask"):
+        return cast("EnvIndex", env_ids)
     if hasattr(env_ids, "detach"):
         env_ids = env_ids.detach().cpu().numpy()
     ids = np.asarray(env_ids)

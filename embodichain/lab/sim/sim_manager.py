@@ -37,6 +37,7 @@ from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.unavailable import with_simulation_members
+from embodichain.utils.array_types import host_ids
 from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
 from embodichain.utils.system.memory import require_memory_for
@@ -369,7 +370,9 @@ class SimulationManager(Uncopied):
             RenderError: If an output cannot be drawn here; names the packages to install.
             ValueError: If there is no such environment.
         """
-        return self.renderer.draw(self.engine, views, as_env_ids(env_ids, self.num_envs))
+        ids = as_env_ids(env_ids, self.num_envs)
+        envs = None if ids is None else host_ids(ids)
+        return self.renderer.draw(self.engine, views, envs)
 
     def render(
         self,

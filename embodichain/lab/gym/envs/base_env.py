@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -71,6 +71,7 @@ from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.step.step_observation import StepObservation
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
+from embodichain.utils.array_types import host_ids
 from embodichain.utils.arrays import Arrays, as_env_ids, tensor_of, to_tensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import RandomStreams, first_seed
@@ -79,8 +80,9 @@ from embodichain.utils.uncopied import Uncopied
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.on_device.step_copies import StepCopies
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.utils.array_types import EnvIds, EnvIndex
 
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
@@ -414,13 +416,14 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             manager.reset(where)
         self.episodes.set_last_action(ids, 0.0)
         if "_initialize_episode" in self.overridden:
-            self._initialize_episode(torch.from_numpy(ids.copy()), **options)
+            self._initialize_episode(torch.from_numpy(host_ids(ids).copy()), **options)
         self.event_manager.apply("reset", where)
         self.command_manager.resample(where)
         self.sim.engine.forward(where)
         self.episodes.begin(ids)
         for observer in self.observers:
-            observer.on_reset(self, ids)
+            # On a device the only observer is `StepCopies`, which takes masks.
+            observer.on_reset(self, cast("EnvIds", ids))
 
     def _observe_reset(self, ids: EnvIndex, options: dict[str, Any]) -> Observation:
         """Observe after a reset; the other rows keep their last observation, bit for bit."""
@@ -821,8 +824,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         """
         require_open(self._closed)
         snapshot = restoring.snapshot_of(log, env, episode, step)
-        found = as_env_ids(env_ids, self.num_envs)
-        ids = self.arrays.every(self.num_envs) if found is None else found
+        self.arrays.require_host("recorded states")
+        selection = as_env_ids(env_ids, self.num_envs)
+        ids = np.arange(self.num_envs) if selection is None else host_ids(selection)
         restoring.put(snapshot, self.sim, self.managers, self.episodes, ids)
         self._task_success = self.is_task_success()
         for observer in self.observers:
@@ -1161,7 +1165,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     ) -> None:
         """Report to observers that a term fired and what it drew."""
         if self.observers:
-            record = EventRecord(term, mode, env_ids, drawn or {})
+            # On a device the only observer is `StepCopies`, which takes masks.
+            record = EventRecord(term, mode, cast("EnvIds | None", env_ids), drawn or {})
             for observer in self.observers:
                 observer.on_event(self, record)
 

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.sim.engine.api import F64, EnvIndex, PhysicsEvent, Write
+    from embodichain.lab.sim.engine.api import F64, PhysicsEvent, Write
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.array_types import EnvIds, EnvIndex
 
 __all__ = [
     "EndedBy",
@@ -134,13 +135,13 @@ class EventRecord(NamedTuple):
     Attributes:
         term: The term's name in the config.
         mode: ``startup``, ``reset`` or ``interval``; ``command`` for a command.
-        env_ids: (n,) int64 environments in which it fired, or None for all N.
+        env_ids: (n,) environments in which it fired, or None for all N.
         drawn: Its random draws by name, each (n, ...); empty if there are none.
     """
 
     term: str
     mode: str
-    env_ids: EnvIndex | None
+    env_ids: EnvIds | None
     drawn: Mapping[str, NDArray[Any]] = MappingProxyType({})
 
 
@@ -180,7 +181,7 @@ class StepObserver:
 
     may_lag: bool = False
 
-    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIds) -> None:
         """Called after environments were reset, explicitly or automatically.
 
         Args:

@@ -11,6 +11,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.utils.array_types import EnvIds, EnvIndex
+
 __all__ = [
     "ALL",
     "F64",
@@ -25,8 +27,6 @@ __all__ = [
 ]
 
 F64 = NDArray[np.float64]
-EnvIndex = NDArray[np.int64]
-"""Sorted unique environment indices."""
 Columns = slice | NDArray[np.int64]
 """Columns of a flattened field: (k,) indices, or a slice of them."""
 ALL = slice(None)
@@ -43,10 +43,10 @@ class Write(NamedTuple):
             be unchanged). ``values`` is None for the last three.
         field: A component of the state row (``qpos``, ``ctrl``, ``mocap_pos``, ``row`` for whole
             rows...) or a model field (``body_mass``, ``opt.gravity``); empty for other ops.
-        env_ids: (n,) int64, or None for all N.
+        env_ids: (n,) environments, or None for all N; a mask with arrays on a device.
         columns: Columns within the flattened field.
         values: (n, k) float64, or None. It may be a live view of the engine: copy it to store it.
-            None for all ops with arrays on a device, where `env_ids` is a mask.
+            None for all ops with arrays on a device.
     """
 
     op: WriteOp
@@ -73,7 +73,7 @@ class PhysicsEvent(NamedTuple):
     nstep: int
     env_ids: EnvIndex | None
     rows: F64
-    failed: EnvIndex | None = None
+    failed: EnvIds | None = None
 
 
 class RayHits(NamedTuple):
@@ -103,9 +103,10 @@ class EngineListener(Protocol):
 class Engine(Protocol):
     """N simulations of one model.
 
-    All arrays are float64 numpy; row *i* is environment *i*. `env_ids` is None (all) or sorted
-    unique int64. Reads marked *fresh* first run the position and velocity stages of environments
-    in which rows have changed.
+    Row *i* of an array is environment *i*. Arrays are float64 of numpy, and `env_ids` are sorted
+    unique indices; with arrays on a device they are `DeviceArray` and a mask. None is all. Reads
+    marked *fresh* first run the position and velocity stages of environments in which rows have
+    changed.
     """
 
     name: str

@@ -294,7 +294,7 @@ class Articulation(FrameReads):
         if self._effort_times is None:
             self._effort_times = np.full((self.num_instances, self.dof), np.nan)
         rows = np.arange(self.num_instances) if ids is None else ids
-        self._effort_times[np.ix_(rows, joints)] = self.engine.state("time")[rows]
+        self._effort_times[rows[:, None], joints] = self.engine.state("time")[rows]
 
     def get_qpos_limits(self, name: str | None = None) -> torch.Tensor:
         """(N, k, 2) lower and upper limits."""

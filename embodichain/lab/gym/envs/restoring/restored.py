@@ -20,8 +20,9 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.manager import Manager
     from embodichain.lab.gym.envs.step.episodes import Episodes
-    from embodichain.lab.sim.engine.api import Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import Engine
     from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.utils.array_types import EnvIds
 
 __all__ = ["not_restored", "put", "snapshot_of"]
 
@@ -57,7 +58,7 @@ def put(
     sim: SimulationManager,
     managers: Mapping[str, Manager[Any]],
     episodes: Episodes,
-    ids: EnvIndex,
+    ids: EnvIds,
 ) -> None:
     """Set the state, model fields, draws and counters of environments from a snapshot.
 
@@ -66,12 +67,11 @@ def put(
         sim: The simulation.
         managers: All managers by section.
         episodes: The counters.
-        ids: (n,) sorted unique environments.
+        ids: (n,) environments, on the host.
 
     Raises:
         ConfigError: If it is of another scene or another action space.
     """
-    sim.arrays.require_host("recorded states")
     _check(snapshot, sim.engine.model, episodes.last_action.shape[1])
     where = None if len(ids) == sim.num_envs else ids
     for manager in managers.values():
@@ -92,9 +92,7 @@ def put(
     episodes.set_last_action(ids, snapshot.last_action)
 
 
-def _replay_draw(
-    managers: Mapping[str, Manager[Any]], drawn: Drawn, where: EnvIndex | None
-) -> None:
+def _replay_draw(managers: Mapping[str, Manager[Any]], drawn: Drawn, where: EnvIds | None) -> None:
     """Call a term with its recorded draws, to set what it stores outside the simulation state."""
     manager: Any = managers["commands" if drawn.mode == "command" else "events"]
     term = manager.terms.get(drawn.term)
@@ -104,7 +102,7 @@ def _replay_draw(
         manager.replay(drawn.term, drawn.mode, where, drawn.values)
 
 
-def _put_model(engine: Engine, fields: Mapping[str, NDArray[Any]], where: EnvIndex | None) -> None:
+def _put_model(engine: Engine, fields: Mapping[str, NDArray[Any]], where: EnvIds | None) -> None:
     """Set the fields that differ between environments; reset all others to the compiled model."""
     engine.forward(where)  # pending derivations must not overwrite the fields set below
     engine.reset(where)

@@ -15,6 +15,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from embodichain.utils.array_types import EnvIndex
 from embodichain.utils.arrays import Arrays, tensor_of
 from embodichain.utils.suggest import did_you_mean
 
@@ -63,7 +64,7 @@ class Episodes:
         self.cut: Mask | None = self.success.copy() if self._on_device else None
         self.last_action: NDArray[np.float64] = arrays.full((num_envs, 0), 0.0)
 
-    def set_last_action(self, ids: NDArray[np.int64], action: Any) -> None:
+    def set_last_action(self, ids: EnvIndex, action: Any) -> None:
         """Set the last action of environments (n,)."""
         self.last_action = self.last_action.copy()
         self.last_action[ids] = action
@@ -90,7 +91,7 @@ class Episodes:
         finally:
             self._uncounted = before
 
-    def begin(self, ids: NDArray[np.int64]) -> None:
+    def begin(self, ids: EnvIndex) -> None:
         """Start the next episode of environments (n,)."""
         self.begun = True
         self.elapsed[ids] = 0
@@ -99,7 +100,7 @@ class Episodes:
         if self.cut is not None:
             self.cut[ids] = False
 
-    def restore(self, ids: NDArray[np.int64], elapsed: int, episode: int) -> None:
+    def restore(self, ids: EnvIndex, elapsed: int, episode: int) -> None:
         """Continue an episode in environments (n,)."""
         self.begun = True
         self.elapsed[ids] = elapsed
@@ -107,11 +108,11 @@ class Episodes:
         self._forget(ids)
         self.settle(ids)
 
-    def _forget(self, ids: NDArray[np.int64]) -> None:
+    def _forget(self, ids: EnvIndex) -> None:
         self.success = self.success.copy()  # arrays returned earlier must not change
         self.success[ids] = False
 
-    def settle(self, ids: NDArray[np.int64]) -> None:
+    def settle(self, ids: EnvIndex) -> None:
         """Clear the pending reset of environments (n,) that were reset explicitly."""
         if self.pending is not None:
             self.pending[ids] = False

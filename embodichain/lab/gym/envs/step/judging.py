@@ -25,6 +25,7 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import (
     warn_not_finite,
 )
 from embodichain.lab.gym.envs.managers.value_managers import TermRows, check_shapes
+from embodichain.utils.array_types import EnvIds, host_ids
 from embodichain.utils.arrays import all_finite, as_env_ids, is_host, tensor_of
 from embodichain.utils.system.atomic import atomic_file
 
@@ -151,7 +152,7 @@ def as_mask(value: Any, num_envs: int, what: str, arrays: Arrays) -> Mask:
     return mask
 
 
-def reset_ids(options: dict[str, Any], num_envs: int) -> NDArray[np.int64]:
+def reset_ids(options: dict[str, Any], num_envs: int) -> EnvIds:
     """Remove the environments to reset from the options of `reset`, and return them.
 
     Args:
@@ -159,21 +160,22 @@ def reset_ids(options: dict[str, Any], num_envs: int) -> NDArray[np.int64]:
         num_envs: N.
 
     Returns:
-        (n,) sorted unique int64; all of them if none is named.
+        (n,); all of them if none is named.
 
     Raises:
         ValueError: If two of these options are given, or the indices or the mask are invalid.
     """
-    given: Mapping[str, Any] = {key: options.pop(key) for key in _ID_KEYS if key in options}
-    if len(given) > 1:
-        raise ValueError(f"give one of {', '.join(given)}, not several")
-    ids = None
-    for key, value in given.items():
+    selections = {key: options.pop(key) for key in _ID_KEYS if key in options}
+    if len(selections) > 1:
+        raise ValueError(f"give one of {', '.join(selections)}, not several")
+    for key, value in selections.items():
         try:
             ids = as_env_ids(value, num_envs)
         except ValueError as error:
             raise ValueError(f"options[{key!r}]: {error}") from error
-    return np.arange(num_envs) if ids is None else ids
+        if ids is not None:
+            return host_ids(ids)
+    return np.arange(num_envs)
 
 
 def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
