@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["EnvIds", "EnvIndex", "EnvMaskLike", "host_ids"]
+__all__ = ["F64", "EnvIds", "EnvIndex", "EnvMaskLike", "Floats", "host_ids"]
+
+F64 = NDArray[np.float64]
+"""An array of float64 on the host."""
+Floats = NDArray[Any]
+"""Floating point numbers where the simulation has its arrays: float64 on the host, or float32 on a
+device, as a `DeviceArray`, which has numpy's syntax.
+
+Type checkers take them for numpy's arrays of an unknown type: the same code runs with either."""
 
 EnvIds = NDArray[np.int64]
 """(n,) sorted unique indices of environments, on the host."""

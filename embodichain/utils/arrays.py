@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.utils.array_types import EnvIndex
+from embodichain.utils.array_types import EnvIndex, Floats
 from embodichain.utils.random import RandomStreams
 
 if TYPE_CHECKING:
@@ -141,12 +141,11 @@ def tensor_of(array: Any) -> torch.Tensor:
     return found
 
 
-def zeros(shape: tuple[int, ...], like: Any) -> NDArray[np.float64]:
+def zeros(shape: tuple[int, ...], like: Any) -> Floats:
     """Return zeros, where an array is: float64, on a device in the type of its numbers."""
-    found: NDArray[np.float64] = (
-        np.zeros(shape) if is_host(like) else type(like)(like.tensor.new_zeros(shape))
-    )
-    return found
+    if is_host(like):
+        return np.zeros(shape)
+    return type(like)(like.tensor.new_zeros(shape))
 
 
 def contiguous(array: Any, dtype: Any = None) -> NDArray[Any]:
@@ -257,8 +256,8 @@ def as_env_ids(env_ids: Any, num_envs: int) -> EnvIndex | None:
 
 def as_rows(
     values: Any, rows: int, width: int, what: str, *, shared: bool = False, finite: bool = True
-) -> NDArray[np.float64]:
-    """Return values as (rows, width) float64.
+) -> Floats:
+    """Return values as (rows, width) float64; those on a device as they are.
 
     Args:
         values: A tensor, array or nested sequence of shape (rows, width).
@@ -290,7 +289,7 @@ def as_rows(
     return array
 
 
-def _device_rows(values: Any, rows: int, width: int, what: str) -> NDArray[np.float64]:
+def _device_rows(values: Any, rows: int, width: int, what: str) -> Floats:
     """Check shapes only: whether numbers are finite is not known without waiting."""
     if values.shape not in ((rows, width), (width,)):
         raise ValueError(f"{what} must have shape ({rows}, {width}), got {values.shape}")

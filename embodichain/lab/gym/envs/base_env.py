@@ -80,9 +80,8 @@ from embodichain.utils.uncopied import Uncopied
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.on_device.step_copies import StepCopies
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.robot import Robot
-    from embodichain.utils.array_types import EnvIds, EnvIndex
+    from embodichain.utils.array_types import EnvIds, EnvIndex, Floats
 
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
@@ -516,7 +515,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self.control_step = taken + 1
         return result
 
-    def _step(self, action: EnvAction, given: F64, kwargs: dict[str, Any]) -> Step:
+    def _step(self, action: EnvAction, given: Floats, kwargs: dict[str, Any]) -> Step:
         """Take a step by a checked action and its numbers (N, A)."""
         episodes = self.episodes
         episodes.last_action = given
@@ -981,7 +980,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         """(N, A) float32 action as last given to `step`; zeros after a reset. A copy."""
         return to_tensor(self.episodes.last_action)
 
-    def read_last_action(self) -> F64:
+    def read_last_action(self) -> Floats:
         """(N, A) action as last given to `step`; do not write to it."""
         return self.episodes.last_action
 

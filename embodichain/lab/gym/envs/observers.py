@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.sim.engine.api import F64, PhysicsEvent, Write
+    from embodichain.lab.sim.engine.api import PhysicsEvent, Write
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvObs
-    from embodichain.utils.array_types import EnvIds, EnvIndex
+    from embodichain.utils.array_types import EnvIds, EnvIndex, Floats
 
 __all__ = [
     "EndedBy",
@@ -160,7 +160,7 @@ class StepRecord(NamedTuple):
     """
 
     control_step: int
-    action: F64
+    action: Floats
     reward: NDArray[np.float32]
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]

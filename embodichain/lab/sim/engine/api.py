@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.utils.array_types import EnvIds, EnvIndex
+from embodichain.utils.array_types import F64, EnvIds, EnvIndex, Floats
 
 __all__ = [
     "ALL",
@@ -26,7 +26,6 @@ __all__ = [
     "WriteOp",
 ]
 
-F64 = NDArray[np.float64]
 Columns = slice | NDArray[np.int64]
 """Columns of a flattened field: (k,) indices, or a slice of them."""
 ALL = slice(None)
@@ -85,9 +84,9 @@ class RayHits(NamedTuple):
         normal: (n, R, 3) unit normals of the surfaces, 0 where nothing is hit; None if not wanted.
     """
 
-    distance: F64
+    distance: Floats
     geom: NDArray[np.int32]
-    normal: F64 | None = None
+    normal: Floats | None = None
 
 
 class EngineListener(Protocol):
@@ -135,17 +134,17 @@ class Engine(Protocol):
             KeyError: If there is no such component; lists them.
         """
 
-    def state(self, name: str) -> F64:
+    def state(self, name: str) -> Floats:
         """(N, width) live view of a state component. Do not write: use `write`.
 
         A component's view remains valid for the engine's lifetime, so handles may store it and
         slices of it.
         """
 
-    def derived(self, name: str) -> F64:
+    def derived(self, name: str) -> Floats:
         """(N, ...) fresh position- or velocity-stage field (``xpos``, ``cvel``, ``sensordata``)."""
 
-    def acceleration(self, name: str) -> F64:
+    def acceleration(self, name: str) -> Floats:
         """(N, ...) acceleration-stage field (``qfrc_actuator``) of the last physics step.
 
         After `forward` it is that of the current state. The first request of a field computes it
@@ -155,7 +154,7 @@ class Engine(Protocol):
     def keep_sensors(self, columns: slice, depth: int) -> None:
         """Keep columns of ``sensordata`` of the last ``depth`` physics steps from now on."""
 
-    def kept_sensors(self, columns: slice, depth: int) -> F64:
+    def kept_sensors(self, columns: slice, depth: int) -> Floats:
         """(N, depth, k) what `keep_sensors` keeps, the oldest first. Do not write.
 
         Environments that have not stepped since `forward` have its readings in every step.
@@ -163,8 +162,8 @@ class Engine(Protocol):
 
     def cast_rays(
         self,
-        origins: F64,
-        directions: F64,
+        origins: Floats,
+        directions: Floats,
         geoms: NDArray[np.bool_],
         env_ids: EnvIndex | None = None,
         *,
@@ -186,7 +185,7 @@ class Engine(Protocol):
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         """Compute all derived fields, acceleration stage included, without stepping."""
 
-    def reset(self, env_ids: EnvIndex | None = None, row: F64 | None = None) -> None:
+    def reset(self, env_ids: EnvIndex | None = None, row: Floats | None = None) -> None:
         """Set rows to MuJoCo's reset state (`mj_resetData`): time, ctrl, act, warm start...
 
         Also clears the warning counters.

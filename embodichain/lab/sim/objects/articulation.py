@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ArticulationCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
-    from embodichain.lab.sim.engine.api import F64, Columns, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import Columns, Engine, EnvIndex
     from embodichain.lab.sim.objects.host import Host
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["Articulation"]
 
@@ -75,10 +76,10 @@ class Articulation(FrameReads):
         self.body_data = ArticulationData(self)
         self._all: Ids = np.arange(self.dof)
         # Live views of the joints' columns, where these are evenly spaced.
-        self._qpos: F64 | None = None
-        self._qvel: F64 | None = None
+        self._qpos: Floats | None = None
+        self._qvel: Floats | None = None
         # (N, D) simulated seconds at which efforts were set by hand; NaN where they were not.
-        self._effort_times: F64 | None = None
+        self._effort_times: Floats | None = None
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Set the engine and the articulation's indices. Called once, by the simulation."""
@@ -130,27 +131,27 @@ class Articulation(FrameReads):
 
     # -- reads of joints: (N, D) float64, live views or copies: do not write or store -------------
 
-    def read_qpos(self) -> F64:
+    def read_qpos(self) -> Floats:
         """(N, D) joint positions, rad or m."""
         if self._qpos is not None:
             return self._qpos
         return self.engine.state("qpos")[:, self._qpos_columns]
 
-    def read_qvel(self) -> F64:
+    def read_qvel(self) -> Floats:
         """(N, D) joint velocities, rad/s or m/s."""
         if self._qvel is not None:
             return self._qvel
         return self.engine.state("qvel")[:, self._dofs]
 
-    def read_qacc(self) -> F64:
+    def read_qacc(self) -> Floats:
         """(N, D) joint accelerations of the last physics step, rad/s^2 or m/s^2."""
         return self.engine.acceleration("qacc")[:, self._dofs]
 
-    def read_qf(self) -> F64:
+    def read_qf(self) -> Floats:
         """(N, D) drive effort of the last physics step, without passive damping; N m or N."""
         return self.engine.acceleration("qfrc_actuator")[:, self._dofs]
 
-    def read_efforts(self) -> F64:
+    def read_efforts(self) -> Floats:
         """(N, D) `read_qf`, or the effort set by `set_qf` if set since the last physics step."""
         efforts = self.read_qf()
         if self._effort_times is None:
@@ -242,7 +243,7 @@ class Articulation(FrameReads):
             self.write_target(values[:, driven], joints[driven], ids)
 
     def write_target(
-        self, values: F64, joints: Ids | None = None, ids: EnvIndex | None = None
+        self, values: Floats, joints: Ids | None = None, ids: EnvIndex | None = None
     ) -> None:
         """Set drive targets (n, k) from checked arrays; None is all joints with a drive."""
         self.index  # noqa: B018  (compiles, which fills the columns)
@@ -258,7 +259,7 @@ class Articulation(FrameReads):
         drives.write_target_qpos(values, joints, columns, ids)
 
     def write_qpos(
-        self, values: F64, joints: Ids | None = None, ids: EnvIndex | None = None
+        self, values: Floats, joints: Ids | None = None, ids: EnvIndex | None = None
     ) -> None:
         """Set joint positions (n, k) from checked arrays, clamped to the limits."""
         joints = self._all if joints is None else joints
@@ -335,7 +336,7 @@ class Articulation(FrameReads):
         """
         rows, joints, drives = self._rows(env_ids), self._joints(joint_ids), self.drives
 
-        def pick(values: F64) -> torch.Tensor:
+        def pick(values: Floats) -> torch.Tensor:
             return to_tensor(values[rows][:, joints])
 
         gains = pick(drives.stiffness), pick(drives.damping)
@@ -405,12 +406,12 @@ class Articulation(FrameReads):
         values, ids = self._checked(ctrl, len(which), env_ids, "ctrl", shared=True)
         self.write_ctrl(values, which, ids)
 
-    def read_ctrl(self) -> F64:
+    def read_ctrl(self) -> Floats:
         """(N, M) controls: a live view or a copy; do not write or store."""
         return self.engine.state("ctrl")[:, self._controls]
 
     def write_ctrl(
-        self, values: F64, which: Ids, ids: EnvIndex | None = None, seconds: float | None = None
+        self, values: Floats, which: Ids, ids: EnvIndex | None = None, seconds: float | None = None
     ) -> None:
         """Set controls (n, k) from checked arrays, in the actuators' units.
 
@@ -455,7 +456,7 @@ class Articulation(FrameReads):
         self.write_mass(new, bodies, ids)
 
     def write_mass(
-        self, mass: F64, bodies: Ids, ids: EnvIndex | None, inertia: bool = True
+        self, mass: Floats, bodies: Ids, ids: EnvIndex | None, inertia: bool = True
     ) -> None:
         """Set masses (n, k) in kg of bodies (k,), by MuJoCo's ids, from checked arrays.
 
@@ -467,7 +468,7 @@ class Articulation(FrameReads):
         else:
             self.engine.set_const_later(ids)
 
-    def write_inertia(self, factor: F64, bodies: Ids, ids: EnvIndex | None) -> None:
+    def write_inertia(self, factor: Floats, bodies: Ids, ids: EnvIndex | None) -> None:
         """Set inertias of bodies (k,) to (n, k) times the compiled ones."""
         moments = self.engine.model.body_inertia[bodies] * factor[:, :, None]
         columns = (3 * bodies[:, None] + np.arange(3)).reshape(-1)

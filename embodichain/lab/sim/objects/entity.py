@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.cfg import ObjectBaseCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
-    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import Engine, EnvIndex
     from embodichain.lab.sim.objects.host import Host
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["BatchEntity", "Handle", "TensorRead", "TensorReads"]
 
@@ -77,7 +78,7 @@ class Handle(Generic[Index]):
 
     def _checked(
         self, values: Any, width: int, env_ids: Any, what: str, **options: bool
-    ) -> tuple[F64, EnvIndex | None]:
+    ) -> tuple[Floats, EnvIndex | None]:
         """Return values (n, width) and their n environments; options as in `as_rows`.
 
         Users' values are copied to the simulation's device.
@@ -175,7 +176,7 @@ class BatchEntity(Handle["EntityIndex"]):
 
     # -- root pose -----------------------------------------------------------------------------
 
-    def _pose_rows(self, pose: Any, env_ids: Any, what: str) -> tuple[F64, EnvIndex | None]:
+    def _pose_rows(self, pose: Any, env_ids: Any, what: str) -> tuple[Floats, EnvIndex | None]:
         """Return (n, 7) float64 with unit quaternions from (n, 7) or (n, 4, 4)."""
         ids = as_env_ids(env_ids, self.num_instances)
         shape = tuple(np.shape(pose))
@@ -193,7 +194,7 @@ class BatchEntity(Handle["EntityIndex"]):
         return array, ids
 
     def write_pose(
-        self, pos: F64, quat: F64 | None = None, env_ids: EnvIndex | None = None
+        self, pos: Floats, quat: Floats | None = None, env_ids: EnvIndex | None = None
     ) -> None:
         """Set the root position (n, 3) and, if given, orientation (n, 4) from checked arrays."""
         index, write = self.index, self.engine.write
@@ -208,7 +209,7 @@ class BatchEntity(Handle["EntityIndex"]):
         if quat is not None:
             write(fields[1], quat, env_ids, slice(starts[1], starts[1] + 4))
 
-    def read_pose(self) -> tuple[F64, F64]:
+    def read_pose(self) -> tuple[Floats, Floats]:
         """Root position (N, 3) and wxyz orientation (N, 4): live views, do not write or store."""
         root = self.motion(self.index.root_body_id)
         return root.position(), root.orientation()

@@ -20,8 +20,9 @@ from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
-    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import Engine, EnvIndex
     from embodichain.lab.sim.objects.host import Host
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["RigidObject"]
 
@@ -46,11 +47,11 @@ class RigidObject(BatchEntity):
         count, attrs = self.num_instances, cfg.attrs
         self._declared_damping = np.array([attrs.linear_damping, attrs.angular_damping], np.float64)
         full = host.arrays.full
-        self._damping: F64 = host.arrays.put(np.tile(self._declared_damping, (count, 1)))  # 1/s
-        self._scale: F64 = full((count, 3), 1.0)  # relative to the compiled size
-        self._zeros: F64 = full((count, 3), 0.0)
-        self._mass0: F64 = full(count, 0.0)  # of the present shape as compiled
-        self._inertia: F64 = full((count, 3), 0.0)  # at that mass and the current scale
+        self._damping: Floats = host.arrays.put(np.tile(self._declared_damping, (count, 1)))  # 1/s
+        self._scale: Floats = full((count, 3), 1.0)  # relative to the compiled size
+        self._zeros: Floats = full((count, 3), 0.0)
+        self._mass0: Floats = full(count, 0.0)  # of the present shape as compiled
+        self._inertia: Floats = full((count, 3), 0.0)  # at that mass and the current scale
         self._solid: Solid | None = None
         self._variant: NDArray[np.int64] = full(count, 0, np.int64)  # index of the present shape
 
@@ -101,14 +102,14 @@ class RigidObject(BatchEntity):
 
     # -- velocity and force --------------------------------------------------------------------
 
-    def read_velocity(self) -> tuple[F64, F64]:
+    def read_velocity(self) -> tuple[Floats, Floats]:
         """Linear and angular velocity, (N, 3) each, world axes; zeros unless dynamic."""
         if self._dofs is None:
             return self._zeros, self._zeros
         root = self.motion(self.index.root_body_id)
         return root.linear_velocity(), root.angular_velocity()
 
-    def read_acceleration(self) -> tuple[F64, F64]:
+    def read_acceleration(self) -> tuple[Floats, Floats]:
         """Linear and angular acceleration of the last physics step, (N, 3) each, world axes."""
         if self._dofs is None:
             return self._zeros, self._zeros
@@ -175,7 +176,7 @@ class RigidObject(BatchEntity):
 
     # -- mass, inertia, damping --------------------------------------------------------------------
 
-    def read_inertia(self, ids: EnvIndex | None = None) -> tuple[F64, F64]:
+    def read_inertia(self, ids: EnvIndex | None = None) -> tuple[Floats, Floats]:
         """Mass (n,) in kg and principal moments (n, 3) in kg m^2 (copies)."""
         rows = slice(None) if ids is None else ids
         mass = self.engine.model_field("body_mass")[rows, self.index.root_body_id].copy()
@@ -197,7 +198,7 @@ class RigidObject(BatchEntity):
             raise ValueError(f"{self.uid}: mass must be positive, got {least}")
         self.write_mass(new[:, 0], ids)
 
-    def write_mass(self, mass: F64, ids: EnvIndex | None, inertia: bool = True) -> None:
+    def write_mass(self, mass: Floats, ids: EnvIndex | None, inertia: bool = True) -> None:
         """Set the mass (n,) in kg from checked arrays, and adapt the damping.
 
         The inertia scales with the mass, unless ``inertia`` is False.
@@ -206,7 +207,7 @@ class RigidObject(BatchEntity):
         moments = self._inertia[rows] * (mass / self._mass0[rows])[:, None]
         self._write_inertia(ids, mass, moments if inertia else None)
 
-    def write_inertia_scale(self, factor: F64, ids: EnvIndex | None) -> None:
+    def write_inertia_scale(self, factor: Floats, ids: EnvIndex | None) -> None:
         """Set the inertia to checked factors (n,) times that of the current mass and size."""
         mass, rows = self.read_inertia(ids)[0], self._rows(ids)
         moments = self._inertia[rows] * (mass / self._mass0[rows] * factor)[:, None]
@@ -234,7 +235,7 @@ class RigidObject(BatchEntity):
         self._inertia[rows] = new * (self._mass0[rows] / mass)[:, None]
         self._write_inertia(ids, mass, new)
 
-    def _write_inertia(self, ids: EnvIndex | None, mass: F64, moments: F64 | None) -> None:
+    def _write_inertia(self, ids: EnvIndex | None, mass: Floats, moments: Floats | None) -> None:
         self.engine.write_model("body_mass", mass[:, None], ids, self._columns(1))
         if moments is not None:
             self.engine.write_model("body_inertia", moments, ids, self._columns(3))
@@ -251,7 +252,7 @@ class RigidObject(BatchEntity):
         values = np.concatenate([linear, angular], axis=1)
         self.engine.write_model("dof_damping", values, ids, self._dofs)
 
-    def _about_axes(self, moments: F64, rows: Any) -> F64:
+    def _about_axes(self, moments: Floats, rows: Any) -> Floats:
         """(n, 3) diagonal of the inertia tensor in the body's axes; see `inertia_about_axes`."""
         variants = self.index.variants
         if variants is None:
@@ -273,7 +274,7 @@ class RigidObject(BatchEntity):
         self._damping[self._rows(ids)] = new
         self._damp(ids)
 
-    def read_com_pose(self, compiled: bool = False) -> F64:
+    def read_com_pose(self, compiled: bool = False) -> Floats:
         """(N, 7) centre-of-mass frame in the body's frame, current or compiled."""
         if compiled:
             model, body = self.engine.model, self.index.root_body_id
@@ -362,7 +363,7 @@ class RigidObject(BatchEntity):
             self._solid = solids[0]
         return self._solid
 
-    def write_scale(self, scale: F64, ids: EnvIndex | None, fixed_density: bool = True) -> None:
+    def write_scale(self, scale: Floats, ids: EnvIndex | None, fixed_density: bool = True) -> None:
         """Scale the declared shape and its inertia by checked factors (n, 3) along its axes.
 
         With fixed density the mass scales with the volume; else it is the compiled one.

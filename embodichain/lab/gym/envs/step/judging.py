@@ -42,8 +42,9 @@ if TYPE_CHECKING:
     )
     from embodichain.lab.gym.envs.observation import Observation
     from embodichain.lab.gym.envs.step.episodes import Episodes
-    from embodichain.lab.sim.engine.api import F64, Engine
+    from embodichain.lab.sim.engine.api import Engine
     from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.array_types import Floats
     from embodichain.utils.arrays import Arrays
 
 __all__ = [
@@ -444,7 +445,7 @@ class StateDump:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        self._before: F64 = engine.rows.copy()
+        self._before: Floats = engine.rows.copy()
         self._written = 0
 
     def keep(self) -> None:
@@ -452,7 +453,7 @@ class StateDump:
         np.copyto(self._before, self._engine.rows)
 
     def write(
-        self, folder: Path | None, rows: NDArray[np.bool_], control_step: int, action: F64
+        self, folder: Path | None, rows: NDArray[np.bool_], control_step: int, action: Floats
     ) -> None:
         """Write the first `MAX_DUMPS` environments that diverged to files.
 

@@ -19,8 +19,7 @@ from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
-    from embodichain.utils.array_types import EnvIds
+    from embodichain.utils.array_types import EnvIds, Floats
 
 __all__ = ["NotAtRestError", "WaitForDynamicObjectsToSettle", "set_detached_uids_for_env_reset"]
 
@@ -160,7 +159,7 @@ def _settling(entity: ResolvedEntity, number: int) -> Any:
     return entity.asset
 
 
-def _velocities(asset: Any) -> list[F64]:
+def _velocities(asset: Any) -> list[Floats]:
     """(N, 6) linear and angular velocities, of the object or of each link."""
     if not hasattr(asset, "parsed"):
         return [read_root_velocity(asset)]

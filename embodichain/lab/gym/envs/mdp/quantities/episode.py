@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
     Mask = NDArray[np.bool_]
 
@@ -47,7 +48,7 @@ Info = dict[str, Any]
 
 
 @quantity(name="action")
-def action_(env: TermContext, action: Any) -> F64:
+def action_(env: TermContext, action: Any) -> Floats:
     """(N, A) the action as given to `step` (after `_preprocess_action`), in the action's units.
 
     The corresponding observation is `last_action`.
@@ -59,7 +60,7 @@ def action_(env: TermContext, action: Any) -> F64:
 
 
 @quantity("reward", "metric")
-def constant(env: TermContext, value: float = 1.0) -> F64:
+def constant(env: TermContext, value: float = 1.0) -> Floats:
     """(N,) the same number in every step: a cost of time, or an offset.
 
     Args:
@@ -68,12 +69,12 @@ def constant(env: TermContext, value: float = 1.0) -> F64:
     Example:
         ``{func: constant, weight: -0.01}``
     """
-    found: F64 = env.arrays.full(env.num_envs, float(value))
+    found: Floats = env.arrays.full(env.num_envs, float(value))
     return found
 
 
 @quantity("reward", "metric")
-def success_reward(env: TermContext, info: Info) -> F64:
+def success_reward(env: TermContext, info: Info) -> Floats:
     """(N,) 1 where the task succeeds in this step, else 0. EmbodiChain's reward of the same name.
 
     Success is the metric `success` above 0; in a task without one, a termination of kind success or
@@ -82,12 +83,12 @@ def success_reward(env: TermContext, info: Info) -> F64:
     Example:
         ``{func: success_reward, weight: 10.0}``
     """
-    found: F64 = env.arrays.of(info["success"]).astype(np.float64)
+    found: Floats = env.arrays.of(info["success"]).astype(np.float64)
     return found
 
 
 @quantity("reward", "metric")
-def is_terminated(env: TermContext, info: Info) -> F64:
+def is_terminated(env: TermContext, info: Info) -> Floats:
     """(N,) 1 where a termination of kind success or fail ends the episode, else 0.
 
     A time-out is a truncation, not a termination. The reward of an environment that diverges is 0.
@@ -100,7 +101,7 @@ def is_terminated(env: TermContext, info: Info) -> F64:
 
 
 @quantity("reward", "metric")
-def is_alive(env: TermContext, info: Info) -> F64:
+def is_alive(env: TermContext, info: Info) -> Floats:
     """(N,) 1 where `is_terminated` is 0, and 0 where it is 1. Isaac Lab's reward of the same name.
 
     Example:
@@ -141,10 +142,10 @@ class _Clock(Term):
 
     def __init__(self, env: TermContext) -> None:
         self._env = env
-        self._start: F64 = env.arrays.full(env.num_envs, 0.0)
+        self._start: Floats = env.arrays.full(env.num_envs, 0.0)
         self._fresh: Mask = env.arrays.full(env.num_envs, True, np.bool_)
 
-    def seconds(self) -> F64:
+    def seconds(self) -> Floats:
         """(N,) s."""
         now = self._env.sim.engine.state("time")[:, 0]
         if may_be_set(self._fresh):
@@ -176,7 +177,7 @@ class CurrentTime(_Clock):
         ``{func: current_time_s}``
     """
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,)."""
         return self.seconds()
 
@@ -193,7 +194,7 @@ class RemainingTime(_Clock):
         super().__init__(env)
         self.limit()
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,)."""
         return self.limit() - self.seconds()
 
@@ -209,7 +210,7 @@ class ElapsedFraction(RemainingTime):
         ``{func: elapsed_fraction}``
     """
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,)."""
         return self.seconds() / self.limit()
 
@@ -237,7 +238,7 @@ class Phase(_Clock):
         super().__init__(env)
         self._period, self._offsets = float(period_s), [float(offset) for offset in offsets]
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N, 2 K)."""
         cycles = self.seconds() / self._period
         columns = []
@@ -276,7 +277,7 @@ class LastAction(Term):
         names: tuple[str, ...] = manager.names
         return names if self._name is None else names[manager.slices[self._name]]
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N, A)."""
         action = self._env.read_last_action()
         return (
