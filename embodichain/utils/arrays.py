@@ -71,8 +71,7 @@ class Arrays:
 
     def host(self, array: Any) -> NDArray[Any]:
         """Return an array on the host; from a device it is a copy, which waits for the device."""
-        found: NDArray[Any] = array
-        return found
+        return array
 
     def of(self, values: Any) -> Any:
         """Return an array that shares memory with a tensor or an array, if its type allows."""
@@ -133,12 +132,10 @@ def may_be_set(mask: Any) -> bool:
 def tensor_of(array: Any) -> torch.Tensor:
     """Return a tensor that shares memory with an array, where the array is."""
     if not isinstance(array, np.ndarray):
-        held: torch.Tensor = array.tensor
-        return held
+        return array.tensor
     # Scenes are checked without torch. A statement to import it would take twice as long here.
     module: Any = sys.modules.get("torch") or import_module("torch")
-    found: torch.Tensor = module.from_numpy(array)
-    return found
+    return module.from_numpy(array)
 
 
 def zeros(shape: tuple[int, ...], like: Any) -> Floats:
@@ -155,20 +152,17 @@ def contiguous(array: Any, dtype: Any = None) -> NDArray[Any]:
     """
     if is_host(array):
         return np.ascontiguousarray(array, dtype)
-    found: NDArray[Any] = array if dtype is None else array.astype(dtype, copy=False)
-    return found
+    return array if dtype is None else array.astype(dtype, copy=False)
 
 
 def precise(array: Any) -> NDArray[Any]:
     """Return numbers as float64 on a device too, where arrays are float32 otherwise."""
-    found: NDArray[Any] = array if is_host(array) else type(array)(array.tensor.double())
-    return found
+    return array if is_host(array) else type(array)(array.tensor.double())
 
 
 def rows_at(table: NDArray[Any], indices: Any) -> NDArray[Any]:
     """Return rows of an array of the host at indices (n,), where these are."""
-    found: NDArray[Any] = table[indices] if is_host(indices) else indices.rows_of(table)
-    return found
+    return table[indices] if is_host(indices) else indices.rows_of(table)
 
 
 def all_finite(values: NDArray[np.floating[Any]]) -> bool:

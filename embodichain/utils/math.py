@@ -60,28 +60,24 @@ def _products(a: Floats, b: Floats) -> Floats:
     """All products a[i] b[j], (..., n^2), of vectors (..., n)."""
     pairs = a[..., :, None] * b[..., None, :]
     # Not -1: of an array without rows it is undetermined.
-    found: Floats = pairs.reshape(*pairs.shape[:-2], pairs.shape[-2] * pairs.shape[-1])
-    return found
+    return pairs.reshape(*pairs.shape[:-2], pairs.shape[-2] * pairs.shape[-1])
 
 
 def quat_multiply(a: Floats, b: Floats) -> Floats:
     """Hamilton product of wxyz quaternions, (..., 4)."""
     terms = _products(a, b).take(_HAMILTON, -1) * _HAMILTON_SIGNS
-    found: Floats = terms[..., 0] + terms[..., 1] + terms[..., 2] + terms[..., 3]
-    return found
+    return terms[..., 0] + terms[..., 1] + terms[..., 2] + terms[..., 3]
 
 
 def quat_conjugate(q: Floats) -> Floats:
     """Inverse rotation of unit wxyz quaternions, (..., 4)."""
-    conjugate: Floats = q * _CONJUGATE
-    return conjugate
+    return q * _CONJUGATE
 
 
 def cross(a: Floats, b: Floats) -> Floats:
     """Cross product, (..., 3)."""
     products = _products(a, b)
-    found: Floats = products.take(_CROSS_PLUS, -1) - products.take(_CROSS_MINUS, -1)
-    return found
+    return products.take(_CROSS_PLUS, -1) - products.take(_CROSS_MINUS, -1)
 
 
 def quat_rotate(q: Floats, v: Floats) -> Floats:
@@ -94,15 +90,13 @@ def quat_rotate(q: Floats, v: Floats) -> Floats:
 def rotate(matrix: Floats, v: Floats) -> Floats:
     """Rotate vectors (..., 3) by rotation matrices (..., 3, 3)."""
     parts = matrix * v[..., None, :]
-    found: Floats = parts[..., 0] + parts[..., 1] + parts[..., 2]
-    return found
+    return parts[..., 0] + parts[..., 1] + parts[..., 2]
 
 
 def rotate_back(matrix: Floats, v: Floats) -> Floats:
     """Rotate vectors (..., 3) by the inverses of rotation matrices (..., 3, 3)."""
     parts = matrix * v[..., :, None]
-    found: Floats = parts[..., 0, :] + parts[..., 1, :] + parts[..., 2, :]
-    return found
+    return parts[..., 0, :] + parts[..., 1, :] + parts[..., 2, :]
 
 
 def normalize_quat(q: Floats) -> Floats:
@@ -125,8 +119,7 @@ def quat_to_matrix(q: Floats) -> Floats:
     rows = contiguous(q.reshape(-1, 4).T)
     products = (rows[:, None] * rows).reshape(16, -1)
     sums = products.take(_FIRST, 0) + _SECOND_SIGN * products.take(_SECOND, 0)
-    found: Floats = (_IDENTITY + _FACTOR * sums).T.reshape(*q.shape[:-1], 3, 3)
-    return found
+    return (_IDENTITY + _FACTOR * sums).T.reshape(*q.shape[:-1], 3, 3)
 
 
 # 4 q q^T of a rotation matrix: each entry is a constant plus three entries of the matrix, at these
@@ -212,8 +205,7 @@ def quat_to_rpy(quats: Floats) -> Floats:
     cos, sin = np.cos(yaw), np.sin(yaw)
     pitch = np.arctan2(-m20, cos * m00 + sin * m10)
     roll = np.arctan2(sin * m02 - cos * m12, cos * m11 - sin * m01)
-    angles: Floats = np.stack([roll, pitch, yaw], axis=-1)
-    return angles
+    return np.stack([roll, pitch, yaw], axis=-1)
 
 
 def rotvec_to_quat(vectors: Floats) -> Floats:
@@ -240,8 +232,7 @@ def quat_to_rotvec(quats: Floats) -> Floats:
 def wrapped(angles: Floats) -> Floats:
     """Angles (...) wrapped to [-pi, pi) rad."""
     turn = 2.0 * np.pi
-    found: Floats = angles - turn * np.floor((angles + np.pi) / turn)
-    return found
+    return angles - turn * np.floor((angles + np.pi) / turn)
 
 
 def look_at(eye: Floats, target: Floats, up: Floats) -> Floats:

@@ -81,8 +81,7 @@ class _Block:
     def take(self) -> NDArray[np.float64]:
         """The next draw, (N, width) in [0, 1); read only."""
         self.used += 1
-        found: NDArray[np.float64] = self.unit[self.used - 1]
-        return found
+        return self.unit[self.used - 1]
 
     def take_within(self, low: Any, high: Any) -> NDArray[np.float64]:
         """The next draw, (N, width) in [low, high); read only.
@@ -97,8 +96,7 @@ class _Block:
             self.low, self.high = low, high
             self.values = _scaled(self.unit, low, high)
             self.values.setflags(write=False)
-        found: NDArray[np.float64] = self.values[row]
-        return found
+        return self.values[row]
 
 
 def _scaled(unit: NDArray[np.float64], low: Any, high: Any) -> NDArray[np.float64]:

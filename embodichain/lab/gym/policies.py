@@ -228,8 +228,7 @@ class _Plain:
         self._func = func
 
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
-        action: torch.Tensor = self._func(obs, env)
-        return action
+        return self._func(obs, env)
 
     def reset(self, env_ids: EnvIds | None) -> None:
         """Do nothing: there is no state."""

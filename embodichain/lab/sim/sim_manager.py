@@ -74,8 +74,7 @@ _Found = TypeVar("_Found")
 
 def _finder(group: str, kind: type[_Found]) -> Callable[[SimulationManager, str], _Found | None]:
     def get(self: SimulationManager, uid: str) -> _Found | None:
-        found: _Found | None = getattr(self, group).get(uid)
-        return found
+        return getattr(self, group).get(uid)
 
     get.__doc__ = f"One of `{group}` by uid, or None."
     return get

@@ -376,8 +376,7 @@ def _heading(quat: F64) -> F64:
     matrix = quat_to_matrix(quat)
     x = np.arctan2(matrix[:, 1, 0], matrix[:, 0, 0])
     y = np.arctan2(matrix[:, 1, 1], matrix[:, 0, 1]) - 0.5 * np.pi
-    found: F64 = np.where(np.abs(matrix[:, 2, 0]) < _VERTICAL, x, y)
-    return found
+    return np.where(np.abs(matrix[:, 2, 0]) < _VERTICAL, x, y)
 
 
 def _orientations(

@@ -64,8 +64,7 @@ class ComputedEfforts:
         ]
         applied = engine.state("qfrc_applied")[:, self._dofs]
         cut: Floats = self._asset.drives.cut_effort[:, self._joints]
-        total: Floats = np.stack(asked, axis=1) + applied + cut
-        return total
+        return np.stack(asked, axis=1) + applied + cut
 
     def _of_joint(self, actual: Floats, actuators: list[int], limited: bool) -> Floats:
         """(N,) of actuators of one joint; other forces count as they are, unless cut together."""

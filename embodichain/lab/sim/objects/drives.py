@@ -182,8 +182,7 @@ class Drives:
 
     def _control(self, target: Floats, where: Any) -> Floats:
         """Controls for position targets (n, k) and the current velocity targets."""
-        control: Floats = self._mixed(target, where) * self._scale[where[1]]
-        return control
+        return self._mixed(target, where) * self._scale[where[1]]
 
     def _mixed(self, target: Floats, where: Any) -> Floats:
         """As `_control`, in units of the joint."""
@@ -191,8 +190,7 @@ class Drives:
         ratio = np.divide(
             self.damping[where], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0
         )
-        control: Floats = np.where(stiffness > 0, target + ratio * velocity, velocity)
-        return control
+        return np.where(stiffness > 0, target + ratio * velocity, velocity)
 
     def read_target_qpos(self) -> Floats:
         """(N, D) position targets; the joint's position where a drive has no stiffness."""
@@ -216,8 +214,7 @@ class Drives:
         where = _at(ids, joints)
         reach = self.max_velocity[where] * seconds
         now = self.read_target_qpos()[where]
-        moved: Floats = np.minimum(np.maximum(target, now - reach), now + reach)
-        return moved
+        return np.minimum(np.maximum(target, now - reach), now + reach)
 
     def write_target_qvel(self, target: Floats, joints: Joints, ids: EnvIndex | None) -> None:
         """Set velocity targets (n, k) and update the controls."""
@@ -413,8 +410,7 @@ class Drives:
         def read(name: str, columns: Joints, declared: Any, unit: Any = 1.0) -> Floats:
             """(k,) columns of a field times ``unit``; ``declared`` where they are as compiled."""
             now, compiled = field_values(model, fields, name, columns)
-            found: Floats = np.where(now == compiled, declared, now * unit)
-            return found
+            return np.where(now == compiled, declared, now * unit)
 
         every = np.arange(len(index.dof_adr))
         for name, field in _JOINT_FIELDS.items():

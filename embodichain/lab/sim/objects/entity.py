@@ -69,8 +69,7 @@ class Handle(Generic[Index]):
         self.host.compile()  # calls `bind`
         if "index" not in self.__dict__:
             raise RuntimeError(f"{self.uid} was removed from the scene before it was compiled")
-        found: Index = self.__dict__["index"]
-        return found
+        return self.__dict__["index"]
 
     def destroy(self) -> None:
         """Drop the reference to the engine."""

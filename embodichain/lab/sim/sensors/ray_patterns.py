@@ -36,8 +36,7 @@ def _grid(cfg: RayGridCfg) -> Floats:
     cells = [math.floor(length / cfg.resolution + 1e-6) for length in cfg.size]
     x, y = (cfg.resolution * (np.arange(n + 1) - n / 2.0) for n in cells)
     across, along = np.meshgrid(x, y)
-    points: Floats = np.stack([across.ravel(), along.ravel(), np.zeros(across.size)], axis=1)
-    return points
+    return np.stack([across.ravel(), along.ravel(), np.zeros(across.size)], axis=1)
 
 
 def _fan(cfg: RayFanCfg) -> Floats:
@@ -47,8 +46,7 @@ def _fan(cfg: RayFanCfg) -> Floats:
     elevation = _spread(cfg.vertical_range, cfg.vertical_count, True)
     across, up = (angles.ravel() for angles in np.meshgrid(azimuth, elevation))
     flat = np.cos(up)
-    vectors: Floats = np.stack([flat * np.cos(across), flat * np.sin(across), np.sin(up)], axis=1)
-    return vectors
+    return np.stack([flat * np.cos(across), flat * np.sin(across), np.sin(up)], axis=1)
 
 
 def _spread(bounds: Sequence[float], count: int, endpoint: bool) -> Floats:

@@ -75,8 +75,7 @@ class BaseSensor(Handle["SensorIndex"]):
     @property
     def body_ids(self) -> NDArray[np.int64]:
         """(n,) MuJoCo body ids of the links it is fixed on, or that carry its sites or geoms."""
-        found: NDArray[np.int64] = self.frames.bodies
-        return found
+        return self.frames.bodies
 
     def get_data(self) -> dict[str, torch.Tensor]:
         """Return all `reads` as float32 tensors (N, ...), as in ``obs["sensor"][uid]``."""
@@ -192,8 +191,7 @@ class ContactSensor(_LastStepSensor):
     def read_touched(self) -> NDArray[np.bool_]:
         """(N, n) whether each link was touched in one of these physics steps."""
         self.keep_history()
-        touched: NDArray[np.bool_] = self._readings()[2].copy()
-        return touched
+        return self._readings()[2].copy()
 
     def read_found(self) -> NDArray[np.bool_]:
         """(N, n) whether each link is touched."""
@@ -306,8 +304,7 @@ class JointTorqueSensor(BaseSensor):
     def read_torque(self) -> Floats:
         """(N, n) sum of the other three."""
         actuator, passive, constraint = self._readings()
-        total: Floats = actuator + passive + constraint
-        return total
+        return actuator + passive + constraint
 
     def read_actuator(self) -> Floats:
         """(N, n) of drives and other actuators (``qfrc_actuator``, `jointactuatorfrc`)."""

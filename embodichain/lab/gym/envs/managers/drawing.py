@@ -139,8 +139,7 @@ class DrawingManager(Manager[C]):
         if given is None or given.shape != tuple(shape):
             return None
         n = self.num_envs if env_ids is None else len(env_ids)
-        rows: Floats = self.env.arrays.put(np.tile(given, (n, *[1] * len(shape))))
-        return rows
+        return self.env.arrays.put(np.tile(given, (n, *[1] * len(shape))))
 
     def replay(
         self, name: str, mode: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]
@@ -194,8 +193,7 @@ class Timer:
         """
         if env_ids is None:
             self.left -= steps
-            due: EnvIndex = self._arrays.where(self.left <= 0)
-            return due
+            return self._arrays.where(self.left <= 0)
         self.left[env_ids] -= steps
         return env_ids[self.left[env_ids] <= 0]
 
@@ -419,8 +417,7 @@ class CommandManager(DrawingManager[CommandCfg]):
 
     def values(self, name: str) -> Floats:
         """(N, K) float64 commands in force: a live view; do not write to it or store it."""
-        values: Floats = self.terms[name].instance.values
-        return values
+        return self.terms[name].instance.values
 
     def get_command(self, name: str) -> torch.Tensor:
         """(N, K) float32 commands in force; a copy."""

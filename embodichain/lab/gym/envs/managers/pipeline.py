@@ -253,8 +253,7 @@ class Delay:
     ) -> NDArray[Any]:
         """(N, ...) the delayed value; `before` is the value before the first of an episode."""
         recent = self.past.append(value, rows, before)
-        delayed: NDArray[Any] = recent[self._rows, self._high - self.lag]
-        return delayed
+        return recent[self._rows, self._high - self.lag]
 
 
 class ActionPipeline:

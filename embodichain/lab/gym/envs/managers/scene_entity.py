@@ -213,8 +213,7 @@ class ResolvedEntity:
     @cached_property
     def initial_qpos(self) -> Floats:
         """(K,) initial joint positions, rad or m."""
-        found: Floats = np.asarray(self.asset.parsed.init_qpos, np.float64)[self._columns]
-        return found
+        return np.asarray(self.asset.parsed.init_qpos, np.float64)[self._columns]
 
     def qpos(self) -> Floats:
         """(N, K) joint positions, rad or m; do not write to it or store it."""
@@ -223,8 +222,7 @@ class ResolvedEntity:
     @cached_property
     def _initial_rows(self) -> Floats:
         rows = np.tile(self.initial_qpos, (self.asset.num_instances, 1))
-        found: Floats = self.asset.host.arrays.put(rows)
-        return found
+        return self.asset.host.arrays.put(rows)
 
     def displacement(self) -> Floats:
         """(N, K) joint positions minus the initial ones, rad or m."""
@@ -240,14 +238,12 @@ class ResolvedEntity:
 
     def target_qpos(self) -> Floats:
         """(N, K) position targets of the drives, rad or m; qpos of joints without a drive."""
-        found: Floats = self.asset.drives.read_target_qpos()[:, self._columns]
-        return found
+        return self.asset.drives.read_target_qpos()[:, self._columns]
 
     def effort(self) -> Floats:
         """(N, K) efforts of the last physics step, N m or N: drive, damping and applied efforts."""
         applied = self.asset.engine.state("qfrc_applied")[:, self._dofs]
-        found: Floats = self._pick(self.asset.read_qf()) + applied
-        return found
+        return self._pick(self.asset.read_qf()) + applied
 
     @cached_property
     def _computed(self) -> ComputedEfforts:
@@ -262,8 +258,7 @@ class ResolvedEntity:
     def hinges(self) -> NDArray[np.bool_]:
         """(K,) whether a joint is a hinge, not a slide."""
         model = self.asset.engine.model
-        turns: NDArray[np.bool_] = model.jnt_type[model.dof_jntid[self._dofs]] == _HINGE
-        return turns
+        return model.jnt_type[model.dof_jntid[self._dofs]] == _HINGE
 
     def qpos_limits(self, soft_ratio: float = 1.0) -> tuple[Floats, Floats]:
         """Low and high position limits in force, (N, K) each; infinite without a limit.
@@ -350,8 +345,7 @@ class ResolvedEntity:
 
     @cached_property
     def _motion(self) -> BodyMotion:
-        found: BodyMotion = self.asset.motion_of(self.frame)
-        return found
+        return self.asset.motion_of(self.frame)
 
     def position(self) -> Floats:
         """(N, 3) m: a live view; do not write to it or store it."""
@@ -469,8 +463,7 @@ def resolve_entity(
 
 
 def _from_mapping(cfg: Mapping[str, Any]) -> SceneEntityCfg:
-    found: SceneEntityCfg = from_dict(SceneEntityCfg, dict(cfg))
-    return found
+    return from_dict(SceneEntityCfg, dict(cfg))
 
 
 _FIELDS = frozenset(SceneEntityCfg.__dataclass_fields__)

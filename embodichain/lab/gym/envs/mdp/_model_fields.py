@@ -160,8 +160,7 @@ def _mass(entity: ResolvedEntity, options: Options) -> Values:
 
 def _shapes(asset: Any) -> tuple[str, ...]:
     """Names of the shapes that an object may have, if it has `any_of`."""
-    names: tuple[str, ...] = getattr(asset, "shape_names", ())
-    return names
+    return getattr(asset, "shape_names", ())
 
 
 def _com(entity: ResolvedEntity, options: Options) -> Values:

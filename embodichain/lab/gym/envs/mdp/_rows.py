@@ -34,15 +34,13 @@ __all__ = [
 def squares(vectors: NDArray[Any]) -> Floats:
     """Sum of the squares of the rows, (N, ..., K) -> (N, ...)."""
     rows = contiguous(vectors, np.float64)
-    found: Floats = np.vecdot(rows, rows)
-    return found
+    return np.vecdot(rows, rows)
 
 
 def total(values: NDArray[Any]) -> Floats:
     """Sum of the rows, (N, K) -> (N,); 0 where K is 0."""
     rows = contiguous(values, np.float64)
-    found: Floats = np.vecdot(rows, _ones(rows.shape[1]))
-    return found
+    return np.vecdot(rows, _ones(rows.shape[1]))
 
 
 @cache
@@ -52,14 +50,12 @@ def _ones(count: int) -> Floats:
 
 def mean(values: Floats) -> Floats:
     """Mean of the rows, (N, K) -> (N,)."""
-    found: Floats = total(values) / max(values.shape[1], 1)
-    return found
+    return total(values) / max(values.shape[1], 1)
 
 
 def norm(vectors: NDArray[Any]) -> Floats:
     """Euclidean length of the rows, (N, ..., K) -> (N, ...)."""
-    found: Floats = np.sqrt(squares(vectors))
-    return found
+    return np.sqrt(squares(vectors))
 
 
 def angle_between(a: Floats, b: Floats) -> Floats:
@@ -71,8 +67,7 @@ def angle_between(a: Floats, b: Floats) -> Floats:
 
     difference = quat_multiply(quat_conjugate(a), b)
     sine, cosine = norm(difference[:, 1:]), np.abs(difference[:, 0])
-    found: Floats = 2.0 * np.arctan2(sine, contiguous(cosine))
-    return found
+    return 2.0 * np.arctan2(sine, contiguous(cosine))
 
 
 def action_rows(env: TermContext, action: Any) -> Floats:
@@ -83,8 +78,7 @@ def action_rows(env: TermContext, action: Any) -> Floats:
     """
     if not hasattr(action, "detach"):
         raise TypeError(f"this term needs an action tensor, got {type(action).__name__}")
-    rows: Floats = env.arrays.of(action.detach()).astype(np.float64)
-    return rows
+    return env.arrays.of(action.detach()).astype(np.float64)
 
 
 def tensor(array: NDArray[np.float64] | NDArray[np.bool_]) -> torch.Tensor:

@@ -137,5 +137,4 @@ def usual_speeds(asset: Any, joints: NDArray[np.int64], solver: ArmSolver) -> Fl
     limits = np.minimum(asset.parsed.qvel_limits, asset.parsed.max_velocity)[joints]
     hinges = solver.chain.hinges[np.isin(solver.chain.joints, joints)]
     usual = np.where(hinges, _TURNS_A_SECOND, _METRES_A_SECOND)
-    found: Floats = np.where(limits < UNLIMITED, limits, usual)
-    return found
+    return np.where(limits < UNLIMITED, limits, usual)

@@ -168,14 +168,12 @@ class Tolerance:
 
 def gaussian_kernel(squared: Floats, std: float) -> Floats:
     """exp(-e^2 / std^2) of squared errors, the kernel of Isaac Lab's tracking rewards."""
-    found: Floats = np.exp(contiguous(squared) * (-1.0 / (std * std)))
-    return found
+    return np.exp(contiguous(squared) * (-1.0 / (std * std)))
 
 
 def tanh_kernel(error: Floats, std: float) -> Floats:
     """1 - tanh(e / std) of errors >= 0, the kernel of Isaac Lab's reaching rewards."""
-    found: Floats = 1.0 - np.tanh(contiguous(error) / std)
-    return found
+    return 1.0 - np.tanh(contiguous(error) / std)
 
 
 AtMargin = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]

@@ -125,8 +125,7 @@ class PlaceTerrain(Term):
             first = starts[self.column[ids]]
             count = starts[self.column[ids] + 1] - first
             chosen = np.minimum((drawn / self.terrain.levels * count).astype(np.int64), count - 1)
-            found: NDArray[np.int64] = levels[first + chosen]
-            return found
+            return levels[first + chosen]
         level = self.level[ids]
         return np.where(level >= self.terrain.levels, drawn.astype(np.int64), level)
 
@@ -248,8 +247,7 @@ class TerrainLevel(Term):
         """(N,) the level."""
         terrain = self._terrain
         x = 0.0 - self._ground.offset()[:, 0]
-        level: Floats = np.round((x - terrain.origins[0, 0, 0]) / terrain.size)
-        return level
+        return np.round((x - terrain.origins[0, 0, 0]) / terrain.size)
 
 
 @quantity(name="height_above_ground")

@@ -253,8 +253,7 @@ class _Watched(DeviceArray):
 
 
 def _tensor(value: Any) -> torch.Tensor:
-    tensor: torch.Tensor = value.tensor if isinstance(value, DeviceArray) else value
-    return tensor
+    return value.tensor if isinstance(value, DeviceArray) else value
 
 
 def _decisive(numbers: dict[Path, HostValue]) -> dict[Path, HostValue]:

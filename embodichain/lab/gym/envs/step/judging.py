@@ -123,8 +123,7 @@ def checked_reward(reward: Any, num_envs: int, hook: str, arrays: Arrays) -> NDA
     if not isinstance(reward, torch.Tensor) or reward.shape != (num_envs,):
         found = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
         raise ValueError(f"{hook} must return a tensor of shape ({num_envs},), got {found}")
-    copy: NDArray[np.float32] = arrays.of(reward).astype(np.float32)
-    return copy
+    return arrays.of(reward).astype(np.float32)
 
 
 def none_set(mask: Mask) -> bool:
@@ -144,13 +143,11 @@ def as_mask(value: Any, num_envs: int, what: str, arrays: Arrays) -> Mask:
         ValueError: If it is not (N,); (N, 1) is refused too, because it would broadcast.
     """
     if value is None:
-        none: Mask = arrays.full(num_envs, False, np.bool_)
-        return none
+        return arrays.full(num_envs, False, np.bool_)
     array = arrays.of(value)
     if array.shape != (num_envs,):
         raise ValueError(f"{what} must have shape ({num_envs},), got {array.shape}")
-    mask: Mask = array.astype(np.bool_)
-    return mask
+    return array.astype(np.bool_)
 
 
 def reset_ids(options: dict[str, Any], num_envs: int) -> EnvIds:
@@ -187,11 +184,10 @@ def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
     if is_host(values) and all_finite(values):
         return None
     if is_host(values):
-        bad: Mask = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
-        return bad
+        return ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
     largest = np.abs(values) if values.ndim == 1 else np.abs(values).max(axis=1)
-    wild: Mask = ~(largest < np.inf)  # the largest of NaN and others is NaN
-    return wild
+    # The largest of NaN and others is NaN.
+    return ~(largest < np.inf)
 
 
 def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:

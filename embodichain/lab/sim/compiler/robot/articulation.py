@@ -353,8 +353,7 @@ def _root_pose(model: mujoco.MjModel, root: Root, keyframe: Keyframe | None) -> 
     body = model.body(root.name)
     if body.jntnum[0]:
         at = int(model.jnt_qposadr[body.jntadr[0]])
-        start: F64 = model.qpos0[at : at + 7].copy()
-        return start
+        return model.qpos0[at : at + 7].copy()
     return np.concatenate([body.pos, body.quat])
 
 

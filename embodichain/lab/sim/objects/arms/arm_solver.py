@@ -153,8 +153,7 @@ class ArmSolver:
     @property
     def hinges(self) -> NDArray[np.bool_]:
         """(k,) whether each of the joints `moving` is a hinge, not a slide."""
-        found: NDArray[np.bool_] = self.chain.hinges[self._columns]
-        return found
+        return self.chain.hinges[self._columns]
 
     @property
     def has_closed_form(self) -> bool:
@@ -323,8 +322,7 @@ class ArmSolver:
         low, high = self.limits(env_ids)
         now = qpos[:, self.moving].T
         beyond = np.maximum(low - now, now - high).max(axis=0)
-        within: NDArray[np.bool_] = np.asarray(beyond <= 0.0)
-        return within
+        return np.asarray(beyond <= 0.0)
 
     def _searched(
         self, qpos: Floats, target: Target, env_ids: EnvIndex | None, restarts: int

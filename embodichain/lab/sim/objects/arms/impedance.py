@@ -119,20 +119,17 @@ class Impedance:
         rate = np.where(moves, 1.0 / np.sqrt(np.where(moves, squares, 1.0)), 0.0)
         modes = contiguous(np.moveaxis(modes, 0, -1))
         found = transposed(modes, self._weight * velocity) * contiguous(rate.T)
-        forces: Floats = 2.0 * self._weight * times(modes, found)
-        return forces
+        return 2.0 * self._weight * times(modes, found)
 
     def _lean(self) -> Floats:
         """(k, N) accelerations towards the posture."""
         qpos, qvel = self._dynamics.joint_motion()
-        found: Floats = self._pull * (self._posture - qpos) - self._brake * qvel
-        return found
+        return self._pull * (self._posture - qpos) - self._brake * qvel
 
 
 def _shortened(vectors: Floats, length: float) -> Floats:
     """Vectors (3, N), scaled to a length where they are longer."""
-    found: Floats = vectors * (length / np.maximum(np.sqrt(squared(vectors)), length))
-    return found
+    return vectors * (length / np.maximum(np.sqrt(squared(vectors)), length))
 
 
 def _solved(matrix: Floats, right: Floats) -> Floats:

@@ -203,8 +203,7 @@ def per_joint(
         value = in_columns(value, names, named_by, path, what)
     else:
         value = [value] * len(names)
-    found: Floats = np.asarray(value, np.float64)
-    return found
+    return np.asarray(value, np.float64)
 
 
 def joint_clip(

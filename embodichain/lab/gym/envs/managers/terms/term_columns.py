@@ -80,8 +80,7 @@ class TermColumns:
         if len(value) != width:
             message = f"has {len(value)} values; the last dimension of the value is {width}"
             raise ConfigError([Problem(path, message)])
-        found: Floats = np.asarray(value, np.float64)
-        return found
+        return np.asarray(value, np.float64)
 
     def _require_plain_order(self, value: Sequence[Any], path: str) -> None:
         """Refuse a list of several numbers a name if names are not written in their order."""

@@ -120,8 +120,7 @@ class AbsolutePose:
         """(n, A) the action for a pose (n, 3), (n, 4) in `frame`."""
         turned = {"quat": quat, "rpy": quat_to_rpy(quat)}.get(self._rotation, quat[:, :0])
         action = np.concatenate([pos, turned], axis=1)
-        within: Floats = np.minimum(np.maximum(action, self.low), self.high)
-        return within
+        return np.minimum(np.maximum(action, self.low), self.high)
 
     def asked(
         self, action: torch.Tensor, orientation: Callable[[], Floats]

@@ -131,8 +131,7 @@ class EefTerm(JointTerm):
     @property
     def joint_speeds(self) -> Floats:
         """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
-        speeds: Floats = self._largest / self._period
-        return speeds
+        return self._largest / self._period
 
     def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(N, A) the actions that move the tool, as far as their bounds allow.

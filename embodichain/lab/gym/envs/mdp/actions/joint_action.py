@@ -138,8 +138,7 @@ class Affine:
 
     def action_for(self, value: Floats | float) -> Floats:
         """(A,) or (N, A) the action for a value, clamped to the bounds."""
-        found: Floats = np.clip((value - self._centre) / self._scale, self._least, self._most)
-        return found
+        return np.clip((value - self._centre) / self._scale, self._least, self._most)
 
 
 logger = logging.getLogger(__name__)
@@ -199,8 +198,7 @@ class JointTerm(ActionTerm):
     @property
     def asset(self) -> Articulation:
         """The robot."""
-        asset: Articulation = self._asset
-        return asset
+        return self._asset
 
     def _write_targets(self, target: Floats) -> None:
         """Set the drives' position targets (N, A), clamped to the joints' limits.
@@ -213,13 +211,11 @@ class JointTerm(ActionTerm):
     @property
     def robot_uid(self) -> str:
         """Uid of the robot that it moves."""
-        uid: str = self._asset.uid
-        return uid
+        return self._asset.uid
 
     def _targets(self) -> Floats:
         """(N, A) current position targets of the drives."""
-        targets: Floats = self._asset.drives.read_target_qpos()[:, self._ids]
-        return targets
+        return self._asset.drives.read_target_qpos()[:, self._ids]
 
     def _qpos(self) -> Floats:
         """(N, A) measured positions; do not write to it or store it."""

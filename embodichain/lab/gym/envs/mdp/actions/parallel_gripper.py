@@ -175,8 +175,7 @@ class ParallelGripper(JointTerm):
         """(N, A) present targets or controls."""
         if self._controls is None:
             return self._targets()
-        ctrl: Floats = self._asset.read_ctrl()[:, self._controls.which]
-        return ctrl
+        return self._asset.read_ctrl()[:, self._controls.which]
 
     def _reach(self, force: float) -> tuple[Floats, Floats]:
         """(N, A) targets at which servos have no force, and how far ahead they have `force`."""
@@ -220,8 +219,7 @@ class ParallelGripper(JointTerm):
         moving = np.flatnonzero(self._span)
         shares = ((position - self._low)[..., moving] / self._span[moving]).T
         total: Floats = reduce(np.add, shares)
-        found: Floats = total / len(moving)
-        return found
+        return total / len(moving)
 
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """Of the fingers' commands: a number, or one for each finger where they differ."""

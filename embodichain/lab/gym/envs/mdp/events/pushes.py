@@ -49,8 +49,7 @@ class EpisodeTimer:
     def stopped(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Return those environments whose timer has not been started in this episode."""
         ids: EnvIndex = self._arrays.every(len(self._seen)) if env_ids is None else env_ids
-        stopped: EnvIndex = ids[self._timer.left[ids] == 0]
-        return stopped
+        return ids[self._timer.left[ids] == 0]
 
     def advance(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Count the control steps since the last call; return environments that are due."""
@@ -177,8 +176,7 @@ class ApplyExternalForceTorque(Term):
         forces = wrenches.reshape(len(wrenches), -1, 6)[..., :3]
         moments = cross(arm, forces)
         both = np.concatenate([np.zeros_like(moments), moments], axis=2)
-        found: Floats = both.reshape(len(wrenches), -1)
-        return found
+        return both.reshape(len(wrenches), -1)
 
 
 @register_term("event", name="apply_body_impulse")

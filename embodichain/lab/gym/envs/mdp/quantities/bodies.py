@@ -97,8 +97,7 @@ def heading(quat: Floats, kind: Heading) -> Floats:
     w, x, y, z = (quat[:, i] for i in range(4))
     ahead, left = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
     if kind == "yaw":
-        found: Floats = np.arctan2(left, ahead)[:, None]
-        return found
+        return np.arctan2(left, ahead)[:, None]
     length = np.sqrt(ahead * ahead + left * left)
     vertical = length == 0.0
     length = np.where(vertical, 1.0, length)
@@ -244,12 +243,10 @@ def tilt(
     """
     if upwards == "against_gravity":
         down = projected_gravity(env, of)[:, 2]
-        angle: Floats = np.arccos(contiguous(np.minimum(np.maximum(-down, -1.0), 1.0)))
-        return angle
+        return np.arccos(contiguous(np.minimum(np.maximum(-down, -1.0), 1.0)))
     up = of.axes()[:, 2]
     # Exact at both ends, unlike an arc cosine. With the copy, rounding does not depend on N.
-    found: Floats = np.arctan2(norm(up[:, :2]), contiguous(up[:, 2]))
-    return found
+    return np.arctan2(norm(up[:, :2]), contiguous(up[:, 2]))
 
 
 @quantity()
@@ -327,8 +324,7 @@ class LinkAcceleration(Term):
         linear = self._frames.velocities(self._engine)[0]
         change = self._rate(linear.reshape(len(linear), -1)).reshape(linear.shape)
         x, y, z = change[..., 0], change[..., 1], change[..., 2]
-        found: Floats = np.sqrt(x * x + y * y + z * z)
-        return found
+        return np.sqrt(x * x + y * y + z * z)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Forget the velocities of these environments."""

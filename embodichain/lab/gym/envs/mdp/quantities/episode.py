@@ -69,8 +69,7 @@ def constant(env: TermContext, value: float = 1.0) -> Floats:
     Example:
         ``{func: constant, weight: -0.01}``
     """
-    found: Floats = env.arrays.full(env.num_envs, float(value))
-    return found
+    return env.arrays.full(env.num_envs, float(value))
 
 
 @quantity("reward", "metric")
@@ -83,8 +82,7 @@ def success_reward(env: TermContext, info: Info) -> Floats:
     Example:
         ``{func: success_reward, weight: 10.0}``
     """
-    found: Floats = env.arrays.of(info["success"]).astype(np.float64)
-    return found
+    return env.arrays.of(info["success"]).astype(np.float64)
 
 
 @quantity("reward", "metric")
@@ -112,10 +110,8 @@ def is_alive(env: TermContext, info: Info) -> Floats:
 
 def _terminated(env: TermContext, info: Info) -> Mask:
     if env.cfg.ignore_terminations:
-        none: Mask = env.arrays.full(env.num_envs, False, np.bool_)
-        return none
-    ended: Mask = env.arrays.of(info["success_terminated"] | info["fail"])
-    return ended
+        return env.arrays.full(env.num_envs, False, np.bool_)
+    return env.arrays.of(info["success_terminated"] | info["fail"])
 
 
 @quantity("termination", "metric")
@@ -131,8 +127,7 @@ def time_out(env: TermContext, time_limit_s: Positive) -> Mask:
         ``{func: time_out, params: {time_limit_s: 5.0}}``
     """
     steps = max(1, round(time_limit_s / env.step_dt))
-    over: Mask = env.arrays.of(env.elapsed_steps) >= steps
-    return over
+    return env.arrays.of(env.elapsed_steps) >= steps
 
 
 class _Clock(Term):

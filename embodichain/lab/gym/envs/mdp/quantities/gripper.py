@@ -59,5 +59,4 @@ def grasped(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0) -
     forces = sensor.read_force()
     (one, other), (force, back) = forces.swapaxes(0, 1), norm(forces).T
     pressed = (force > threshold) & (back > threshold)
-    found: NDArray[np.bool_] = pressed & (total(one * other) < _OPPOSED * force * back)
-    return found
+    return pressed & (total(one * other) < _OPPOSED * force * back)

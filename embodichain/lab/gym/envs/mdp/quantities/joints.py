@@ -224,5 +224,4 @@ def joint_pos_limit_normalized(env: TermContext, of: Joints) -> Floats:
         ConfigError: If a joint has no limits.
     """
     low, high = of.qpos_ranges()
-    found: Floats = 2.0 * (of.qpos() - low) / (high - low) - 1.0
-    return found
+    return 2.0 * (of.qpos() - low) / (high - low) - 1.0

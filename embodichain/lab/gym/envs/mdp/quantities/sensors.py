@@ -56,8 +56,7 @@ __all__ = [
 def _lengths(forces: Floats) -> Floats:
     """(N, n) N: lengths of forces (N, n, 3)."""
     x, y, z = forces[..., 0], forces[..., 1], forces[..., 2]
-    found: Floats = np.sqrt(x * x + y * y + z * z)
-    return found
+    return np.sqrt(x * x + y * y + z * z)
 
 
 @quantity()
@@ -232,8 +231,7 @@ def body_incoming_wrench(env: TermContext, sensor: ForceTorqueOf) -> Floats:
         ``{func: body_incoming_wrench, params: {sensor: wrench}}``
     """
     force = sensor.read_force()
-    wrench: Floats = np.concatenate([force, sensor.read_torque()], axis=2).reshape(len(force), -1)
-    return wrench
+    return np.concatenate([force, sensor.read_torque()], axis=2).reshape(len(force), -1)
 
 
 @quantity()
