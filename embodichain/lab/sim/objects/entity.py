@@ -31,6 +31,11 @@ Index = TypeVar("Index")
 class Handle(Generic[Index]):
     """A named entity, light or sensor in N environments of a simulation.
 
+    A handle has one set of methods, `read_...` and `write_...`, on arrays where the simulation has
+    them (`Floats`), for environments that were checked (`EnvIndex`). What users call (`get_...`,
+    `set_...`) is a thin layer over it: it checks shapes, environments and values, and takes and
+    returns float32 tensors.
+
     Args:
         uid: Its name.
         host: The simulation.
@@ -175,23 +180,6 @@ class BatchEntity(Handle["EntityIndex"]):
 
     # -- root pose -----------------------------------------------------------------------------
 
-    def _pose_rows(self, pose: Any, env_ids: Any, what: str) -> tuple[Floats, EnvIndex | None]:
-        """Return (n, 7) float64 with unit quaternions from (n, 7) or (n, 4, 4)."""
-        ids = as_env_ids(env_ids, self.num_instances)
-        shape = tuple(np.shape(pose))
-        if len(shape) == 3 and shape[1:] == (4, 4):
-            flat, _ = self._checked(pose.reshape(shape[0], 16), 16, ids, what)
-            return matrix_to_pose(flat.reshape(-1, 4, 4)), ids
-        if len(shape) != 2 or shape[1] != 7:
-            count = self.num_instances if ids is None else len(ids)
-            raise ValueError(
-                f"{self.uid}: {what} must have shape ({count}, 7) (x, y, z, qw, qx, qy, qz) or "
-                f"({count}, 4, 4), got {shape}"
-            )
-        array = self._checked(pose, 7, ids, what)[0].copy()
-        array[:, 3:] = normalize_quat(array[:, 3:])
-        return array, ids
-
     def write_pose(
         self, pos: Floats, quat: Floats | None = None, env_ids: EnvIndex | None = None
     ) -> None:
@@ -224,6 +212,8 @@ class BatchEntity(Handle["EntityIndex"]):
             found = self._motions[frame] = BodyMotion(self.engine, self.index, frame)
         return found
 
+    # -- for users: tensors in and out, checked; see `Handle` ----------------------------------
+
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
         """Root pose in the environment's frame: (N, 7) x, y, z, qw, qx, qy, qz, or (N, 4, 4)."""
         pose = np.concatenate(self.read_pose(), axis=1)
@@ -241,3 +231,20 @@ class BatchEntity(Handle["EntityIndex"]):
         """
         array, ids = self._pose_rows(pose, env_ids, "pose")
         self.write_pose(array[:, :3], array[:, 3:], ids)
+
+    def _pose_rows(self, pose: Any, env_ids: Any, what: str) -> tuple[Floats, EnvIndex | None]:
+        """Return (n, 7) float64 with unit quaternions from (n, 7) or (n, 4, 4)."""
+        ids = as_env_ids(env_ids, self.num_instances)
+        shape = tuple(np.shape(pose))
+        if len(shape) == 3 and shape[1:] == (4, 4):
+            flat, _ = self._checked(pose.reshape(shape[0], 16), 16, ids, what)
+            return matrix_to_pose(flat.reshape(-1, 4, 4)), ids
+        if len(shape) != 2 or shape[1] != 7:
+            count = self.num_instances if ids is None else len(ids)
+            raise ValueError(
+                f"{self.uid}: {what} must have shape ({count}, 7) (x, y, z, qw, qx, qy, qz) or "
+                f"({count}, 4, 4), got {shape}"
+            )
+        array = self._checked(pose, 7, ids, what)[0].copy()
+        array[:, 3:] = normalize_quat(array[:, 3:])
+        return array, ids

@@ -44,7 +44,12 @@ class Light(Handle[int]):
         self._intensity: Floats = full((count, 1), float(cfg.intensity))
         self._falloff: Floats = full((count, 1), float(cfg.radius))
 
-    # -- writes from checked arrays --------------------------------------------------------------
+    # -- reads, and writes from checked arrays ---------------------------------------------------
+
+    def read_position(self) -> Floats:
+        """(N, 3) metres."""
+        start = 3 * self.index
+        return self.engine.model_field("light_pos")[:, start : start + 3]
 
     def write(self, field: str, values: Floats, ids: EnvIndex | None) -> None:
         """Set ``light_pos`` or ``light_dir``, (n, 3), from checked arrays."""
@@ -64,7 +69,7 @@ class Light(Handle[int]):
         where: Any = slice(None) if ids is None else ids
         return self._color[where].copy(), self._intensity[where].copy()
 
-    # -- EmbodiChain's handle ----------------------------------------------------------------------
+    # -- for users: tensors in and out, checked; see `Handle` ----------------------------------
 
     def _scalars(self, values: Any, env_ids: Any, what: str) -> tuple[Floats, EnvIndex | None]:
         """Return values (n,), (n, 1) or a single one as (n, 1)."""
@@ -93,8 +98,7 @@ class Light(Handle[int]):
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
         """Positions (N, 3) in metres, or matrices (N, 4, 4) with identity rotation."""
-        start = 3 * self.index
-        position = to_tensor(self.engine.model_field("light_pos")[:, start : start + 3])
+        position = to_tensor(self.read_position())
         if not to_matrix:
             return position
         matrices = torch.eye(4).repeat(len(position), 1, 1)
