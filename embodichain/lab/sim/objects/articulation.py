@@ -84,7 +84,8 @@ class Articulation(FrameReads):
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Set the engine and the articulation's indices. Called once, by the simulation."""
         super().bind(engine, index)
-        self._qpos_columns, self._dofs = columns_of(index.qpos_adr), columns_of(index.dof_adr)
+        self._qpos_columns = columns_of(index.qpos_adr)
+        self._dofs = columns_of(index.dof_adr)
         self._controls = columns_of(index.own_ctrl_ids)
         if isinstance(self._qpos_columns, slice):
             self._qpos = engine.state("qpos")[:, self._qpos_columns]
@@ -118,11 +119,12 @@ class Articulation(FrameReads):
         return [i for i in ids if not remove_mimic or i not in self.mimic_ids]
 
     def _indices(self, ids: Any, count: int, what: str) -> Ids:
-        found = np.asarray(ids.tolist() if isinstance(ids, torch.Tensor) else ids, np.int64)
-        found = found.reshape(-1)
-        if ((found < 0) | (found >= count)).any():
-            raise ValueError(f"{self.uid}: {what} must be in [0, {count}), got {found.tolist()}")
-        return found
+        if isinstance(ids, torch.Tensor):
+            ids = ids.tolist()
+        indices = np.asarray(ids, np.int64).reshape(-1)
+        if ((indices < 0) | (indices >= count)).any():
+            raise ValueError(f"{self.uid}: {what} must be in [0, {count}), got {indices.tolist()}")
+        return indices
 
     def _joints(self, joint_ids: Any, name: str | None = None) -> Ids:
         if name is not None:
@@ -170,7 +172,8 @@ class Articulation(FrameReads):
         if joints is not None:
             columns: Columns = columns_of(drives.columns(joints))
         else:
-            joints, columns = drives.joints, drives.control_columns
+            joints = drives.joints
+            columns = drives.control_columns
             if len(joints) < self.dof:
                 values = values[:, joints]
                 if not len(joints):
@@ -211,13 +214,15 @@ class Articulation(FrameReads):
         Raises:
             ValueError: If a pattern matches nothing; lists the controls.
         """
-        found: set[int] = set()
-        for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        if isinstance(patterns, str):
+            patterns = [patterns]
+        matching_actuators: set[int] = set()
+        for pattern in patterns:
             ids, problems = match(pattern, self.actuator_names, f"actuator of {self.uid}", "")
             if problems:
                 raise ValueError(problems[0].message)
-            found.update(ids)
-        return sorted(found)
+            matching_actuators.update(ids)
+        return sorted(matching_actuators)
 
     def _picked(self, actuator_ids: Any, names: str | Sequence[str] | None) -> Ids:
         count = len(self.actuator_names)
@@ -258,8 +263,10 @@ class Articulation(FrameReads):
             return self.index.root_body_id
         names = self.link_names
         if link not in names:
-            there = f"{', '.join(names)}.{did_you_mean(link, names)}"
-            raise ValueError(f"{self.uid} has no link {link!r}; there are: {there}")
+            raise ValueError(
+                f"{self.uid} has no link {link!r}; there are: {', '.join(names)}."
+                f"{did_you_mean(link, names)}"
+            )
         return int(self.index.body_ids[names.index(link)])
 
     def read_mass(self, bodies: Ids) -> Floats:
@@ -334,7 +341,10 @@ class Articulation(FrameReads):
         joints = None if joint_ids is None and name is None else self._joints(joint_ids, name)
         width = self.dof if joints is None else len(joints)
         values, ids = self._checked(qpos, width, env_ids, "qpos", shared=True)
-        (self.write_target if target else self.write_qpos)(values, joints, ids)
+        if target:
+            self.write_target(values, joints, ids)
+        else:
+            self.write_qpos(values, joints, ids)
 
     def write_joint_state(
         self,
@@ -422,13 +432,20 @@ class Articulation(FrameReads):
 
         The armature is `body_data.joint_armature`.
         """
-        rows, joints, drives = self._rows(env_ids), self._joints(joint_ids), self.drives
+        rows = self._rows(env_ids)
+        joints = self._joints(joint_ids)
+        drives = self.drives
 
         def pick(values: Floats) -> torch.Tensor:
             return to_tensor(values[rows][:, joints])
 
-        gains = pick(drives.stiffness), pick(drives.damping)
-        return *gains, pick(drives.max_effort), pick(drives.max_velocity), pick(drives.friction)
+        return (
+            pick(drives.stiffness),
+            pick(drives.damping),
+            pick(drives.max_effort),
+            pick(drives.max_velocity),
+            pick(drives.friction),
+        )
 
     def set_joint_drive(
         self,
@@ -447,8 +464,8 @@ class Articulation(FrameReads):
             ValueError: If a shape is wrong, a value is negative or a joint has no drive.
         """
         joints = self._joints(joint_ids)
-        given = (stiffness, damping, max_effort, max_velocity, friction, armature)
-        for name, value in zip(GAINS, given, strict=True):
+        gains = (stiffness, damping, max_effort, max_velocity, friction, armature)
+        for name, value in zip(GAINS, gains, strict=True):
             if value is None:
                 continue
             array, ids = self._checked(value, len(joints), env_ids, name, finite=False)

@@ -53,7 +53,8 @@ class Handle(Generic[Index]):
 
     def bind(self, engine: Engine, index: Index) -> None:
         """Set the engine and the indices in the compiled model. Called once, by the simulation."""
-        self.engine, self.index = engine, index
+        self.engine = engine
+        self.index = index
 
     @cached_property
     def engine(self) -> Engine:
@@ -160,7 +161,8 @@ class BatchEntity(Handle["EntityIndex"]):
     @cached_property
     def row_columns(self) -> NDArray[np.int64]:
         """Sorted columns of the entity in the state row."""
-        engine, index = self.engine, self.index
+        engine = self.engine
+        index = self.index
         model = engine.model
         joints = np.flatnonzero(np.isin(model.jnt_bodyid, index.body_ids))  # ball and free as well
         dofs = np.flatnonzero(np.isin(model.dof_jntid, joints))
@@ -184,17 +186,23 @@ class BatchEntity(Handle["EntityIndex"]):
         self, pos: Floats, quat: Floats | None = None, env_ids: EnvIndex | None = None
     ) -> None:
         """Set the root position (n, 3) and, if given, orientation (n, 4) from checked arrays."""
-        index, write = self.index, self.engine.write
+        index = self.index
         if index.mocap_id >= 0:
-            fields, starts = ("mocap_pos", "mocap_quat"), (3 * index.mocap_id, 4 * index.mocap_id)
+            write = self.engine.write
+            pos_field, pos_start = ("mocap_pos", 3 * index.mocap_id)
+            quat_field, quat_start = ("mocap_quat", 4 * index.mocap_id)
         elif index.free_qpos_adr >= 0:
-            fields, starts = ("qpos", "qpos"), (index.free_qpos_adr, index.free_qpos_adr + 3)
+            write = self.engine.write
+            pos_field, pos_start = ("qpos", index.free_qpos_adr)
+            quat_field, quat_start = ("qpos", index.free_qpos_adr + 3)
         else:
-            write, body = self.engine.write_model, index.root_body_id
-            fields, starts = ("body_pos", "body_quat"), (3 * body, 4 * body)
-        write(fields[0], pos, env_ids, slice(starts[0], starts[0] + 3))
+            # Nothing moves it in physics: its pose is a part of the model.
+            write = self.engine.write_model
+            pos_field, pos_start = ("body_pos", 3 * index.root_body_id)
+            quat_field, quat_start = ("body_quat", 4 * index.root_body_id)
+        write(pos_field, pos, env_ids, slice(pos_start, pos_start + 3))
         if quat is not None:
-            write(fields[1], quat, env_ids, slice(starts[1], starts[1] + 4))
+            write(quat_field, quat, env_ids, slice(quat_start, quat_start + 4))
 
     def read_pose(self) -> tuple[Floats, Floats]:
         """Root position (N, 3) and wxyz orientation (N, 4): live views, do not write or store."""
@@ -207,10 +215,11 @@ class BatchEntity(Handle["EntityIndex"]):
 
     def motion_of(self, frame: BodyFrames) -> BodyMotion:
         """Motion of one frame of the entity; one shared object per frame."""
-        found = self._motions.get(frame)
-        if found is None:
-            found = self._motions[frame] = BodyMotion(self.engine, self.index, frame)
-        return found
+        motion = self._motions.get(frame)
+        if motion is None:
+            motion = BodyMotion(self.engine, self.index, frame)
+            self._motions[frame] = motion
+        return motion
 
     # -- for users: tensors in and out, checked; see `Handle` ----------------------------------
 

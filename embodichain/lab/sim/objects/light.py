@@ -39,7 +39,8 @@ class Light(Handle[int]):
         super().__init__(uid, host)
         self.cfg = cfg
         count = self.num_instances
-        color, full = np.asarray(cfg.color, np.float64), host.arrays.full
+        color = np.asarray(cfg.color, np.float64)
+        full = host.arrays.full
         self._color: Floats = host.arrays.put(np.tile(color, (count, 1)))
         self._intensity: Floats = full((count, 1), float(cfg.intensity))
         self._falloff: Floats = full((count, 1), float(cfg.radius))
@@ -59,7 +60,8 @@ class Light(Handle[int]):
     def write_emission(self, color: Floats, intensity: Floats, ids: EnvIndex | None) -> None:
         """Set colours (n, 3) in [0, 1] and intensities (n, 1); negative ones count as 0."""
         where: Any = slice(None) if ids is None else ids
-        self._color[where], self._intensity[where] = color, intensity
+        self._color[where] = color
+        self._intensity[where] = intensity
         diffuse = self._color[where] * (np.maximum(self._intensity[where], 0.0) / FULL_INTENSITY)
         self.write("light_diffuse", diffuse, ids)
         self.write("light_specular", SPECULAR * diffuse, ids)
@@ -131,7 +133,8 @@ class Light(Handle[int]):
 
     def load_state_dict(self, state: dict[str, Floats]) -> None:
         """Continue where `state_dict` was taken; the engine restores model fields."""
-        self._color[:], self._intensity[:] = state["color"], state["intensity"]
+        self._color[:] = state["color"]
+        self._intensity[:] = state["intensity"]
         self._falloff[:] = state["falloff"]
 
 

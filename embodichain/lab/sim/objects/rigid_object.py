@@ -51,7 +51,8 @@ class RigidObject(BatchEntity):
     def __init__(self, cfg: RigidObjectCfg, uid: str, host: Host) -> None:
         super().__init__(cfg, uid, host)
         self._data = RigidBodyData(self)
-        count, attrs = self.num_instances, cfg.attrs
+        count = self.num_instances
+        attrs = cfg.attrs
         self._declared_damping = np.array([attrs.linear_damping, attrs.angular_damping], np.float64)
         full = host.arrays.full
         self._damping: Floats = host.arrays.put(np.tile(self._declared_damping, (count, 1)))  # 1/s
@@ -189,7 +190,8 @@ class RigidObject(BatchEntity):
 
     def write_inertia_scale(self, factor: Floats, ids: EnvIndex | None) -> None:
         """Set the inertia to checked factors (n,) times that of the current mass and size."""
-        mass, rows = self.read_inertia(ids)[0], self._rows(ids)
+        rows = self._rows(ids)
+        mass, _ = self.read_inertia(ids)
         moments = self._inertia[rows] * (mass / self._mass0[rows] * factor)[:, None]
         self._write_inertia(ids, mass, moments)
 
@@ -211,7 +213,8 @@ class RigidObject(BatchEntity):
         """Adapt the damping to keep decay rates of velocities; see the compiler's `damping_of`."""
         if self._dofs is None:
             return
-        rate, (mass, moments) = self._damping[self._rows(ids)], self.read_inertia(ids)
+        rate = self._damping[self._rows(ids)]
+        mass, moments = self.read_inertia(ids)
         linear = np.broadcast_to((rate[:, 0] * mass)[:, None], (len(mass), 3))
         angular = rate[:, 1:] * self._about_axes(moments, self._rows(ids))
         values = np.concatenate([linear, angular], axis=1)
@@ -223,10 +226,11 @@ class RigidObject(BatchEntity):
         if variants is None:
             iquat = self.engine.model.body_iquat[self.index.root_body_id]
             return inertia_about_axes(iquat, moments)
-        found, present = moments, self._variant[rows][:, None]
+        present = self._variant[rows][:, None]
+        diagonals = moments
         for number, iquat in enumerate(variants.iquat):
-            found = np.where(present == number, inertia_about_axes(iquat, moments), found)
-        return found
+            diagonals = np.where(present == number, inertia_about_axes(iquat, moments), diagonals)
+        return diagonals
 
     def read_damping(self) -> Floats:
         """(N, 2) linear and angular damping, 1/s: do not write or store."""
@@ -240,7 +244,8 @@ class RigidObject(BatchEntity):
     def read_com_pose(self, compiled: bool = False) -> Floats:
         """(N, 7) centre-of-mass frame in the body's frame, current or compiled."""
         if compiled:
-            model, body = self.engine.model, self.index.root_body_id
+            model = self.engine.model
+            body = self.index.root_body_id
             row = np.concatenate([model.body_ipos[body], model.body_iquat[body]])
             return np.tile(row, (self.num_instances, 1))
         pos = self.engine.model_field("body_ipos")[:, self._columns(3)]
@@ -267,18 +272,25 @@ class RigidObject(BatchEntity):
 
     def write_shape(self, chosen: NDArray[np.int64], ids: EnvIndex | None) -> None:
         """Give the object the shapes with these indices (n,), from checked arrays."""
-        variants, geoms, write = self.index.variants, self.index.geom_ids, self.engine.write_model
+        variants = self.index.variants
         if variants is None:
             raise ValueError(f"{self.uid} has one shape: declare others in any_of")
-        where, body = self._rows(ids), self.index.root_body_id
-        mass, inertia = (rows_at(v, chosen) for v in (variants.mass, variants.inertia))
+        geoms = self.index.geom_ids
+        body = self.index.root_body_id
+        rows = self._rows(ids)
+        mass = rows_at(variants.mass, chosen)
+        inertia = rows_at(variants.inertia, chosen)
         put = self.host.arrays.of
-        self._variant[where], self._mass0[where] = put(chosen), put(mass)
-        self._inertia[where] = put(inertia)
-        one = slice(int(geoms[0]), int(geoms[-1]) + 1)
-        write("geom_contype", rows_at(variants.contype, chosen), ids, one)
-        write("geom_conaffinity", rows_at(variants.conaffinity, chosen), ids, one)
-        write("geom_matid", rows_at(variants.materials, chosen), ids, one)
+        self._variant[rows] = put(chosen)
+        self._mass0[rows] = put(mass)
+        self._inertia[rows] = put(inertia)
+        # The geoms of all shapes exist in every environment: only those of the chosen one collide
+        # and are drawn.
+        write = self.engine.write_model
+        one_each = slice(int(geoms[0]), int(geoms[-1]) + 1)
+        write("geom_contype", rows_at(variants.contype, chosen), ids, one_each)
+        write("geom_conaffinity", rows_at(variants.conaffinity, chosen), ids, one_each)
+        write("geom_matid", rows_at(variants.materials, chosen), ids, one_each)
         write("geom_rgba", rows_at(variants.alpha, chosen), ids, 4 * geoms + 3)
         write("body_user", chosen[:, None], ids, slice(body, body + 1))
         write("body_ipos", rows_at(variants.ipos, chosen), ids, self._columns(3))
@@ -311,16 +323,19 @@ class RigidObject(BatchEntity):
 
         With fixed density the mass scales with the volume; else it is the compiled one.
         """
-        solid, where = self.solid, self._rows(ids)
+        solid = self.solid
+        rows = self._rows(ids)
         size, volume, moments = solid.scaled(scale)
-        self._scale[where] = scale
+        self._scale[rows] = scale
         columns = slice(3 * solid.geom, 3 * solid.geom + 3)
         self.engine.write_model("geom_size", size, ids, columns)
         if self._dofs is None:
             self.engine.set_const_later(ids)
             return
-        self._inertia[where] = self.engine.model.body_inertia[self.index.root_body_id] * moments
-        mass = self._mass0[where] * (volume if fixed_density else np.ones_like(volume))
+        self._inertia[rows] = self.engine.model.body_inertia[self.index.root_body_id] * moments
+        mass = self._mass0[rows]
+        if fixed_density:
+            mass = mass * volume
         self.write_mass(mass, ids)
 
     # -- contact and looks -----------------------------------------------------------------------
@@ -336,7 +351,9 @@ class RigidObject(BatchEntity):
 
     def write_collision(self, on: Floats, ids: EnvIndex | None) -> None:
         """Switch contacts on (1) or off (0), (n, 1), from checked arrays."""
-        geoms, body, variants = self.index.geom_ids, self.index.root_body_id, self.index.variants
+        geoms = self.index.geom_ids
+        body = self.index.root_body_id
+        variants = self.index.variants
         for name in ("contype", "conaffinity"):
             bits = getattr(self.engine.model, f"geom_{name}")[None, geoms]
             if variants is not None:
@@ -349,7 +366,8 @@ class RigidObject(BatchEntity):
 
     def set_visible(self, visible: bool = True) -> None:
         """Show or hide the body when rendering, in all environments."""
-        geoms, variants = self.index.geom_ids, self.index.variants
+        geoms = self.index.geom_ids
+        variants = self.index.variants
         alpha = self.engine.model.geom_rgba[None, geoms, 3]
         if variants is not None:
             alpha = variants.alpha[self._variant]
@@ -367,37 +385,41 @@ class RigidObject(BatchEntity):
             fields: The loaded fields, (size,) each, equal in these environments; others are as
                 compiled.
         """
-        where, model, variants = self._rows(ids), self.engine.model, self.index.variants
+        rows = self._rows(ids)
+        model = self.engine.model
+        variants = self.index.variants
         iquat = model.body_iquat[self.index.root_body_id]
         if variants is not None:
             present = int(field_values(model, fields, "body_user", self._columns(1))[0][0])
-            self._variant[where], self._mass0[where] = present, variants.mass[present]
+            self._variant[rows] = present
+            self._mass0[rows] = variants.mass[present]
             iquat = variants.iquat[present]
         mass, _ = field_values(model, fields, "body_mass", self._columns(1))
         inertia, _ = field_values(model, fields, "body_inertia", self._columns(3))
-        mass0 = self._mass0[where][:, None]
-        self._inertia[where] = inertia * (mass0 / mass) if mass[0] > 0 else inertia
+        mass0 = self._mass0[rows][:, None]
+        self._inertia[rows] = inertia * (mass0 / mass) if mass[0] > 0 else inertia
         if len(self.index.geom_ids):
             geom = int(self.index.geom_ids[0])
             columns = slice(3 * geom, 3 * geom + 3)
             size, compiled = field_values(model, fields, "geom_size", columns)
-            self._scale[where] = np.divide(size, compiled, out=np.ones(3), where=compiled > 0)
+            self._scale[rows] = np.divide(size, compiled, out=np.ones(3), where=compiled > 0)
         if self._dofs is None:
             return
         damping, _ = field_values(model, fields, "dof_damping", self._dofs)
         about = inertia_about_axes(iquat, inertia[None])[0]
-        rate = damping[0] / mass[0], damping[3] / about[0]
+        rate = (damping[0] / mass[0], damping[3] / about[0])
+        # A rate that was not drawn is the declared one, to the bit.
         same = np.isclose(rate, self._declared_damping, rtol=1e-9)
-        self._damping[where] = np.where(same, self._declared_damping, rate)
+        self._damping[rows] = np.where(same, self._declared_damping, rate)
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
         """Values that no model field contains (copies)."""
         self.index  # noqa: B018  (compiles, which sets the inertia)
         state = {"damping": self._damping, "scale": self._scale, "inertia": self._inertia}
-        found: dict[str, NDArray[Any]] = {name: values.copy() for name, values in state.items()}
+        copies: dict[str, NDArray[Any]] = {name: values.copy() for name, values in state.items()}
         if self.index.variants is not None:
-            found["shape"] = self._variant.copy()
-        return found
+            copies["shape"] = self._variant.copy()
+        return copies
 
     def load_state_dict(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continue exactly where `state_dict` was taken; the engine restores model fields."""

@@ -34,10 +34,17 @@ logger = logging.getLogger(__name__)
 _WARM_UP = 2
 """Steps before those that are observed and recorded: they load kernels and make constants."""
 _COUNTERS = {
-    *("control_step", "version", "_version", "_all_changed", "physics_seconds"),
-    *("_any_dirty", "arrays_moved", "_views_made"),
+    "control_step",
+    "version",
+    "_version",
+    "_all_changed",
+    "physics_seconds",
+    "_any_dirty",
+    "arrays_moved",
+    "_views_made",
 }
-"""Numbers of the host that change, and decide nothing in a recorded step, or are in `revision`."""
+"""Numbers of the host that change from step to step, and do not decide what a step launches: they
+only count, or `revision` contains them."""
 
 
 Step = tuple["EnvObs", torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
@@ -112,17 +119,18 @@ class StepGraph:
         watched: dict[Path, tuple[Any, Any]] = {}
         for path, place in before.items():
             value = place.get()
-            put = _Watched(value.tensor) if isinstance(value, DeviceArray) else value
-            watched[path] = value, put
-            place.set(put)
+            stand_in = _Watched(value.tensor) if isinstance(value, DeviceArray) else value
+            watched[path] = (value, stand_in)
+            place.set(stand_in)
         self._revision = ()
         result = run(action)
         after, numbers_after = self._places()
         changing = []
-        for path, (value, put) in watched.items():
-            was_read = put.was_read if isinstance(put, _Watched) else True
+        for path, (value, stand_in) in watched.items():
+            # Of a tensor that is not in a `DeviceArray` it is not known: it counts as read.
+            was_read = stand_in.was_read if isinstance(stand_in, _Watched) else True
             now = after[path].get() if path in after else None
-            if now is put:
+            if now is stand_in:
                 after[path].set(value)
             elif was_read and now is None:
                 self._give_up(f"a step removes {_shown(path)}, which it reads")
@@ -161,7 +169,8 @@ class StepGraph:
         """Record a step; its launches run when the graph is replayed."""
         places = self._places()[0]
         self._action = action.clone()
-        for path in self._changing:  # each its own memory: two places may hold the same array
+        # Each gets memory of its own: two places may hold the same array.
+        for path in self._changing:
             value = places[path].get()
             self._kept[path] = value.copy() if isinstance(value, DeviceArray) else value.clone()
             places[path].set(self._kept[path])
@@ -169,7 +178,8 @@ class StepGraph:
         saved = {path: place.get() for path, place in places.items()}
         collecting = gc.isenabled()
         gc.collect()
-        gc.disable()  # what it frees would be recorded
+        # What the garbage collector frees would be recorded.
+        gc.disable()
         try:
             with (
                 torch.cuda.graph(graph, capture_error_mode="thread_local"),
@@ -206,11 +216,15 @@ class StepGraph:
             value = place.get()
             if value is kept:
                 continue
-            old, new = _tensor(kept), _tensor(value)
+            old = _tensor(kept)
+            new = _tensor(value)
             if (new.shape, new.dtype) != (old.shape, old.dtype):
                 change = f"{tuple(old.shape)} {old.dtype} to {tuple(new.shape)} {new.dtype}"
                 raise ValueError(f"a step changes {_shown(path)} from {change}")
-            moved.append((place, kept, new.clone() if new.data_ptr() in addresses else new))
+            if new.data_ptr() in addresses:
+                # It is in the memory of a kept array, which the copies below overwrite.
+                new = new.clone()
+            moved.append((place, kept, new))
         for place, kept, new in moved:
             _tensor(kept).copy_(new)
             place.set(kept)
@@ -243,7 +257,8 @@ class _Watched(DeviceArray):
     __slots__ = ("_numbers", "was_read")
 
     def __init__(self, tensor: torch.Tensor) -> None:
-        self._numbers, self.was_read = tensor, False
+        self._numbers = tensor
+        self.was_read = False
 
     @property
     def tensor(self) -> torch.Tensor:  # type: ignore[override]

@@ -146,19 +146,19 @@ def not_restored(
     snapshot: Snapshot, sim: SimulationManager, managers: Mapping[str, Manager[Any]]
 ) -> list[str]:
     """What differs from the recorded moment, one line each."""
-    found = [*snapshot.notes, *_ALWAYS]
+    missing = [*snapshot.notes, *_ALWAYS]
     for uid, sensor in sim.sensors.items():
         if sensor.cfg.rate is not None:
-            found.append(f"sensors.{uid}: readings between measurements")
-    again = {("commands" if d.mode == "command" else "events", d.term) for d in snapshot.drawn}
+            missing.append(f"sensors.{uid}: readings between measurements")
+    redrawn = {("commands" if d.mode == "command" else "events", d.term) for d in snapshot.drawn}
     for section, manager in managers.items():
         for name, why in _kept(manager):
-            if why or (section, name) not in again:
-                found.append(f"{section}.{name}{why}")
-    other = _differing(sim.engine.model, snapshot.model)
-    if other:
-        found.insert(0, f"the scene is another one: its {', '.join(other)} differ")
-    return found
+            if why or (section, name) not in redrawn:
+                missing.append(f"{section}.{name}{why}")
+    other_fields = _differing(sim.engine.model, snapshot.model)
+    if other_fields:
+        missing.insert(0, f"the scene is another one: its {', '.join(other_fields)} differ")
+    return missing
 
 
 def _kept(manager: Manager[Any]) -> Iterator[tuple[str, str]]:
@@ -181,14 +181,16 @@ def _any(value: Any) -> bool:
 
 def _differing(here: mujoco.MjModel, there: mujoco.MjModel) -> list[str]:
     """Arrays of the model, and numbers of its options, that are not the same."""
-    found = []
+    differing = []
     for a, b, prefix in ((here, there, ""), (here.opt, there.opt, "opt.")):
         for name in dir(a):
-            own = name.startswith("_") or name == "signature"  # differs for each compilation
-            value = None if own else getattr(a, name)
+            # The signature differs for each compilation.
+            if name.startswith("_") or name == "signature":
+                continue
+            value = getattr(a, name)
             if isinstance(value, (np.ndarray, int, float)) and not _same(value, getattr(b, name)):
-                found.append(prefix + name)
-    return found
+                differing.append(prefix + name)
+    return differing
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -52,7 +52,8 @@ class Episodes:
     """
 
     def __init__(self, num_envs: int, limit: int, arrays: Arrays) -> None:
-        self.limit, self._arrays = limit, arrays
+        self.limit = limit
+        self._arrays = arrays
         self.begun = False
         self._uncounted = False
         self.elapsed: NDArray[np.int32] = arrays.full(num_envs, 0, np.int32)
@@ -85,7 +86,8 @@ class Episodes:
         It counts for terms and after a step. EmbodiChain counts it after the hooks that observe and
         judge; these see the steps before it.
         """
-        before, self._uncounted = self._uncounted, not present
+        before = self._uncounted
+        self._uncounted = not present
         try:
             yield
         finally:
@@ -147,9 +149,11 @@ class Episodes:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
-        self.elapsed, self.ids = saved["elapsed"].copy(), saved["ids"].copy()
+        self.elapsed = saved["elapsed"].copy()
+        self.ids = saved["ids"].copy()
         self.begun = bool(self._arrays.host(self.ids)[0] >= 0)
-        self.success, self.last_action = saved["success"].copy(), saved["last_action"].copy()
+        self.success = saved["success"].copy()
+        self.last_action = saved["last_action"].copy()
         self.pending = None if saved["pending"] is None else saved["pending"].copy()
         none = np.zeros_like(self.success) if self._on_device else None
         self.cut = none if saved["cut"] is None else saved["cut"].copy()
@@ -167,13 +171,13 @@ def parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
     if isinstance(mode, AutoresetMode):
         return mode
     names = {m.name: m for m in AutoresetMode} | {m.value: m for m in AutoresetMode}
-    found = names.get(mode) or names.get(str(mode).upper())
-    if found is None:
+    named_mode = names.get(mode) or names.get(str(mode).upper())
+    if named_mode is None:
         allowed = ", ".join(m.name for m in AutoresetMode)
         raise ValueError(
             f"unknown autoreset_mode {mode!r}; one of: {allowed}.{did_you_mean(str(mode), names)}"
         )
-    return found
+    return named_mode
 
 
 def seed_globals(env: gym.Env[Any, Any], seed: int) -> None:

@@ -121,8 +121,8 @@ def checked_reward(reward: Any, num_envs: int, hook: str, arrays: Arrays) -> NDA
         ValueError: If it is not a tensor (N,); names the hook.
     """
     if not isinstance(reward, torch.Tensor) or reward.shape != (num_envs,):
-        found = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
-        raise ValueError(f"{hook} must return a tensor of shape ({num_envs},), got {found}")
+        kind = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
+        raise ValueError(f"{hook} must return a tensor of shape ({num_envs},), got {kind}")
     return arrays.of(reward).astype(np.float32)
 
 
@@ -197,7 +197,8 @@ def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
         info: Not changed, nor are its tensors.
         rows: (N,) bool.
     """
-    copy, mask = dict(info), tensor_of(rows)
+    copy = dict(info)
+    mask = tensor_of(rows)
     for key, value in info.items():
         if isinstance(value, TermRows):
             copy[key] = value.zeroed(rows)
