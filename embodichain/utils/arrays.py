@@ -11,11 +11,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.utils.array_types import EnvIndex, Floats
 from embodichain.utils.random import RandomStreams
 
 if TYPE_CHECKING:
@@ -70,8 +71,7 @@ class Arrays:
 
     def host(self, array: Any) -> NDArray[Any]:
         """Return an array on the host; from a device it is a copy, which waits for the device."""
-        found: NDArray[Any] = array
-        return found
+        return array
 
     def of(self, values: Any) -> Any:
         """Return an array that shares memory with a tensor or an array, if its type allows."""
@@ -132,20 +132,17 @@ def may_be_set(mask: Any) -> bool:
 def tensor_of(array: Any) -> torch.Tensor:
     """Return a tensor that shares memory with an array, where the array is."""
     if not isinstance(array, np.ndarray):
-        held: torch.Tensor = array.tensor
-        return held
+        return array.tensor
     # Scenes are checked without torch. A statement to import it would take twice as long here.
     module: Any = sys.modules.get("torch") or import_module("torch")
-    found: torch.Tensor = module.from_numpy(array)
-    return found
+    return module.from_numpy(array)
 
 
-def zeros(shape: tuple[int, ...], like: Any) -> NDArray[np.float64]:
+def zeros(shape: tuple[int, ...], like: Any) -> Floats:
     """Return zeros, where an array is: float64, on a device in the type of its numbers."""
-    found: NDArray[np.float64] = (
-        np.zeros(shape) if is_host(like) else type(like)(like.tensor.new_zeros(shape))
-    )
-    return found
+    if is_host(like):
+        return np.zeros(shape)
+    return type(like)(like.tensor.new_zeros(shape))
 
 
 def contiguous(array: Any, dtype: Any = None) -> NDArray[Any]:
@@ -155,20 +152,17 @@ def contiguous(array: Any, dtype: Any = None) -> NDArray[Any]:
     """
     if is_host(array):
         return np.ascontiguousarray(array, dtype)
-    found: NDArray[Any] = array if dtype is None else array.astype(dtype, copy=False)
-    return found
+    return array if dtype is None else array.astype(dtype, copy=False)
 
 
 def precise(array: Any) -> NDArray[Any]:
     """Return numbers as float64 on a device too, where arrays are float32 otherwise."""
-    found: NDArray[Any] = array if is_host(array) else type(array)(array.tensor.double())
-    return found
+    return array if is_host(array) else type(array)(array.tensor.double())
 
 
 def rows_at(table: NDArray[Any], indices: Any) -> NDArray[Any]:
     """Return rows of an array of the host at indices (n,), where these are."""
-    found: NDArray[Any] = table[indices] if is_host(indices) else indices.rows_of(table)
-    return found
+    return table[indices] if is_host(indices) else indices.rows_of(table)
 
 
 def all_finite(values: NDArray[np.floating[Any]]) -> bool:
@@ -217,19 +211,21 @@ def field_values(
     return now, before
 
 
-def as_env_ids(env_ids: Any, num_envs: int) -> NDArray[np.int64] | None:
-    """Return sorted unique int64 environment indices, or None for all of them.
+def as_env_ids(env_ids: Any, num_envs: int) -> EnvIndex | None:
+    """Return sorted unique int64 environment indices, a mask on a device, or None for all of them.
 
     Args:
-        env_ids: None, a boolean mask (N,), or sorted unique indices in [0, N).
+        env_ids: None, a boolean mask (N,), sorted unique indices in [0, N), or an `EnvMask`, which
+            is returned.
         num_envs: N.
 
     Raises:
         ValueError: If indices are unsorted, repeated, out of range or of the wrong kind.
     """
-    if env_ids is None or hasattr(type(env_ids), "mask"):  # an `EnvMask`
-        masked: NDArray[np.int64] | None = env_ids
-        return masked
+    if env_ids is None:
+        return None
+    if hasattr(type(env_ids), "mask"):
+        return cast("EnvIndex", env_ids)
     if hasattr(env_ids, "detach"):
         env_ids = env_ids.detach().cpu().numpy()
     ids = np.asarray(env_ids)
@@ -254,8 +250,8 @@ def as_env_ids(env_ids: Any, num_envs: int) -> NDArray[np.int64] | None:
 
 def as_rows(
     values: Any, rows: int, width: int, what: str, *, shared: bool = False, finite: bool = True
-) -> NDArray[np.float64]:
-    """Return values as (rows, width) float64.
+) -> Floats:
+    """Return values as (rows, width) float64; those on a device as they are.
 
     Args:
         values: A tensor, array or nested sequence of shape (rows, width).
@@ -287,7 +283,7 @@ def as_rows(
     return array
 
 
-def _device_rows(values: Any, rows: int, width: int, what: str) -> NDArray[np.float64]:
+def _device_rows(values: Any, rows: int, width: int, what: str) -> Floats:
     """Check shapes only: whether numbers are finite is not known without waiting."""
     if values.shape not in ((rows, width), (width,)):
         raise ValueError(f"{what} must have shape ({rows}, {width}), got {values.shape}")

@@ -1,4 +1,4 @@
-"""Quaternions (wxyz), rotation matrices and 7-vector poses: float64 arrays, batched.
+"""Quaternions (wxyz), rotation matrices and 7-vector poses: arrays of floats, batched.
 
 All functions use elementwise arithmetic in a fixed order, without matrix products, so that a row's
 result does not depend on the number of rows. Products of all pairs of components are computed in
@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from embodichain.utils.array_types import Floats
 from embodichain.utils.arrays import contiguous, is_host, zeros
 
 __all__ = [
@@ -35,8 +35,6 @@ __all__ = [
     "wrapped",
 ]
 
-F64 = NDArray[np.float64]
-
 # Indices (4 i + j) and signs of products a[i] b[j] of two quaternions; each row is a component of
 # the Hamilton product.
 _HAMILTON = np.array([[0, 5, 10, 15], [1, 4, 11, 14], [2, 7, 8, 13], [3, 6, 9, 12]])
@@ -53,61 +51,55 @@ _IDENTITY = np.eye(3).reshape(9, 1)
 _CROSS_PLUS, _CROSS_MINUS = np.array([5, 6, 1]), np.array([7, 2, 3])
 
 
-def _floats(values: Any) -> F64:
+def _floats(values: Any) -> Floats:
     """Numbers as float64, on a device in the type that they have."""
     return np.asarray(values, np.float64) if is_host(values) else values
 
 
-def _products(a: F64, b: F64) -> F64:
+def _products(a: Floats, b: Floats) -> Floats:
     """All products a[i] b[j], (..., n^2), of vectors (..., n)."""
     pairs = a[..., :, None] * b[..., None, :]
     # Not -1: of an array without rows it is undetermined.
-    found: F64 = pairs.reshape(*pairs.shape[:-2], pairs.shape[-2] * pairs.shape[-1])
-    return found
+    return pairs.reshape(*pairs.shape[:-2], pairs.shape[-2] * pairs.shape[-1])
 
 
-def quat_multiply(a: F64, b: F64) -> F64:
+def quat_multiply(a: Floats, b: Floats) -> Floats:
     """Hamilton product of wxyz quaternions, (..., 4)."""
     terms = _products(a, b).take(_HAMILTON, -1) * _HAMILTON_SIGNS
-    found: F64 = terms[..., 0] + terms[..., 1] + terms[..., 2] + terms[..., 3]
-    return found
+    return terms[..., 0] + terms[..., 1] + terms[..., 2] + terms[..., 3]
 
 
-def quat_conjugate(q: F64) -> F64:
+def quat_conjugate(q: Floats) -> Floats:
     """Inverse rotation of unit wxyz quaternions, (..., 4)."""
-    conjugate: F64 = q * _CONJUGATE
-    return conjugate
+    return q * _CONJUGATE
 
 
-def cross(a: F64, b: F64) -> F64:
+def cross(a: Floats, b: Floats) -> Floats:
     """Cross product, (..., 3)."""
     products = _products(a, b)
-    found: F64 = products.take(_CROSS_PLUS, -1) - products.take(_CROSS_MINUS, -1)
-    return found
+    return products.take(_CROSS_PLUS, -1) - products.take(_CROSS_MINUS, -1)
 
 
-def quat_rotate(q: F64, v: F64) -> F64:
+def quat_rotate(q: Floats, v: Floats) -> Floats:
     """Rotate vectors (..., 3) by unit wxyz quaternions (..., 4): v + 2w(u x v) + 2u x (u x v)."""
     u = q[..., 1:]
     t = 2.0 * cross(u, v)
     return v + q[..., :1] * t + cross(u, t)
 
 
-def rotate(matrix: F64, v: F64) -> F64:
+def rotate(matrix: Floats, v: Floats) -> Floats:
     """Rotate vectors (..., 3) by rotation matrices (..., 3, 3)."""
     parts = matrix * v[..., None, :]
-    found: F64 = parts[..., 0] + parts[..., 1] + parts[..., 2]
-    return found
+    return parts[..., 0] + parts[..., 1] + parts[..., 2]
 
 
-def rotate_back(matrix: F64, v: F64) -> F64:
+def rotate_back(matrix: Floats, v: Floats) -> Floats:
     """Rotate vectors (..., 3) by the inverses of rotation matrices (..., 3, 3)."""
     parts = matrix * v[..., :, None]
-    found: F64 = parts[..., 0, :] + parts[..., 1, :] + parts[..., 2, :]
-    return found
+    return parts[..., 0, :] + parts[..., 1, :] + parts[..., 2, :]
 
 
-def normalize_quat(q: F64) -> F64:
+def normalize_quat(q: Floats) -> Floats:
     """Return unit quaternions, (..., 4).
 
     Raises:
@@ -121,14 +113,13 @@ def normalize_quat(q: F64) -> F64:
     return q / norm[..., None]
 
 
-def quat_to_matrix(q: F64) -> F64:
+def quat_to_matrix(q: Floats) -> Floats:
     """Rotation matrices (..., 3, 3) of unit wxyz quaternions (..., 4)."""
     # A row for each component, so that constants broadcast along contiguous rows.
     rows = contiguous(q.reshape(-1, 4).T)
     products = (rows[:, None] * rows).reshape(16, -1)
     sums = products.take(_FIRST, 0) + _SECOND_SIGN * products.take(_SECOND, 0)
-    found: F64 = (_IDENTITY + _FACTOR * sums).T.reshape(*q.shape[:-1], 3, 3)
-    return found
+    return (_IDENTITY + _FACTOR * sums).T.reshape(*q.shape[:-1], 3, 3)
 
 
 # 4 q q^T of a rotation matrix: each entry is a constant plus three entries of the matrix, at these
@@ -156,7 +147,7 @@ _UNIT = np.eye(4).reshape(16)
 _UNTURNED = np.eye(3).tobytes()
 
 
-def matrix_to_quat(m: F64) -> F64:
+def matrix_to_quat(m: Floats) -> Floats:
     """Unit wxyz quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3).
 
     Shepperd's method: divide by the largest of the four components, so no case is ill-conditioned
@@ -179,7 +170,7 @@ def matrix_to_quat(m: F64) -> F64:
     return q.reshape(*m.shape[:-2], 4)
 
 
-def euler_xyz_to_quat(angles: F64) -> F64:
+def euler_xyz_to_quat(angles: Floats) -> Floats:
     """Wxyz quaternions of intrinsic XYZ Euler angles in radians (R = Rx Ry Rz), (..., 3)."""
     half = 0.5 * contiguous(np.moveaxis(_floats(angles), -1, 0))
     (cx, cy, cz), (sx, sy, sz) = np.cos(half), np.sin(half)
@@ -194,12 +185,12 @@ def euler_xyz_to_quat(angles: F64) -> F64:
     )
 
 
-def rpy_to_quat(angles: F64) -> F64:
+def rpy_to_quat(angles: Floats) -> Floats:
     """Wxyz quaternions of roll, pitch, yaw in rad about fixed axes, R = Rz Ry Rx, (..., 3)."""
     return quat_conjugate(euler_xyz_to_quat(-angles))
 
 
-def quat_to_rpy(quats: F64) -> F64:
+def quat_to_rpy(quats: Floats) -> Floats:
     """Roll, pitch, yaw about fixed axes (R = Rz Ry Rx) in rad, (..., 3), of unit wxyz quaternions.
 
     At a pitch of +-90 degrees, where only the sum or difference of the other two counts, they still
@@ -214,11 +205,10 @@ def quat_to_rpy(quats: F64) -> F64:
     cos, sin = np.cos(yaw), np.sin(yaw)
     pitch = np.arctan2(-m20, cos * m00 + sin * m10)
     roll = np.arctan2(sin * m02 - cos * m12, cos * m11 - sin * m01)
-    angles: F64 = np.stack([roll, pitch, yaw], axis=-1)
-    return angles
+    return np.stack([roll, pitch, yaw], axis=-1)
 
 
-def rotvec_to_quat(vectors: F64) -> F64:
+def rotvec_to_quat(vectors: Floats) -> Floats:
     """Wxyz quaternions of rotation vectors (axis times angle in rad), (..., 3)."""
     x, y, z = contiguous(np.moveaxis(_floats(vectors), -1, 0))
     angle = np.sqrt(x * x + y * y + z * z)
@@ -228,7 +218,7 @@ def rotvec_to_quat(vectors: F64) -> F64:
     return np.stack([np.cos(half), factor * x, factor * y, factor * z], axis=-1)
 
 
-def quat_to_rotvec(quats: F64) -> F64:
+def quat_to_rotvec(quats: Floats) -> Floats:
     """Rotation vectors (axis times angle in rad, at most pi), (..., 3), of unit quaternions."""
     w, x, y, z = contiguous(np.moveaxis(quats, -1, 0))
     sine = np.sqrt(x * x + y * y + z * z)
@@ -239,14 +229,13 @@ def quat_to_rotvec(quats: F64) -> F64:
     return np.stack([x * factor, y * factor, z * factor], axis=-1)
 
 
-def wrapped(angles: F64) -> F64:
+def wrapped(angles: Floats) -> Floats:
     """Angles (...) wrapped to [-pi, pi) rad."""
     turn = 2.0 * np.pi
-    found: F64 = angles - turn * np.floor((angles + np.pi) / turn)
-    return found
+    return angles - turn * np.floor((angles + np.pi) / turn)
 
 
-def look_at(eye: F64, target: F64, up: F64) -> F64:
+def look_at(eye: Floats, target: Floats, up: Floats) -> Floats:
     """Rotation matrices (..., 3, 3) of cameras that look from one point to another.
 
     Columns are the camera's axes right, up and backwards (OpenGL). Where `up` is parallel to the
@@ -274,7 +263,7 @@ def look_at(eye: F64, target: F64, up: F64) -> F64:
     return np.stack([right, cross(back, right), back], axis=-1)
 
 
-def pose_to_matrix(pose: F64) -> F64:
+def pose_to_matrix(pose: Floats) -> Floats:
     """4x4 matrices of 7-vectors (x, y, z, qw, qx, qy, qz), (..., 7) -> (..., 4, 4)."""
     out = zeros((*pose.shape[:-1], 4, 4), pose)
     out[..., :3, :3] = quat_to_matrix(pose[..., 3:])
@@ -283,7 +272,7 @@ def pose_to_matrix(pose: F64) -> F64:
     return out
 
 
-def matrix_to_pose(matrix: F64) -> F64:
+def matrix_to_pose(matrix: Floats) -> Floats:
     """7-vectors (x, y, z, qw, qx, qy, qz) of 4x4 matrices, (..., 4, 4) -> (..., 7)."""
     quat = matrix_to_quat(matrix[..., :3, :3])
     return np.concatenate([matrix[..., :3, 3], quat], axis=-1)

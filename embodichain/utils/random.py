@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.utils.array_types import EnvIndex
+
 __all__ = [
     "GAMMA",
     "RandomStreams",
@@ -79,8 +81,7 @@ class _Block:
     def take(self) -> NDArray[np.float64]:
         """The next draw, (N, width) in [0, 1); read only."""
         self.used += 1
-        found: NDArray[np.float64] = self.unit[self.used - 1]
-        return found
+        return self.unit[self.used - 1]
 
     def take_within(self, low: Any, high: Any) -> NDArray[np.float64]:
         """The next draw, (N, width) in [low, high); read only.
@@ -95,8 +96,7 @@ class _Block:
             self.low, self.high = low, high
             self.values = _scaled(self.unit, low, high)
             self.values.setflags(write=False)
-        found: NDArray[np.float64] = self.values[row]
-        return found
+        return self.values[row]
 
 
 def _scaled(unit: NDArray[np.float64], low: Any, high: Any) -> NDArray[np.float64]:
@@ -160,7 +160,7 @@ class RandomStreams:
             self._counters[name] = np.zeros(self.num_envs, np.uint64)
         return keys, self._counters[name]
 
-    def renumber(self, env_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
+    def renumber(self, env_ids: EnvIndex, numbers: NDArray[np.int64]) -> None:
         """Let environments draw from now on what others would draw at their start.
 
         Environment *i* draws as environment first + i of any batch with this seed, unless it gets
@@ -177,7 +177,7 @@ class RandomStreams:
             keys[env_ids] = stream_keys(self.seed, name, self._numbers[env_ids])
             self._counters[name][env_ids] = 0
 
-    def bits(self, name: str, width: int, env_ids: NDArray[np.int64] | None = None) -> U64:
+    def bits(self, name: str, width: int, env_ids: EnvIndex | None = None) -> U64:
         """Return (n, width) random 64-bit words and advance the environments' counters."""
         keys, counters = self._stream(name)
         self._settle(name)
@@ -198,7 +198,7 @@ class RandomStreams:
         shape: Sequence[int] = (),
         low: Any = 0.0,
         high: Any = 1.0,
-        env_ids: NDArray[np.int64] | None = None,
+        env_ids: EnvIndex | None = None,
     ) -> NDArray[np.float64]:
         """Draw uniformly from [low, high).
 
@@ -207,7 +207,7 @@ class RandomStreams:
             shape: Shape of one environment's draw.
             low: Scalar or array that broadcasts to ``shape``.
             high: As `low`.
-            env_ids: (n,) environments that draw; None is all N.
+            env_ids: (n,) environments that draw; None is all N. `DeviceStreams` takes a mask.
 
         Returns:
             (n, *shape) float64; do not write to it.
@@ -251,7 +251,7 @@ class RandomStreams:
             self._counters[name] += np.uint64(block.used * block.width)
 
     def normal(
-        self, name: str, shape: Sequence[int] = (), env_ids: NDArray[np.int64] | None = None
+        self, name: str, shape: Sequence[int] = (), env_ids: EnvIndex | None = None
     ) -> NDArray[np.float64]:
         """Draw standard normal numbers (Box-Muller), (n, *shape) float64."""
         width = int(np.prod(shape, dtype=np.int64))

@@ -14,7 +14,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "Articulation",
@@ -109,7 +109,7 @@ def joints_of(
     return found
 
 
-def target_position(env: TermContext, key: str) -> F64:
+def target_position(env: TermContext, key: str) -> Floats:
     """(N, 3) positions in metres stored as ``env.<key>``, as positions or as poses (N, 4, 4).
 
     Before the first reset, when no event can have written them, it is the world's origin.
@@ -120,14 +120,14 @@ def target_position(env: TermContext, key: str) -> F64:
     poses: Any = getattr(env, key, None)
     if poses is None:
         if int(env.episode_ids[0]) < 0:
-            origin: F64 = env.arrays.full((env.num_envs, 3), 0.0)
+            origin: Floats = env.arrays.full((env.num_envs, 3), 0.0)
             return origin
         message = (
             f"the environment has no poses {key!r}: an event writes them, "
             f"as randomize_target_pose with store_key: {key}"
         )
         raise ConfigError([Problem("target_pose_key", message)])
-    array: F64 = env.arrays.of(poses)
+    array: Floats = env.arrays.of(poses)
     count = env.num_envs
     if array.shape == (count, 3):
         return array.astype(np.float64)

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["PrepareExtraAttr", "RegisterInfoToEnv"]
 
@@ -296,7 +297,7 @@ class RegisterInfoToEnv(Term):
             self._put(key, tensor_of(values.astype(np.float32)), env_ids)
 
 
-def _as_pose(array: NDArray[Any], count: int) -> tuple[F64, F64]:
+def _as_pose(array: NDArray[Any], count: int) -> tuple[Floats, Floats]:
     """(N, 3) and (N, 4) of 4x4 matrices or 7-vectors, of one or of all environments."""
     array = array.astype(np.float64)
     if array.shape[-2:] == (4, 4):

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "PlannerGridCellSampler",
@@ -44,10 +45,10 @@ __all__ = [
 Count = Annotated[int, Field(ge=1)]
 
 
-def _initial_quats(env: TermContext, asset: Any) -> F64:
+def _initial_quats(env: TermContext, asset: Any) -> Floats:
     """(N, 4) initial orientation."""
     quat0 = np.asarray(asset.entity.quat0, np.float64)
-    quats: F64 = env.arrays.put(np.tile(quat0, (env.num_envs, 1)))
+    quats: Floats = env.arrays.put(np.tile(quat0, (env.num_envs, 1)))
     return quats
 
 
@@ -99,13 +100,15 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
         self._attempts = max_attempts
         count = env.num_envs
-        self._home: F64 = np.tile(np.asarray(self._robot.parsed.init_qpos, np.float64), (count, 1))
+        self._home: Floats = np.tile(
+            np.asarray(self._robot.parsed.init_qpos, np.float64), (count, 1)
+        )
         self._quat0 = _initial_quats(env, self._asset)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw positions until each of these environments has one; place the object."""
         left: EnvIndex = np.arange(env.num_envs) if env_ids is None else env_ids
-        places: F64 = np.zeros((env.num_envs, 3))
+        places: Floats = np.zeros((env.num_envs, 3))
         found = []
         for _ in range(self._attempts):
             pos = self._position(env.event_manager, left)
@@ -119,7 +122,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         if len(ids):
             self._place(env, places[ids], ids)
 
-    def _place(self, env: TermContext, pos: F64, ids: EnvIndex) -> None:
+    def _place(self, env: TermContext, pos: Floats, ids: EnvIndex) -> None:
         quat = self._quat0[: len(ids)]
         if self._rotation is not None:
             angles = self._rotation(env.event_manager, ids)
@@ -187,7 +190,7 @@ class PlannerGridCellSampler(Term):
             env.sim.engine.step(self._steps, env_ids)
 
 
-def _centres(box: Box2, rows: int, columns: int, height: float) -> F64:
+def _centres(box: Box2, rows: int, columns: int, height: float) -> Floats:
     """(rows * columns, 3) centres of the cells, row by row."""
     (x0, y0), (x1, y1) = box
     x = x0 + (np.arange(rows) + 0.5) * (x1 - x0) / rows
@@ -237,13 +240,13 @@ class RandomizeAnchorHeight(Term):
             for uid, handle in env.sim.rigid_objects.items()
             if not handle.is_non_dynamic and uid not in excluded
         ]
-        self._candidates: F64 | None = None
+        self._candidates: Floats | None = None
         bounds: Any = height_delta_range
         if height_delta_candidates is not None:
             self._candidates = np.asarray(height_delta_candidates, np.float64)
             bounds = 0.0, float(len(self._candidates))
         self._height = Uniform("height", [bounds[0]], [bounds[1]])
-        self._delta: F64 = env.arrays.full(env.num_envs, 0.0)
+        self._delta: Floats = env.arrays.full(env.num_envs, 0.0)
         if store_key is not None:
             stored(env, store_key, lambda: tensor_of(self._heights()), "store_key")
 
@@ -325,7 +328,7 @@ class RandomizeTargetPose(Term):
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
         count = env.num_envs
         unturned = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (count, 1))
-        self._unturned: F64 = env.arrays.put(unturned)
+        self._unturned: Floats = env.arrays.put(unturned)
         first = tensor_of(env.arrays.put(np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))))
         stored(env, store_key, lambda: first, "store_key")
 

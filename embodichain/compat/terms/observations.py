@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "GetRobotEefPose",
@@ -46,7 +46,7 @@ _NO_LIMIT = 1e10
 
 
 @register_term("observation")
-def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True) -> F64:
+def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True) -> Floats:
     """Pose of an object, a robot's root, or the picked link, in the environment's frame.
 
     Args:
@@ -61,7 +61,7 @@ def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: boo
 
 
 @quantity("observation")
-def get_rigid_object_velocity(env: TermContext, entity_cfg: Body) -> F64:
+def get_rigid_object_velocity(env: TermContext, entity_cfg: Body) -> Floats:
     """(N, 6) linear velocity in m/s, then angular in rad/s, world axes; zeros unless dynamic.
 
     Args:
@@ -94,7 +94,7 @@ class GetRobotEefPose:
         self._tool = tool_of(env, None, part_name)
         self._position_only = position_only
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """Float64 poses."""
         position = self._tool.position()
         if self._position_only:
@@ -103,7 +103,7 @@ class GetRobotEefPose:
 
 
 @quantity("observation")
-def target_position(env: TermContext, target_pose_key: str = "goal_pose") -> F64:
+def target_position(env: TermContext, target_pose_key: str = "goal_pose") -> Floats:
     """(N, 3) position in metres of the poses that an event stores as ``env.<target_pose_key>``.
 
     `randomize_target_pose` stores such poses; without them the first reset is an error.
@@ -180,7 +180,7 @@ def get_rigid_object_physics_attributes(
 @quantity("observation")
 def get_articulation_joint_drive(
     env: TermContext, entity_cfg: Joints, gains: Gains = _ALL_GAINS
-) -> F64:
+) -> Floats:
     """Properties of joints and their drives side by side, each environment's own.
 
     K columns of the picked joints for each property: stiffness (N m/rad), damping (N m s/rad),
@@ -197,7 +197,7 @@ def get_articulation_joint_drive(
     """
     drives, ids = entity_cfg.asset.drives, list(entity_cfg.joint_ids)
     parts = [getattr(drives, name)[:, ids] for name in gains]
-    found: F64 = np.minimum(np.concatenate(parts, axis=1), _NO_LIMIT)
+    found: Floats = np.minimum(np.concatenate(parts, axis=1), _NO_LIMIT)
     return found
 
 
@@ -240,7 +240,7 @@ class NormalizeRobotJointData(Term):
         joints = joints_of(env, joint_ids=[active[column] for column in self._columns])
         self._ids = np.asarray(joints.joint_ids, np.int64)
         self._drives = joints.asset.drives if limit == "qpos_limits" else None
-        limits: F64 = np.asarray(getattr(joints.asset.parsed, limit), np.float64)[self._ids]
+        limits: Floats = np.asarray(getattr(joints.asset.parsed, limit), np.float64)[self._ids]
         if self._drives is None:  # 0 in a file means that no velocity or effort limit is given
             limits = np.stack([-limits, np.where(limits > 0, limits, np.inf)], axis=1)
         limited = np.isfinite(limits)

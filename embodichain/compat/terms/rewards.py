@@ -23,7 +23,7 @@ from embodichain.utils.math import quat_conjugate, quat_multiply
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "IncrementalDistanceToTarget",
@@ -36,10 +36,10 @@ __all__ = [
 ]
 
 
-def _closeness(d: F64, exponential: bool, sigma: float) -> F64:
+def _closeness(d: Floats, exponential: bool, sigma: float) -> Floats:
     if not exponential:
         return -d
-    found: F64 = np.exp(contiguous(d * d * (-0.5 / (sigma * sigma))))
+    found: Floats = np.exp(contiguous(d * d * (-0.5 / (sigma * sigma))))
     return found
 
 
@@ -51,7 +51,7 @@ def distance_between_objects(
     exponential: bool = False,
     sigma: Positive = 1.0,
     use_xy_only: bool = False,
-) -> F64:
+) -> Floats:
     """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres between two entities.
 
     Args:
@@ -69,7 +69,7 @@ def distance_between_objects(
     return _closeness(d, exponential, sigma)
 
 
-def _distance_to_target(env: TermContext, source: Body, key: str, use_xy_only: bool) -> F64:
+def _distance_to_target(env: TermContext, source: Body, key: str, use_xy_only: bool) -> Floats:
     delta = target_position(env, key) - source.position()
     return norm(delta[:, :2] if use_xy_only else delta)
 
@@ -82,7 +82,7 @@ def distance_to_target(
     exponential: bool = False,
     sigma: Positive = 1.0,
     use_xy_only: bool = False,
-) -> F64:
+) -> Floats:
     """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres to a pose that an event stores.
 
     Args:
@@ -133,7 +133,7 @@ class IncrementalDistanceToTarget(Rate):
         self._target = env, source_entity_cfg, target_pose_key, use_xy_only
         self._scale, self._weights = tanh_scale, (positive_weight, negative_weight)
 
-    def __call__(self, values: F64 | None = None) -> F64:
+    def __call__(self, values: Floats | None = None) -> Floats:
         """(N,) in (-negative_weight, positive_weight)."""
         change = super().__call__(_distance_to_target(*self._target) if values is None else values)
         progress = np.tanh(self._scale * -change)
@@ -179,7 +179,7 @@ class ReachingBehindObject:
         self._behind, self._up = behind_offset, np.array([0.0, 0.0, height_offset])
         self._scale = distance_scale
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,) in (0, 1]."""
         place = self._object.position()
         way = target_position(self._env, self._key) - place
@@ -192,7 +192,7 @@ class ReachingBehindObject:
 @quantity("reward", "metric")
 def object_goal_distance(
     env: TermContext, object_cfg: Body, goal_cfg: Body, std: Positive, minimal_height: float
-) -> F64:
+) -> Floats:
     """1 - tanh(d / std) where the object is higher than `minimal_height`, else 0.
 
     Isaac Lab's reward of the same name, with an entity in place of a command as the goal. The
@@ -215,7 +215,7 @@ def object_goal_distance(
 @quantity("reward", "metric")
 def orientation_alignment(
     env: TermContext, source_entity_cfg: Body, target_entity_cfg: Body
-) -> F64:
+) -> Floats:
     """(tr(Rs Rt^T) - 1) / 2, the cosine of the angle between two orientations, in [-1, 1].
 
     Args:
@@ -259,7 +259,7 @@ class JointLimitPenalty:
         self._margin = margin
         self._joints.qpos_limits()
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,), not positive."""
         qpos = self._joints.qpos()
         low, high = self._joints.qpos_limits()

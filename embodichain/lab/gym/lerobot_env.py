@@ -251,8 +251,7 @@ def _entry(obs: Mapping[str, Any], name: str) -> NDArray[Any]:
     found: Any = obs
     for part in name.split("/"):
         found = found[part]
-    array: NDArray[Any] = found
-    return array
+    return found
 
 
 def _size(space: spaces.Space[Any]) -> int:

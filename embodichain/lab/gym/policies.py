@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.array_types import EnvIds
 
 __all__ = [
     "POLICIES",
@@ -53,7 +53,7 @@ class Policy(Protocol):
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
         """Return (N, A) float32 actions for an observation."""
 
-    def reset(self, env_ids: EnvIndex | None) -> None:
+    def reset(self, env_ids: EnvIds | None) -> None:
         """Clear the state of the episodes of these environments; (n,) int64, or None for all."""
 
 
@@ -228,10 +228,9 @@ class _Plain:
         self._func = func
 
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
-        action: torch.Tensor = self._func(obs, env)
-        return action
+        return self._func(obs, env)
 
-    def reset(self, env_ids: EnvIndex | None) -> None:
+    def reset(self, env_ids: EnvIds | None) -> None:
         """Do nothing: there is no state."""
 
 

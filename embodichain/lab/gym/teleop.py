@@ -184,8 +184,7 @@ class Teleop:
     @property
     def robot_uid(self) -> str | None:
         """Uid of the robot of the active tool, if its action term names it."""
-        uid: str | None = getattr(self._tools[self._tool].term, "robot_uid", None)
-        return uid
+        return getattr(self._tools[self._tool].term, "robot_uid", None)
 
     @property
     def tool_names(self) -> list[str]:

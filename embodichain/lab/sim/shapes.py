@@ -59,8 +59,7 @@ class ShapeCfg:
         Raises:
             ConfigError: If the type or a key is unknown; lists what exists.
         """
-        built: ShapeCfg = member_from_dict(_SHAPES, "shape_type", init_dict)
-        return built
+        return member_from_dict(_SHAPES, "shape_type", init_dict)
 
 
 @configclass

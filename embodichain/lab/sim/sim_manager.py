@@ -36,6 +36,7 @@ from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
+from embodichain.utils.array_types import host_ids
 from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
 from embodichain.utils.plugins import with_missing_members
@@ -73,8 +74,7 @@ _Found = TypeVar("_Found")
 
 def _finder(group: str, kind: type[_Found]) -> Callable[[SimulationManager, str], _Found | None]:
     def get(self: SimulationManager, uid: str) -> _Found | None:
-        found: _Found | None = getattr(self, group).get(uid)
-        return found
+        return getattr(self, group).get(uid)
 
     get.__doc__ = f"One of `{group}` by uid, or None."
     return get
@@ -379,7 +379,9 @@ class SimulationManager(Uncopied):
             RenderError: If an output cannot be drawn here; names the packages to install.
             ValueError: If there is no such environment.
         """
-        return self.renderer.draw(self.engine, views, as_env_ids(env_ids, self.num_envs))
+        ids = as_env_ids(env_ids, self.num_envs)
+        envs = None if ids is None else host_ids(ids)
+        return self.renderer.draw(self.engine, views, envs)
 
     def render(
         self,

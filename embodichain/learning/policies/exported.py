@@ -26,7 +26,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import EnvIds
 
 __all__ = [
     "INPUT",
@@ -136,7 +136,7 @@ class ExportedPolicy(TrainedPolicy):
         self._starts = np.zeros(len(actions), np.bool_)
         return actions
 
-    def reset(self, env_ids: EnvIndex | None) -> None:
+    def reset(self, env_ids: EnvIds | None) -> None:
         """Forget the chunks predicted for these environments; None is all."""
         if self._starts is not None:
             self._starts[... if env_ids is None else env_ids] = True

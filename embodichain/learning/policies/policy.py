@@ -35,8 +35,8 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.array_types import EnvIds
 
 __all__ = ["LearnedPolicy", "load_checkpoint", "load_model", "load_policy"]
 
@@ -239,7 +239,7 @@ class LearnedPolicy(TrainedPolicy):
             raise RuntimeError("the policy was checked against no environment yet")
         return self._scale(self.predict(obs))
 
-    def reset(self, env_ids: EnvIndex | None) -> None:
+    def reset(self, env_ids: EnvIds | None) -> None:
         """Reset the state of a policy with memory for these environments; None is all."""
         if self._starts is not None:
             self._starts[... if env_ids is None else env_ids] = True

@@ -17,8 +17,8 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.array_types import EnvIds
 
 __all__ = ["TrainedPolicy", "check_columns"]
 
@@ -85,7 +85,7 @@ class TrainedPolicy(ABC):
         """Check that observations and actions have the widths of those of an environment."""
 
     @abstractmethod
-    def reset(self, env_ids: EnvIndex | None) -> None:
+    def reset(self, env_ids: EnvIds | None) -> None:
         """Reset the policy's state for these environments; None is all."""
 
 

@@ -18,7 +18,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import EnvIndex
 from embodichain.recording.check.byte_check import ByteReport, Damage, check_bytes
 from embodichain.recording.format.attachments import (
     approximate_model,
@@ -39,6 +38,7 @@ from embodichain.recording.read.simulation import (
     always,
 )
 from embodichain.recording.read.trajectory import changes, outcomes, runs
+from embodichain.utils.array_types import EnvIds
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["MOST_OUTSIDE", "Difference", "VerifyReport", "damaged", "simulate", "verify"]
@@ -236,7 +236,7 @@ def _still_good_for(header: Header) -> str:
     return "its recorded states can be played all the same: replay --view, replay --video, export"
 
 
-def _select(header: Header, env: int | None) -> EnvIndex:
+def _select(header: Header, env: int | None) -> EnvIds:
     if env is None:
         return np.arange(header.num_envs, dtype=np.int64)
     header.check_env(env)
@@ -266,7 +266,7 @@ def _model(reader: LogReader) -> tuple[mujoco.MjModel | None, bool, list[str]]:
     return model, False, problems
 
 
-def _episode(reader: LogReader, selected: EnvIndex, episode: int) -> Active:
+def _episode(reader: LogReader, selected: EnvIds, episode: int) -> Active:
     """Steps of an episode of the selected environments, found in a separate pass over the log."""
     masks: dict[int, NDArray[np.bool_]] = {}
     last = -1
@@ -286,7 +286,7 @@ def _episode(reader: LogReader, selected: EnvIndex, episode: int) -> Active:
 
 def _follow(
     reader: LogReader,
-    how: tuple[mujoco.MjModel, EnvIndex, Active, bool, int, bool],
+    how: tuple[mujoco.MjModel, EnvIds, Active, bool, int, bool],
     report: VerifyReport,
     progress: Progress | None,
 ) -> VerifyReport:

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.expert.targets import TargetPoses
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.array_types import EnvIds
 
     Rows = NDArray[np.int64]
 
@@ -80,7 +81,7 @@ class Augmented:
             self._player = _Player(env, self._path, self._most, self._nearest)
         return tensor_of(self._player.act().astype(np.float32))
 
-    def reset(self, env_ids: EnvIndex | None) -> None:
+    def reset(self, env_ids: EnvIds | None) -> None:
         """Begin anew in these environments; (n,) int64, or None for all."""
         if self._player is not None:
             self._player.reset(env_ids)
@@ -174,7 +175,7 @@ class _Player:
     def _width(self) -> int:
         return sum(self.env.single_action_space.shape or ())
 
-    def reset(self, env_ids: EnvIndex | None) -> None:
+    def reset(self, env_ids: EnvIds | None) -> None:
         """Begin anew in these environments, at the next action."""
         rows = np.arange(self.env.num_envs) if env_ids is None else np.asarray(env_ids)
         self._fresh[rows], self.done[rows] = True, False

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.restoring.snapshot import Drawn, Snapshot
-from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.format.log_error import LogError
 from embodichain.recording.format.messages.block import DRAWN, Call, Run
 from embodichain.recording.read.episodes import LogEpisode
 from embodichain.recording.read.playback import follower_of, span_of
 from embodichain.recording.read.recorded_log import RecordedLog
 from embodichain.recording.read.trajectory import Span, own_physics, runs
+from embodichain.utils.array_types import EnvIds
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["Log"]
@@ -176,7 +177,7 @@ def _history(log: RecordedLog, env: int, step: int) -> tuple[tuple[Drawn, ...], 
     return tuple(found.values()), begins
 
 
-def _drawn(call: Call, t: int, ids: EnvIndex | None, env: int) -> Drawn:
+def _drawn(call: Call, t: int, ids: EnvIds | None, env: int) -> Drawn:
     row = env if ids is None else int(np.searchsorted(ids, env))
     values = {}
     for name, drawn in call.arrays.items():

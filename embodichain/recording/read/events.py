@@ -11,12 +11,13 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.format.log_error import LogError
 from embodichain.recording.format.messages.block import DRAWN, CallKind
 from embodichain.recording.format.messages.schema import scalars_class
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.trajectory import columns_of, runs
+from embodichain.utils.array_types import EnvIds
 
 __all__ = ["LogEvent", "LogWrite", "read_events", "read_metrics", "read_writes"]
 
@@ -36,7 +37,7 @@ class LogEvent:
     step: int
     term: str
     mode: str
-    env_ids: EnvIndex | None
+    env_ids: EnvIds | None
     drawn: dict[str, NDArray[np.float64]]
 
 
@@ -56,7 +57,7 @@ class LogWrite:
     step: int
     op: str
     field: str
-    env_ids: EnvIndex | None
+    env_ids: EnvIds | None
     columns: NDArray[np.int64] | slice
     values: F64 | None
 

@@ -13,7 +13,6 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import EnvIndex
 from embodichain.recording.format.attachments import (
     MODEL,
     approximate_model,
@@ -42,6 +41,7 @@ from embodichain.recording.read.events import (
 )
 from embodichain.recording.read.simulation import Simulation
 from embodichain.recording.read.trajectory import Rows, Span, outcomes, runs
+from embodichain.utils.array_types import EnvIds
 from embodichain.utils.env_text import shown
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
@@ -311,7 +311,7 @@ class RecordedLog:
         # Components of the state first, as in `columns`.
         return sorted(dict.fromkeys(names), key=lambda name: name in OUTCOMES)
 
-    def _envs(self, env: int | Sequence[int] | None) -> EnvIndex:
+    def _envs(self, env: int | Sequence[int] | None) -> EnvIds:
         if env is None:
             return np.arange(self.num_envs)
         ids = np.atleast_1d(np.asarray(env, np.int64))
@@ -321,7 +321,7 @@ class RecordedLog:
             raise ConfigError(f"environments must be in ascending order, not {ids.tolist()}")
         return ids
 
-    def _span_of(self, ids: EnvIndex, episode: int, span: Span) -> Span:
+    def _span_of(self, ids: EnvIds, episode: int, span: Span) -> Span:
         if len(ids) != 1:
             raise ConfigError(f"episode {episode} has other steps in each environment: name one")
         found = episode_of(self.episodes, int(ids[0]), episode)

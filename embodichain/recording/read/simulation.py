@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64
 from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS
 from embodichain.recording.format.attachments import check_rows
@@ -21,6 +21,7 @@ from embodichain.recording.format.messages.columns import column_name
 from embodichain.recording.format.messages.hashing import row_hashes
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.trajectory import Rows, columns_of
+from embodichain.utils.array_types import EnvIds
 
 __all__ = ["TOLERANCE", "Active", "Difference", "DifferenceFound", "Simulation", "always", "never"]
 
@@ -113,7 +114,7 @@ class Simulation(Rows):
         self,
         reader: LogReader,
         model: mujoco.MjModel,
-        env_ids: EnvIndex | None = None,
+        env_ids: EnvIds | None = None,
         active: Active | None = None,
         exact: bool = True,
         num_threads: int = 0,
@@ -163,7 +164,7 @@ class Simulation(Rows):
                 self.engine.write_model(name, values)
         self.changes += bool(fields)
 
-    def write(self, step: int, call: Call, local: EnvIndex | None, values: F64 | None) -> None:
+    def write(self, step: int, call: Call, local: EnvIds | None, values: F64 | None) -> None:
         """Apply a write outside physics.
 
         Raises:
@@ -184,7 +185,7 @@ class Simulation(Rows):
         self.changes += mode in ("model", "set_const")
 
     def physics(
-        self, step: int, call: Call, t: int, local: EnvIndex | None, take: EnvIndex | slice
+        self, step: int, call: Call, t: int, local: EnvIds | None, take: EnvIds | slice
     ) -> None:
         """Step physics and compare the result.
 
@@ -208,7 +209,7 @@ class Simulation(Rows):
     def _settle(
         self,
         step: int,
-        local: EnvIndex | None,
+        local: EnvIds | None,
         recorded: F64,
         columns: NDArray[np.int64] | slice,
         exact: bool,
@@ -222,7 +223,7 @@ class Simulation(Rows):
     def _compare(
         self,
         step: int,
-        local: EnvIndex | None,
+        local: EnvIds | None,
         recorded: F64,
         columns: NDArray[np.int64] | slice,
         exact: bool,
@@ -245,7 +246,7 @@ class Simulation(Rows):
         name = column_name(self._layout, column)
         self._differ(step, local, row, name, float(recorded[row, at]), float(here[row, at]))
 
-    def _taken(self, local: EnvIndex | None, columns: NDArray[np.int64] | slice) -> F64:
+    def _taken(self, local: EnvIds | None, columns: NDArray[np.int64] | slice) -> F64:
         """(n, k) columns of the simulated rows, contiguous."""
         rows = self.rows if local is None else self.rows[local]
         if isinstance(columns, slice):
@@ -253,7 +254,7 @@ class Simulation(Rows):
         return self.moved.take(rows)
 
     def _compare_hashes(
-        self, step: int, local: EnvIndex | None, recorded: NDArray[np.uint64]
+        self, step: int, local: EnvIds | None, recorded: NDArray[np.uint64]
     ) -> None:
         active = self._active(step)
         hashes = row_hashes(self.moved.take(self.rows if local is None else self.rows[local]))
@@ -263,7 +264,7 @@ class Simulation(Rows):
             self._differ(step, local, row, "hash", int(recorded[row]), int(hashes[row]))
 
     def _differ(
-        self, step: int, local: EnvIndex | None, row: int, field: str, *values: float
+        self, step: int, local: EnvIds | None, row: int, field: str, *values: float
     ) -> NoReturn:
         env = int(self.env_ids[row if local is None else local[row]])
         raise DifferenceFound(self.path, Difference(step, env, field, *values))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64
 from embodichain.lab.sim.engine.cpu.cpu_engine import entries
 from embodichain.recording.format.header import Header
 from embodichain.recording.format.log_error import DamageError, LogError
@@ -22,6 +22,7 @@ from embodichain.recording.format.messages.block import Call, CallKind, Run, unp
 from embodichain.recording.format.messages.columns import Moved
 from embodichain.recording.format.messages.schema import START_TOPIC, STEPS_TOPIC
 from embodichain.recording.read.chunks import ChunkPlace, LogReader
+from embodichain.utils.array_types import EnvIds
 
 __all__ = [
     "Rows",
@@ -185,7 +186,7 @@ class Rows:
         moved: The columns that physics writes.
     """
 
-    def __init__(self, reader: LogReader, env_ids: EnvIndex | None = None) -> None:
+    def __init__(self, reader: LogReader, env_ids: EnvIds | None = None) -> None:
         self.header = header = reader.require_header()
         self.path = reader.path
         n = header.num_envs
@@ -247,7 +248,7 @@ class Rows:
                 f"{self.path}: step {step}: {what} does not fit the model: {error}"
             ) from error
 
-    def chosen(self, ids: EnvIndex | None) -> tuple[EnvIndex | None, EnvIndex | slice]:
+    def chosen(self, ids: EnvIds | None) -> tuple[EnvIds | None, EnvIds | slice]:
         """Indices of a call's environments in `rows` (None for all), and in the call's arrays."""
         if ids is None:
             return None, slice(None) if self._all else self.env_ids
@@ -258,7 +259,7 @@ class Rows:
         local = local[take]
         return (None if len(local) == len(self.env_ids) else local), take
 
-    def write(self, step: int, call: Call, local: EnvIndex | None, values: F64 | None) -> None:
+    def write(self, step: int, call: Call, local: EnvIds | None, values: F64 | None) -> None:
         """Apply a write outside physics."""
         if values is None or call.kind.mode == "model":
             return
@@ -274,7 +275,7 @@ class Rows:
         view[entries(local, columns_of(call.kind.columns))] = values
 
     def physics(
-        self, step: int, call: Call, t: int, local: EnvIndex | None, take: EnvIndex | slice
+        self, step: int, call: Call, t: int, local: EnvIds | None, take: EnvIds | slice
     ) -> None:
         """Apply the recorded result of physics."""
         if "rows" not in call.arrays:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.restoring.snapshot import Snapshot
-from embodichain.lab.sim.engine.api import EnvIndex
 from embodichain.recording.check.byte_check import check_bytes
 from embodichain.recording.check.verification import VerifyReport, damaged, simulate
 from embodichain.recording.format.header import Header
@@ -25,6 +24,7 @@ from embodichain.recording.read.episodes import LogEpisode
 from embodichain.recording.read.events import LogEvent, LogWrite
 from embodichain.recording.read.summary import ChannelInfo, LogSummary, inspect
 from embodichain.recording.shards.shard_logs import ShardEntry, read_shards
+from embodichain.utils.array_types import EnvIds
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["ShardedLog", "inspect_shards", "verify_shards"]
@@ -134,7 +134,7 @@ class ShardedLog(Log):
 
     def _merged(self, of: Callable[[Log], Iterator[Any]]) -> Iterator[Any]:
         def numbered(log: Log, first: int) -> Iterator[Any]:
-            every: EnvIndex = np.arange(log.num_envs)
+            every: EnvIds = np.arange(log.num_envs)
             for one in of(log):
                 ids = every if one.env_ids is None else one.env_ids
                 yield replace(one, env_ids=ids + first)

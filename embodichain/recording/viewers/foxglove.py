@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
-from embodichain.lab.sim.engine.api import EnvIndex, Write
+from embodichain.lab.sim.engine.api import Write
 from embodichain.recording.format.options import ImageOptions, RecordOptions, check_options
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.viewers.foxglove_server import FoxgloveServer
 from embodichain.recording.views.images import Images
 from embodichain.recording.views.pictures import camera_sensors
 from embodichain.recording.views.views import Views
+from embodichain.utils.array_types import EnvIds
 from embodichain.utils.errors import RenderError
 from embodichain.utils.system.access import Access
 
@@ -109,7 +110,7 @@ class FoxgloveView(StepObserver):
         if self._active:
             self._views.on_event(event)
 
-    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIds) -> None:
         """Show viewed environments' scenes again if they changed."""
         if self._active:
             self._views.on_reset(env_ids)

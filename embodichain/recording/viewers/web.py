@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
-from embodichain.lab.sim.engine.api import EnvIndex, Write
+from embodichain.lab.sim.engine.api import Write
 from embodichain.recording.viewers.page.teleop_status import PageOperator, TeleopStatus
 from embodichain.recording.viewers.page.web_page import LOOKS, Facts, PageOptions, WebPage
+from embodichain.utils.array_types import EnvIds, host_ids
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
@@ -78,9 +79,9 @@ class WebView(StepObserver):
     def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Note if the appearance of the shown environment changes."""
         if write.op == "model" and write.field in LOOKS:
-            self._restyled |= write.env_ids is None or self._env_id in write.env_ids
+            self._restyled |= write.env_ids is None or self._env_id in host_ids(write.env_ids)
 
-    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIds) -> None:
         """Show the new episode's first state at once."""
         if self._teleop is not None:
             self._teleop.begin()

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from embodichain.config.checks.recorded_images import check_images
 from embodichain.lab.sim.drawing.views import Pictures, View, camera_size
-from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.format.options import ImageOptions
 from embodichain.recording.views.encoders import Encoder, encoder_of
 from embodichain.recording.views.pictures import RowRenderer, Shot, camera_sensors, shots_of
+from embodichain.utils.array_types import EnvIds
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import matrix_to_quat
 
@@ -123,7 +124,7 @@ class Images:
             for name, shot in self._shots.items()
         ]
 
-    def on_reset(self, env_ids: EnvIndex) -> None:
+    def on_reset(self, env_ids: EnvIds) -> None:
         """Draw these environments in the next step."""
         self._due.update(env_ids.tolist())
 

@@ -23,7 +23,7 @@ from embodichain.lab.sim.drawing.gl import hint
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState
 from embodichain.lab.sim.drawing.views import Look, Output, Pictures, View, view_of
-from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+from embodichain.lab.sim.engine.api import F64, Engine
 from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.format.log_error import DamageError, LogError
 from embodichain.recording.format.messages.schema import PICTURES_TOPIC, message_class
@@ -31,6 +31,7 @@ from embodichain.recording.format.options import LARGEST_SIDE
 from embodichain.recording.read.chunks import LogReader
 from embodichain.recording.read.simulation import Simulation, always, never
 from embodichain.recording.read.trajectory import follow
+from embodichain.utils.array_types import EnvIds
 from embodichain.utils.errors import RenderError
 
 if TYPE_CHECKING:
@@ -206,7 +207,7 @@ class FirstPictures:
     def restart(self) -> None:
         """Do nothing: messages need none before them."""
 
-    def on_reset(self, env_ids: EnvIndex) -> None:
+    def on_reset(self, env_ids: EnvIds) -> None:
         """Note that episodes of these environments begin."""
         self._begun.update(env_ids.tolist())
 

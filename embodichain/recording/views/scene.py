@@ -19,9 +19,10 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.views.channels import frame_names
 from embodichain.recording.views.shapes import MEDIA_TYPE, PLANE_SIZE, Shape, glb, mesh_of, shapes
+from embodichain.utils.array_types import EnvIds
 from embodichain.utils.math import quat_multiply
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ class Commands:
             found.append(([f"{name}_{label}" for label in labels], values))
         return found
 
-    def values_of(self, env_ids: EnvIndex) -> list[F64]:
+    def values_of(self, env_ids: EnvIds) -> list[F64]:
         """Copies of the (n, columns) values of each command that is drawn."""
         return [command.values[env_ids] for command in self._drawn.values()]
 

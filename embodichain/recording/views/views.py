@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, Write
+from embodichain.lab.sim.engine.api import F64, Engine, Write
 from embodichain.lab.sim.engine.fields import row_layout
 from embodichain.recording.format.options import RecordOptions
 from embodichain.recording.views.channels import (
@@ -31,6 +31,7 @@ from embodichain.recording.views.channels import (
 from embodichain.recording.views.layout import pitch_of, places
 from embodichain.recording.views.scene import Commands, Scenes
 from embodichain.recording.views.shapes import LOOKS, PLANE_SIZE
+from embodichain.utils.array_types import EnvIds, host_ids
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import EventRecord, ObservedEnv, StepRecord
@@ -120,10 +121,11 @@ class Views:
     def on_model_write(self, write: Write) -> None:
         """Note that a model field of viewed environments has changed."""
         if write.field.startswith(_SEEN):
-            for env_id in self._viewed_of(write.env_ids):
+            ids = None if write.env_ids is None else host_ids(write.env_ids)
+            for env_id in self._viewed_of(ids):
                 self._viewed[env_id].changed.add(write.field)
 
-    def _viewed_of(self, env_ids: EnvIndex | None) -> list[int]:
+    def _viewed_of(self, env_ids: EnvIds | None) -> list[int]:
         """Which of these environments (None: all) are viewed."""
         ids = self._ids if env_ids is None else env_ids[self._is_viewed[env_ids]]
         found: list[int] = ids.tolist()
@@ -179,7 +181,7 @@ class Views:
                 yield viewed.markers, self._commands.encode(time_ns, env_id, data, values)
         yield "/tf", self._frames.encode(time_ns)
 
-    def on_reset(self, env_ids: EnvIndex) -> None:
+    def on_reset(self, env_ids: EnvIds) -> None:
         """Sample viewed environments that were reset, and their scene if it changed."""
         seen = self._viewed_of(env_ids)
         if seen:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from embodichain.lab.gym.envs.observers import EventRecord
-from embodichain.lab.sim.engine.api import EnvIndex
+from embodichain.utils.array_types import EnvIds
 
 __all__ = ["EpisodeGate"]
 
@@ -39,7 +39,7 @@ class EpisodeGate:
         """Keep an event that fired while the gate was closed."""
         self._held.append(event)
 
-    def on_reset(self, env_ids: EnvIndex) -> list[EventRecord] | None:
+    def on_reset(self, env_ids: EnvIds) -> list[EventRecord] | None:
         """Count an episode if the leading environment was reset; outside a step, call `switch`."""
         if (env_ids == self._lead).any():
             self._episodes += self._steps > 0  # an episode without steps does not count

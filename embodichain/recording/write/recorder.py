@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.configs.sensor_cfg import CameraCfg
-from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.engine.api import PhysicsEvent, Write
 from embodichain.recording.format.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.format.header import check_keyframes, header_of
 from embodichain.recording.format.messages.block import DRAWN, ArrayKind, CallKind, Recorded
@@ -33,6 +33,7 @@ from embodichain.recording.views.views import Views
 from embodichain.recording.write.episode_gate import EpisodeGate
 from embodichain.recording.write.log_writer import LogWriter, Queue
 from embodichain.recording.write.writing import Writing
+from embodichain.utils.array_types import EnvIds, host_ids
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
@@ -168,7 +169,8 @@ class McapRecorder(StepObserver):
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Record a write outside physics; for a reset, the resulting rows."""
-        op, field, ids, columns, values = write
+        op, field, _, columns, values = write
+        ids = None if write.env_ids is None else host_ids(write.env_ids)
         if op == "model":
             self._views.on_model_write(write)
         if op == "forward" or not self._records(ids):
@@ -196,7 +198,8 @@ class McapRecorder(StepObserver):
         elif write.op in ("state", "model") and columns != slice(None):
             named = tuple(range(*columns.indices(self._width_of(write))))
         values = () if shape is None else (ArrayKind("values", "<f8", shape),)
-        return CallKind("write", write.field, write.op, 0, named, _of(write.env_ids) + values)
+        ids = None if write.env_ids is None else host_ids(write.env_ids)
+        return CallKind("write", write.field, write.op, 0, named, _of(ids) + values)
 
     def _width_of(self, write: Write) -> int:
         """Number of columns of the flattened field that is written."""
@@ -210,13 +213,14 @@ class McapRecorder(StepObserver):
             owner = getattr(owner, part)
         return int(np.size(owner))
 
-    def _records(self, ids: EnvIndex | None) -> bool:
+    def _records(self, ids: EnvIds | None) -> bool:
         """Whether calls for these environments are recorded."""
         return self._gate.open and self._keeps_state and (ids is None or len(ids) > 0)
 
     def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
         """Pass the rows before physics to the views; record the rows after it."""
-        phase, nstep, ids, rows, failed = event
+        phase, nstep, _, rows, failed = event
+        ids = None if event.env_ids is None else host_ids(event.env_ids)
         if phase == "before":
             if ids is None:
                 again = nstep == self._call_steps < self._substeps and self._gate.in_step
@@ -264,7 +268,7 @@ class McapRecorder(StepObserver):
                 kind = self._kinds[key] = CallKind("event", term, mode, arrays=_of(ids) + arrays)
             self._calls.append((kind, tuple(values if ids is None else (ids.copy(), *values))))
 
-    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIds) -> None:
         """Update the views after a reset; start or pause recording (`record.every`)."""
         for part in self._drawing:
             part.on_reset(env_ids)
@@ -469,7 +473,7 @@ class McapRecorder(StepObserver):
             self._log.finish(self._step)
 
 
-def _of(ids: EnvIndex | None, name: str = "env_ids") -> tuple[ArrayKind, ...]:
+def _of(ids: EnvIds | None, name: str = "env_ids") -> tuple[ArrayKind, ...]:
     """The kind of an array of environment indices; empty if `ids` is None."""
     return () if ids is None else (ArrayKind(name, "<i8", ids.shape),)
 

@@ -116,8 +116,7 @@ def _require_lengths(
 def _line(term: Any) -> _Line:
     """Centre and scale of a term's columns; a term need not be a subclass of `ActionTerm`."""
     if hasattr(term, "centre_and_scale"):
-        line: _Line = term.centre_and_scale()
-        return line
+        return term.centre_and_scale()
     return [""] * len(term.low), [""] * len(term.low)
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -58,6 +58,7 @@ from embodichain.lab.gym.envs.restoring.snapshot import Snapshot, SnapshotSource
 from embodichain.lab.gym.envs.restoring.startup import StartupChanges
 from embodichain.lab.gym.envs.step.episodes import Episodes, add_finals, parse_mode, seed_globals
 from embodichain.lab.gym.envs.step.judging import (
+    JudgingHooks,
     StateDump,
     StepJudge,
     as_mask,
@@ -67,9 +68,10 @@ from embodichain.lab.gym.envs.step.judging import (
     zeroed,
 )
 from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
-from embodichain.lab.gym.envs.step.step_observation import StepObservation, observe
+from embodichain.lab.gym.envs.step.step_observation import StepObservation
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
+from embodichain.utils.array_types import host_ids
 from embodichain.utils.arrays import Arrays, as_env_ids, tensor_of, to_tensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.random import RandomStreams, first_seed
@@ -79,8 +81,8 @@ from embodichain.utils.uncopied import Uncopied
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.on_device.step_copies import StepCopies
     from embodichain.lab.sim.compiler.compile_scene import CompiledScene
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.utils.array_types import EnvIds, EnvIndex, Floats
 
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
@@ -309,12 +311,20 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             self._startup.note()
         sim.engine.forward()
         self._dump = None if self.arrays.on_device else StateDump(sim.engine)
-        self._judge = StepJudge(self, self.overridden)
+        self._judge = self._make_judge()
         own_code = self.overridden & {"get_obs", "_extend_obs"}
         self.observation_buffer = buffer = ObservationBuffer(
             robot, joints, self.observation_manager, not own_code, self.episodes, self.sensors
         )
-        self._step_observation = StepObservation(self)
+        self._step_observation = StepObservation(
+            self,
+            self.get_obs,
+            buffer,
+            episodes=self.episodes,
+            observations=self.observation_manager,
+            events=self.event_manager,
+            commands=self.command_manager,
+        )
         saved = self.streams.state_dict()
         first = buffer.store(buffer.build(self.get_obs(**kwargs)))
         self._judge.check_terms(first)
@@ -324,6 +334,27 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self._graph = StepGraph(self) if self.device.type == "cuda" else None
         if cfg.sim_cfg.visualization is not None:
             cfg.sim_cfg.visualization.attach(self)
+
+    def _make_judge(self) -> StepJudge:
+        overridden = self.overridden
+        hooks = JudgingHooks(
+            overridden=overridden,
+            get_info=self.get_info,
+            get_reward=self.get_reward if "get_reward" in overridden else None,
+            extend_reward=self._extend_reward if "_extend_reward" in overridden else None,
+        )
+        return StepJudge(
+            self,
+            hooks,
+            episodes=self.episodes,
+            actions=self.action_manager,
+            commands=self.command_manager,
+            observations=self.observation_manager,
+            terminations=self.termination_manager,
+            metrics=self.metric_manager,
+            rewards=self.reward_manager,
+            curriculum=self.curriculum_manager,
+        )
 
     # -- reset ---------------------------------------------------------------------------------
 
@@ -394,13 +425,14 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             manager.reset(where)
         self.episodes.set_last_action(ids, 0.0)
         if "_initialize_episode" in self.overridden:
-            self._initialize_episode(torch.from_numpy(ids.copy()), **options)
+            self._initialize_episode(torch.from_numpy(host_ids(ids).copy()), **options)
         self.event_manager.apply("reset", where)
         self.command_manager.resample(where)
         self.sim.engine.forward(where)
         self.episodes.begin(ids)
         for observer in self.observers:
-            observer.on_reset(self, ids)
+            # On a device the only observer is `StepCopies`, which takes masks.
+            observer.on_reset(self, cast("EnvIds", ids))
 
     def _observe_reset(self, ids: EnvIndex, options: dict[str, Any]) -> Observation:
         """Observe after a reset; the other rows keep their last observation, bit for bit."""
@@ -408,7 +440,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         others[ids] = False
         where = None if self.arrays.are_all(ids, self.num_envs) else ids
         saved = None if where is None else self.streams.save_counters()
-        obs = observe(self, options, where)
+        obs = self._step_observation.after_reset(options, where)
         if saved is not None:
             self.streams.rewind(saved, others)
         return self.observation_buffer.store_first(obs, others)
@@ -473,9 +505,27 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         with self.copies or nullcontext():
             if self._graph is None or kwargs or not isinstance(checked, torch.Tensor):
                 return self._step(checked, given, kwargs)
-            return self._graph.step(lambda a: self._step(*self._check_action(a), {}), checked)
+            return self._step_by_graph(self._graph, checked)
 
-    def _step(self, action: EnvAction, given: F64, kwargs: dict[str, Any]) -> Step:
+    def _step_by_graph(self, graph: StepGraph, action: torch.Tensor) -> Step:
+        """Take a step by a CUDA graph, once it is recorded; Python then runs no more."""
+        taken = self.control_step
+        arrays_moved = self.arrays_moved
+        self.arrays_moved = False
+
+        def run(action: torch.Tensor) -> Step:
+            return self._step(*self._check_action(action), {})
+
+        def forget() -> None:
+            self.control_step = taken
+            if self.copies is not None:
+                self.copies.restart()
+
+        result = graph.step(run, action, arrays_moved=arrays_moved, forget=forget)
+        self.control_step = taken + 1
+        return result
+
+    def _step(self, action: EnvAction, given: Floats, kwargs: dict[str, Any]) -> Step:
         """Take a step by a checked action and its numbers (N, A)."""
         episodes = self.episodes
         episodes.last_action = given
@@ -783,8 +833,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         """
         require_open(self._closed)
         snapshot = restoring.snapshot_of(log, env, episode, step)
-        found = as_env_ids(env_ids, self.num_envs)
-        ids = self.arrays.every(self.num_envs) if found is None else found
+        self.arrays.require_host("recorded states")
+        selection = as_env_ids(env_ids, self.num_envs)
+        ids = np.arange(self.num_envs) if selection is None else host_ids(selection)
         restoring.put(snapshot, self.sim, self.managers, self.episodes, ids)
         self._task_success = self.is_task_success()
         for observer in self.observers:
@@ -799,7 +850,17 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         Subclasses that add state extend it.
         """
         require_open(self._closed)
-        return restoring.state_of(self)
+        state = {
+            "num_envs": self.num_envs,
+            "control_step": self.control_step,
+            "np_random": self.np_random.bit_generator.state,
+            "observation": self.observation_buffer.last.copy(),
+            "managers": {name: manager.state_dict() for name, manager in self.managers.items()},
+            "sim": self.sim.state_dict(),
+            "streams": self.streams.state_dict(),
+            "episodes": self.episodes.state_dict(),
+        }
+        return dict(self.arrays.saved(state))
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken, in an environment of the same config.
@@ -808,7 +869,20 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             ValueError: If the number of environments differs.
         """
         require_open(self._closed)
-        restoring.load_state(self, saved)
+        if saved["num_envs"] != self.num_envs:
+            raise ValueError(
+                f"this state is of {saved['num_envs']} environments, "
+                f"the environment has {self.num_envs}"
+            )
+        state = self.arrays.loaded(saved)
+        self.sim.load_state_dict(state["sim"])
+        self.streams.load_state_dict(state["streams"])
+        self.episodes.load_state_dict(state["episodes"])
+        self.np_random.bit_generator.state = state["np_random"]
+        for name, manager in self.managers.items():
+            manager.load_state_dict(state["managers"][name])
+        self.control_step = state["control_step"]
+        self.observation_buffer.last = state["observation"].copy()
         self.arrays_moved = True
 
     def close(self) -> None:
@@ -916,7 +990,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         """(N, A) float32 action as last given to `step`; zeros after a reset. A copy."""
         return to_tensor(self.episodes.last_action)
 
-    def read_last_action(self) -> F64:
+    def read_last_action(self) -> Floats:
         """(N, A) action as last given to `step`; do not write to it."""
         return self.episodes.last_action
 
@@ -1100,7 +1174,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     ) -> None:
         """Report to observers that a term fired and what it drew."""
         if self.observers:
-            record = EventRecord(term, mode, env_ids, drawn or {})
+            # On a device the only observer is `StepCopies`, which takes masks.
+            record = EventRecord(term, mode, cast("EnvIds | None", env_ids), drawn or {})
             for observer in self.observers:
                 observer.on_event(self, record)
 

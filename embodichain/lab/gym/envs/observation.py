@@ -42,8 +42,7 @@ def as_array(value: Any) -> NDArray[Any]:
     """Return a tensor or an array as an array that shares its memory."""
     if isinstance(value, np.ndarray) or not isinstance(value, torch.Tensor):
         return value
-    array: NDArray[Any] = value.numpy(force=True)
-    return array
+    return value.numpy(force=True)
 
 
 class ObservationLayout:
@@ -110,8 +109,7 @@ class ObservationLayout:
 
     def empty(self) -> F32:
         """Return an array (N, W) to be filled."""
-        rows: F32 = self._arrays.full((self.num_envs, self.width), 0.0, np.float32)
-        return rows
+        return self._arrays.full((self.num_envs, self.width), 0.0, np.float32)
 
     def pack(self, obs: Mapping[Any, Any]) -> Observation:
         """Return nested entries as one array.

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.sim.engine.api import F64, EnvIndex, PhysicsEvent, Write
+    from embodichain.lab.sim.engine.api import PhysicsEvent, Write
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.array_types import EnvIds, EnvIndex, Floats
 
 __all__ = [
     "EndedBy",
@@ -114,6 +115,11 @@ class ObservedEnv(Protocol):
         ...
 
     @property
+    def revision(self) -> tuple[int, ...]:
+        """Numbers that change when a step is computed in another way: limit, terms, model."""
+        ...
+
+    @property
     def observers(self) -> Sequence[StepObserver]:
         """The observers, in the order in which they are called."""
         ...
@@ -129,13 +135,13 @@ class EventRecord(NamedTuple):
     Attributes:
         term: The term's name in the config.
         mode: ``startup``, ``reset`` or ``interval``; ``command`` for a command.
-        env_ids: (n,) int64 environments in which it fired, or None for all N.
+        env_ids: (n,) environments in which it fired, or None for all N.
         drawn: Its random draws by name, each (n, ...); empty if there are none.
     """
 
     term: str
     mode: str
-    env_ids: EnvIndex | None
+    env_ids: EnvIds | None
     drawn: Mapping[str, NDArray[Any]] = MappingProxyType({})
 
 
@@ -154,7 +160,7 @@ class StepRecord(NamedTuple):
     """
 
     control_step: int
-    action: F64
+    action: Floats
     reward: NDArray[np.float32]
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
@@ -175,7 +181,7 @@ class StepObserver:
 
     may_lag: bool = False
 
-    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIds) -> None:
         """Called after environments were reset, explicitly or automatically.
 
         Args:

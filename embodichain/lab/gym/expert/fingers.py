@@ -216,8 +216,7 @@ def _null_space(rows: F64) -> F64:
         return np.eye(rows.shape[1])
     _, sizes, vectors = np.linalg.svd(rows)
     rank = int((sizes > _RANK * max(float(sizes.max(initial=0.0)), _COUPLED)).sum())
-    found: F64 = vectors[rank:].T
-    return found
+    return vectors[rank:].T
 
 
 def _body_motion(

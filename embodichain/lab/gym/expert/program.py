@@ -119,8 +119,7 @@ def steps_of(given: Any, env: BaseEnv) -> Sequence[Any]:
         given = function(env, **values)
     elif callable(given):
         given = given(env)
-    steps: Sequence[Any] = given
-    return steps
+    return given
 
 
 def function_of(cfg: TermCfg) -> tuple[Callable[..., Any], dict[str, Any]]:

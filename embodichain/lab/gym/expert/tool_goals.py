@@ -141,8 +141,7 @@ def _heading(quat: F64) -> F64:
     matrix = quat_to_matrix(quat)
     of_x = np.arctan2(matrix[:, 1, 0], matrix[:, 0, 0])
     of_y = np.arctan2(matrix[:, 1, 1], matrix[:, 0, 1]) - 0.5 * np.pi
-    heading: F64 = np.where(np.abs(matrix[:, 2, 0]) < _VERTICAL, of_x, of_y)
-    return heading
+    return np.where(np.abs(matrix[:, 2, 0]) < _VERTICAL, of_x, of_y)
 
 
 def check_orientations(

@@ -57,8 +57,7 @@ _LARGEST_CORRECTION = 0.05
 def length(vectors: F64) -> F64:
     """(n,) lengths of vectors (n, 3), added in a fixed order."""
     squares = vectors * vectors
-    lengths: F64 = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
-    return lengths
+    return np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
 
 
 def as_place(pos: F64) -> str:
@@ -317,8 +316,7 @@ class ToolPath:
 
     def asked(self) -> NDArray[np.bool_]:
         """(N,) whether all of the path was asked for."""
-        is_over: NDArray[np.bool_] = self._step >= self.steps
-        return is_over
+        return self._step >= self.steps
 
     def remaining(self) -> tuple[F64, F64]:
         """(N,) distance of the measured pose from the goal, m, and angle, rad (0 if it is free)."""
@@ -328,8 +326,7 @@ class ToolPath:
 
     def at_rest(self) -> NDArray[np.bool_]:
         """(N,) whether the tool hardly moves."""
-        is_slow: NDArray[np.bool_] = self._speed < 2.5 * _RESTING_SPEED
-        return is_slow
+        return self._speed < 2.5 * _RESTING_SPEED
 
     def action(self, arriving: NDArray[np.bool_]) -> F64:
         """(N, A) the action for the next control step, which takes the tool along its path.
@@ -382,5 +379,4 @@ class ToolPath:
 def _smooth(line: F64) -> NDArray[np.bool_]:
     """(n,) whether no joint leaps between points (W + 1, n, D)."""
     leaps = np.abs(np.diff(line, axis=0)).max(axis=(0, 2))
-    is_smooth: NDArray[np.bool_] = np.asarray(leaps < _LONGEST_LEAP)
-    return is_smooth
+    return np.asarray(leaps < _LONGEST_LEAP)

@@ -300,8 +300,7 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
     def curriculum_stage(self) -> dict[str, Any]:
         """The stage that the curriculum has reached, the same in all shards."""
         stages = self._call("advance", [(_stage,)] * len(self._rows))
-        stage: dict[str, Any] = stages[0]
-        return stage
+        return stages[0]
 
     def hold_curriculum(self, stage: Mapping[str, Any] | None = None) -> None:
         """Keep the curriculum at a stage; see `BaseEnv.hold_curriculum`."""

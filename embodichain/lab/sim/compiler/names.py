@@ -250,8 +250,7 @@ def frame_names(
         return (uid,) if kind == "link" else ()
     if isinstance(entity, KnownObject):
         return entity.names(kind)
-    found: tuple[str, ...] = getattr(entity, f"{kind}_names")
-    return found
+    return getattr(entity, f"{kind}_names")
 
 
 def frame_in_model(

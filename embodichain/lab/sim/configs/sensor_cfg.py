@@ -93,12 +93,11 @@ class SensorCfg:
         Raises:
             ConfigError: If the type or a key is unknown; lists what exists.
         """
-        built: SensorCfg = (
+        return (
             from_dict(cls, init_dict)
             if cls is not SensorCfg
             else member_from_dict(_SENSORS, "sensor_type", init_dict)
         )
-        return built
 
 
 @configclass

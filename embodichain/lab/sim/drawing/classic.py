@@ -158,8 +158,7 @@ class ClassicRenderer:
         for geom in self._scene.geoms[: self._scene.ngeom]:
             if geom.segid >= 0 and geom.objtype == int(mujoco.mjtObj.mjOBJ_GEOM):
                 ids[geom.segid + 1] = geom.objid
-        found: NDArray[np.int32] = ids[number]
-        return found
+        return ids[number]
 
     def close(self) -> None:
         """Free the context and everything in it."""

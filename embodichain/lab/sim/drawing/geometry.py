@@ -172,8 +172,7 @@ def _vertices(position: Any, normal: Any, texcoord: Any, end: Any = 0.0) -> NDAr
 
 def _from_above(places: NDArray[Any], half: NDArray[Any]) -> NDArray[Any]:
     """(V, 2) texture coordinates of a mesh that has none: its x and y."""
-    found: NDArray[Any] = 0.5 + 0.5 * places[:, :2] / half[:2] * (1.0, -1.0)
-    return found
+    return 0.5 + 0.5 * places[:, :2] / half[:2] * (1.0, -1.0)
 
 
 def _upwards(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -270,8 +269,7 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[Any], Triangles]:
         start = int(getattr(model, first)[mesh])
         if start < 0:
             return np.zeros((0, 2), np.float32)
-        found: NDArray[Any] = getattr(model, name)[start : start + int(getattr(model, count)[mesh])]
-        return found
+        return getattr(model, name)[start : start + int(getattr(model, count)[mesh])]
 
     positions = part("mesh_vert", "mesh_vertadr", "mesh_vertnum")
     normals = part("mesh_normal", "mesh_normaladr", "mesh_normalnum")
@@ -299,8 +297,7 @@ def _face_normals(points: NDArray[Any], faces: NDArray[np.int64]) -> NDArray[Any
     """(F, 3) unit normals; zeros where a face has no area."""
     corners = points[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    found: NDArray[Any] = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
-    return found
+    return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
 
 
 def _simplified(

@@ -95,8 +95,7 @@ class SurfaceTable:
         material = fields["geom_matid"][env, geom]
 
         def of(name: str) -> NDArray[Any]:
-            found: NDArray[Any] = fields[name][env, material]
-            return found
+            return fields[name][env, material]
 
         table[env, geom, 1] = _shown_colour(fields["geom_rgba"][env, geom], of("mat_rgba"))
         for column, name in enumerate(("mat_specular", "mat_shininess", "mat_emission")):
@@ -130,8 +129,7 @@ def opaque_geoms(state: DrawnState, model: mujoco.MjModel) -> NDArray[np.bool_]:
             fields["mat_rgba"].reshape(-1, model.nmat, 4), (count, model.nmat, 4)
         )
         rgba[env, geom] = _shown_colour(rgba[env, geom], materials[env, ids[env, geom]])
-    opaque: NDArray[np.bool_] = rgba[..., 3] >= 1.0
-    return opaque
+    return rgba[..., 3] >= 1.0
 
 
 def _shown_colour(own: NDArray[Any], material: NDArray[Any]) -> NDArray[Any]:

@@ -38,18 +38,15 @@ class DataState:
     @property
     def model(self) -> mujoco.MjModel:
         """The model."""
-        model: mujoco.MjModel = self._data.model
-        return model
+        return self._data.model
 
     def derived(self, name: str) -> NDArray[np.float64]:
         """(1, ...) a field of MjData."""
-        found: NDArray[np.float64] = np.asarray(getattr(self._data, name))[None]
-        return found
+        return np.asarray(getattr(self._data, name))[None]
 
     def model_values(self, name: str) -> NDArray[Any]:
         """(1, ...) a field of MjModel."""
-        found: NDArray[Any] = np.asarray(getattr(self.model, name))[None]
-        return found
+        return np.asarray(getattr(self.model, name))[None]
 
 
 class StoredStates:
@@ -87,7 +84,6 @@ class StoredStates:
     def model_values(self, name: str) -> NDArray[Any]:
         """(n, ...) a field of MjModel; one row if it is the same in all of them."""
         if name not in DRAWN_FIELDS:
-            shared: NDArray[Any] = np.asarray(getattr(self.model, name))[None]
-            return shared
+            return np.asarray(getattr(self.model, name))[None]
         rows = np.stack([fields[name] for fields in self._fields])
         return rows[:1] if (rows == rows[0]).all() else rows

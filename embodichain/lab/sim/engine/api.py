@@ -11,6 +11,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.utils.array_types import F64, EnvIds, EnvIndex, Floats
+
 __all__ = [
     "ALL",
     "F64",
@@ -24,9 +26,6 @@ __all__ = [
     "WriteOp",
 ]
 
-F64 = NDArray[np.float64]
-EnvIndex = NDArray[np.int64]
-"""Sorted unique environment indices."""
 Columns = slice | NDArray[np.int64]
 """Columns of a flattened field: (k,) indices, or a slice of them."""
 ALL = slice(None)
@@ -43,10 +42,10 @@ class Write(NamedTuple):
             be unchanged). ``values`` is None for the last three.
         field: A component of the state row (``qpos``, ``ctrl``, ``mocap_pos``, ``row`` for whole
             rows...) or a model field (``body_mass``, ``opt.gravity``); empty for other ops.
-        env_ids: (n,) int64, or None for all N.
+        env_ids: (n,) environments, or None for all N; a mask with arrays on a device.
         columns: Columns within the flattened field.
         values: (n, k) float64, or None. It may be a live view of the engine: copy it to store it.
-            None for all ops with arrays on a device, where `env_ids` is a mask.
+            None for all ops with arrays on a device.
     """
 
     op: WriteOp
@@ -73,7 +72,7 @@ class PhysicsEvent(NamedTuple):
     nstep: int
     env_ids: EnvIndex | None
     rows: F64
-    failed: EnvIndex | None = None
+    failed: EnvIds | None = None
 
 
 class RayHits(NamedTuple):
@@ -85,9 +84,9 @@ class RayHits(NamedTuple):
         normal: (n, R, 3) unit normals of the surfaces, 0 where nothing is hit; None if not wanted.
     """
 
-    distance: F64
+    distance: Floats
     geom: NDArray[np.int32]
-    normal: F64 | None = None
+    normal: Floats | None = None
 
 
 class EngineListener(Protocol):
@@ -103,9 +102,10 @@ class EngineListener(Protocol):
 class Engine(Protocol):
     """N simulations of one model.
 
-    All arrays are float64 numpy; row *i* is environment *i*. `env_ids` is None (all) or sorted
-    unique int64. Reads marked *fresh* first run the position and velocity stages of environments
-    in which rows have changed.
+    Row *i* of an array is environment *i*. Arrays are float64 of numpy, and `env_ids` are sorted
+    unique indices; with arrays on a device they are `DeviceArray` and a mask. None is all. Reads
+    marked *fresh* first run the position and velocity stages of environments in which rows have
+    changed.
     """
 
     name: str
@@ -134,17 +134,17 @@ class Engine(Protocol):
             KeyError: If there is no such component; lists them.
         """
 
-    def state(self, name: str) -> F64:
+    def state(self, name: str) -> Floats:
         """(N, width) live view of a state component. Do not write: use `write`.
 
         A component's view remains valid for the engine's lifetime, so handles may store it and
         slices of it.
         """
 
-    def derived(self, name: str) -> F64:
+    def derived(self, name: str) -> Floats:
         """(N, ...) fresh position- or velocity-stage field (``xpos``, ``cvel``, ``sensordata``)."""
 
-    def acceleration(self, name: str) -> F64:
+    def acceleration(self, name: str) -> Floats:
         """(N, ...) acceleration-stage field (``qfrc_actuator``) of the last physics step.
 
         After `forward` it is that of the current state. The first request of a field computes it
@@ -154,7 +154,7 @@ class Engine(Protocol):
     def keep_sensors(self, columns: slice, depth: int) -> None:
         """Keep columns of ``sensordata`` of the last ``depth`` physics steps from now on."""
 
-    def kept_sensors(self, columns: slice, depth: int) -> F64:
+    def kept_sensors(self, columns: slice, depth: int) -> Floats:
         """(N, depth, k) what `keep_sensors` keeps, the oldest first. Do not write.
 
         Environments that have not stepped since `forward` have its readings in every step.
@@ -162,8 +162,8 @@ class Engine(Protocol):
 
     def cast_rays(
         self,
-        origins: F64,
-        directions: F64,
+        origins: Floats,
+        directions: Floats,
         geoms: NDArray[np.bool_],
         env_ids: EnvIndex | None = None,
         *,
@@ -185,7 +185,7 @@ class Engine(Protocol):
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         """Compute all derived fields, acceleration stage included, without stepping."""
 
-    def reset(self, env_ids: EnvIndex | None = None, row: F64 | None = None) -> None:
+    def reset(self, env_ids: EnvIndex | None = None, row: Floats | None = None) -> None:
         """Set rows to MuJoCo's reset state (`mj_resetData`): time, ctrl, act, warm start...
 
         Also clears the warning counters.

@@ -118,8 +118,7 @@ class ModelFields:
         return bool(self._views)
 
     def _expand(self, name: str) -> NDArray[Any]:
-        view: NDArray[Any] = self._batch.expand(name).reshape(self._num_envs, -1)
-        return view
+        return self._batch.expand(name).reshape(self._num_envs, -1)
 
     def view(self, name: str) -> NDArray[Any]:
         """(N, size) live values of a field.

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ArticulationCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
-    from embodichain.lab.sim.engine.api import F64, Columns, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import Columns, Engine, EnvIndex
     from embodichain.lab.sim.objects.host import Host
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["Articulation"]
 
@@ -76,15 +77,16 @@ class Articulation(FrameReads):
         self.body_data = ArticulationData(self)
         self._all: Ids = np.arange(self.dof)
         # Live views of the joints' columns, where these are evenly spaced.
-        self._qpos: F64 | None = None
-        self._qvel: F64 | None = None
+        self._qpos: Floats | None = None
+        self._qvel: Floats | None = None
         # (N, D) simulated seconds at which efforts were set by hand; NaN where they were not.
-        self._effort_times: F64 | None = None
+        self._effort_times: Floats | None = None
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Set the engine and the articulation's indices. Called once, by the simulation."""
         super().bind(engine, index)
-        self._qpos_columns, self._dofs = columns_of(index.qpos_adr), columns_of(index.dof_adr)
+        self._qpos_columns = columns_of(index.qpos_adr)
+        self._dofs = columns_of(index.dof_adr)
         self._controls = columns_of(index.own_ctrl_ids)
         if isinstance(self._qpos_columns, slice):
             self._qpos = engine.state("qpos")[:, self._qpos_columns]
@@ -118,40 +120,41 @@ class Articulation(FrameReads):
         return [i for i in ids if not remove_mimic or i not in self.mimic_ids]
 
     def _indices(self, ids: Any, count: int, what: str) -> Ids:
-        found = np.asarray(ids.tolist() if isinstance(ids, torch.Tensor) else ids, np.int64)
-        found = found.reshape(-1)
-        if ((found < 0) | (found >= count)).any():
-            raise ValueError(f"{self.uid}: {what} must be in [0, {count}), got {found.tolist()}")
-        return found
+        if isinstance(ids, torch.Tensor):
+            ids = ids.tolist()
+        indices = np.asarray(ids, np.int64).reshape(-1)
+        if ((indices < 0) | (indices >= count)).any():
+            raise ValueError(f"{self.uid}: {what} must be in [0, {count}), got {indices.tolist()}")
+        return indices
 
     def _joints(self, joint_ids: Any, name: str | None = None) -> Ids:
         if name is not None:
             return np.asarray(self.get_joint_ids(name), np.int64)
         return self._all if joint_ids is None else self._indices(joint_ids, self.dof, "joint_ids")
 
-    # -- reads of joints: (N, D) float64, live views or copies: do not write or store -------------
+    # -- reads of joints: (N, D), live views or copies: do not write or store ---------------------
 
-    def read_qpos(self) -> F64:
+    def read_qpos(self) -> Floats:
         """(N, D) joint positions, rad or m."""
         if self._qpos is not None:
             return self._qpos
         return self.engine.state("qpos")[:, self._qpos_columns]
 
-    def read_qvel(self) -> F64:
+    def read_qvel(self) -> Floats:
         """(N, D) joint velocities, rad/s or m/s."""
         if self._qvel is not None:
             return self._qvel
         return self.engine.state("qvel")[:, self._dofs]
 
-    def read_qacc(self) -> F64:
+    def read_qacc(self) -> Floats:
         """(N, D) joint accelerations of the last physics step, rad/s^2 or m/s^2."""
         return self.engine.acceleration("qacc")[:, self._dofs]
 
-    def read_qf(self) -> F64:
+    def read_qf(self) -> Floats:
         """(N, D) drive effort of the last physics step, without passive damping; N m or N."""
         return self.engine.acceleration("qfrc_actuator")[:, self._dofs]
 
-    def read_efforts(self) -> F64:
+    def read_efforts(self) -> Floats:
         """(N, D) `read_qf`, or the effort set by `set_qf` if set since the last physics step."""
         efforts = self.read_qf()
         if self._effort_times is None:
@@ -159,25 +162,159 @@ class Articulation(FrameReads):
         applied = self.engine.state("qfrc_applied")[:, self._dofs]
         return np.where(self._effort_times == self.engine.state("time"), applied, efforts)
 
-    # -- joints --------------------------------------------------------------------------------
+    # -- writes of joints ----------------------------------------------------------------------
+
+    def write_target(
+        self, values: Floats, joints: Ids | None = None, ids: EnvIndex | None = None
+    ) -> None:
+        """Set drive targets (n, k) from checked arrays; None is all joints with a drive."""
+        self.index  # noqa: B018  (compiles, which fills the columns)
+        drives = self.drives
+        if joints is not None:
+            columns: Columns = columns_of(drives.columns(joints))
+        else:
+            joints = drives.joints
+            columns = drives.control_columns
+            if len(joints) < self.dof:
+                values = values[:, joints]
+                if not len(joints):
+                    drives.columns(self._all)  # raises
+        drives.write_target_qpos(values, joints, columns, ids)
+
+    def write_qpos(
+        self, values: Floats, joints: Ids | None = None, ids: EnvIndex | None = None
+    ) -> None:
+        """Set joint positions (n, k) from checked arrays, clamped to the limits."""
+        joints = self._all if joints is None else joints
+        columns = columns_of(self.index.qpos_adr[joints])
+        self.engine.write("qpos", self.drives.limits.clamp(values, joints, ids), ids, columns)
+
+    def write_qvel(
+        self, values: Floats, joints: Ids | None = None, ids: EnvIndex | None = None
+    ) -> None:
+        """Set joint velocities (n, k) from checked arrays."""
+        joints = self._all if joints is None else joints
+        self.engine.write("qvel", values, ids, self.index.dof_adr[joints])
+
+    def write_qf(
+        self, values: Floats, joints: Ids | None = None, ids: EnvIndex | None = None
+    ) -> None:
+        """Apply joint efforts (n, k) in N m or N from checked arrays; see `set_qf`."""
+        joints = self._all if joints is None else joints
+        self.engine.write("qfrc_applied", values, ids, self.index.dof_adr[joints])
+        if self._effort_times is None:
+            self._effort_times = np.full((self.num_instances, self.dof), np.nan)
+        rows = np.arange(self.num_instances) if ids is None else ids
+        self._effort_times[rows[:, None], joints] = self.engine.state("time")[rows]
+
+    # -- controls ------------------------------------------------------------------------------
+
+    def find_actuators(self, patterns: str | Sequence[str]) -> list[int]:
+        """Indices of controls with names that a regex matches in full, ascending.
+
+        Raises:
+            ValueError: If a pattern matches nothing; lists the controls.
+        """
+        if isinstance(patterns, str):
+            patterns = [patterns]
+        matching_actuators: set[int] = set()
+        for pattern in patterns:
+            ids, problems = match(pattern, self.actuator_names, f"actuator of {self.uid}", "")
+            if problems:
+                raise ValueError(problems[0].message)
+            matching_actuators.update(ids)
+        return sorted(matching_actuators)
+
+    def _picked(self, actuator_ids: Any, names: str | Sequence[str] | None) -> Ids:
+        count = len(self.actuator_names)
+        if names is not None:
+            actuator_ids = self.find_actuators(names)
+        elif actuator_ids is None:
+            return np.arange(count)
+        return self._indices(actuator_ids, count, "actuator_ids")
+
+    def read_ctrl(self) -> Floats:
+        """(N, M) controls: a live view or a copy; do not write or store."""
+        return self.engine.state("ctrl")[:, self._controls]
+
+    def write_ctrl(
+        self, values: Floats, which: Ids, ids: EnvIndex | None = None, seconds: float | None = None
+    ) -> None:
+        """Set controls (n, k) from checked arrays, in the actuators' units.
+
+        Args:
+            values: The controls.
+            which: (k,) indices in `actuator_names`: the file's actuators, then drives.
+            ids: (n,) environments, or None for all.
+            seconds: If given, targets of drives move at most `max_velocity` times this.
+        """
+        columns = self.index.own_ctrl_ids[which]
+        values = self.drives.take_controls(values, columns, ids, seconds)
+        self.engine.write("ctrl", values, ids, columns_of(columns))
+
+    # -- links ---------------------------------------------------------------------------------
+
+    def body_of(self, link: str | None) -> int:
+        """MuJoCo body id of a link; None is the root link.
+
+        Raises:
+            ValueError: If there is no such link; lists the links.
+        """
+        if link is None:
+            return self.index.root_body_id
+        names = self.link_names
+        if link not in names:
+            raise ValueError(
+                f"{self.uid} has no link {link!r}; there are: {', '.join(names)}."
+                f"{did_you_mean(link, names)}"
+            )
+        return int(self.index.body_ids[names.index(link)])
+
+    def read_mass(self, bodies: Ids) -> Floats:
+        """(N, k) masses in kg of bodies (k,), by MuJoCo's ids."""
+        return self.engine.model_field("body_mass")[:, bodies]
+
+    def write_mass(
+        self, mass: Floats, bodies: Ids, ids: EnvIndex | None, inertia: bool = True
+    ) -> None:
+        """Set masses (n, k) in kg of bodies (k,), by MuJoCo's ids, from checked arrays.
+
+        Inertias scale with the masses, unless ``inertia`` is False.
+        """
+        self.engine.write_model("body_mass", mass, ids, bodies)
+        if inertia:
+            self.write_inertia(mass / self.engine.model.body_mass[bodies], bodies, ids)
+        else:
+            self.engine.set_const_later(ids)
+
+    def write_inertia(self, factor: Floats, bodies: Ids, ids: EnvIndex | None) -> None:
+        """Set inertias of bodies (k,) to (n, k) times the compiled ones."""
+        moments = self.engine.model.body_inertia[bodies] * factor[:, :, None]
+        columns = (3 * bodies[:, None] + np.arange(3)).reshape(-1)
+        self.engine.write_model("body_inertia", moments.reshape(len(factor), -1), ids, columns)
+        self.engine.set_const_later(ids)
+
+    def stop(self, ids: EnvIndex | None) -> None:
+        """Like `clear_dynamics`, for checked indices."""
+        dofs = self.index.dof_adr
+        start = self.index.free_qvel_adr
+        if start >= 0:
+            dofs = np.concatenate([np.arange(start, start + 6), dofs])
+        for field in ("qvel", "qacc_warmstart", "qfrc_applied"):
+            self.engine.write(field, 0.0, ids, dofs)
+
+    def forget_targets(self, ids: EnvIndex | None) -> None:
+        """Clear targets, and efforts of `set_qf`, after a reset of environments (n,), or all."""
+        self.drives.clear(ids)
+        if self._effort_times is not None:
+            self._effort_times[slice(None) if ids is None else ids] = np.nan
+
+    # -- for users: tensors in and out, checked; see `Handle` ----------------------------------
 
     def get_qpos(self, name: str | None = None, target: bool = False) -> torch.Tensor:
         """Joint positions (N, k), or their drive targets."""
         values = self.drives.read_target_qpos() if target else self.read_qpos()
         return to_tensor(values[:, self.get_joint_ids(name)])
-
-    def get_qvel(self, name: str | None = None, target: bool = False) -> torch.Tensor:
-        """Joint velocities (N, k), or their drive targets."""
-        values = self.drives.target_qvel if target else self.read_qvel()
-        return to_tensor(values[:, self.get_joint_ids(name)])
-
-    def get_qf(self, name: str | None = None) -> torch.Tensor:
-        """Joint efforts (N, k): those set by `set_qf`, until the next physics step.
-
-        After a step, and where none were set, they are the drives' efforts in the last physics
-        step, without efforts set by `set_qf`, which still act.
-        """
-        return to_tensor(self.read_efforts()[:, self.get_joint_ids(name)])
 
     def set_qpos(
         self,
@@ -205,7 +342,10 @@ class Articulation(FrameReads):
         joints = None if joint_ids is None and name is None else self._joints(joint_ids, name)
         width = self.dof if joints is None else len(joints)
         values, ids = self._checked(qpos, width, env_ids, "qpos", shared=True)
-        (self.write_target if target else self.write_qpos)(values, joints, ids)
+        if target:
+            self.write_target(values, joints, ids)
+        else:
+            self.write_qpos(values, joints, ids)
 
     def write_joint_state(
         self,
@@ -242,29 +382,10 @@ class Articulation(FrameReads):
         if len(driven):
             self.write_target(values[:, driven], joints[driven], ids)
 
-    def write_target(
-        self, values: F64, joints: Ids | None = None, ids: EnvIndex | None = None
-    ) -> None:
-        """Set drive targets (n, k) from checked arrays; None is all joints with a drive."""
-        self.index  # noqa: B018  (compiles, which fills the columns)
-        drives = self.drives
-        if joints is not None:
-            columns: Columns = columns_of(drives.columns(joints))
-        else:
-            joints, columns = drives.joints, drives.control_columns
-            if len(joints) < self.dof:
-                values = values[:, joints]
-                if not len(joints):
-                    drives.columns(self._all)  # raises
-        drives.write_target_qpos(values, joints, columns, ids)
-
-    def write_qpos(
-        self, values: F64, joints: Ids | None = None, ids: EnvIndex | None = None
-    ) -> None:
-        """Set joint positions (n, k) from checked arrays, clamped to the limits."""
-        joints = self._all if joints is None else joints
-        columns = columns_of(self.index.qpos_adr[joints])
-        self.engine.write("qpos", self.drives.limits.clamp(values, joints, ids), ids, columns)
+    def get_qvel(self, name: str | None = None, target: bool = False) -> torch.Tensor:
+        """Joint velocities (N, k), or their drive targets."""
+        values = self.drives.target_qvel if target else self.read_qvel()
+        return to_tensor(values[:, self.get_joint_ids(name)])
 
     def set_qvel(
         self,
@@ -280,7 +401,15 @@ class Articulation(FrameReads):
         if target:
             self.drives.write_target_qvel(values, joints, ids)
         else:
-            self.engine.write("qvel", values, ids, self.index.dof_adr[joints])
+            self.write_qvel(values, joints, ids)
+
+    def get_qf(self, name: str | None = None) -> torch.Tensor:
+        """Joint efforts (N, k): those set by `set_qf`, until the next physics step.
+
+        After a step, and where none were set, they are the drives' efforts in the last physics
+        step, without efforts set by `set_qf`, which still act.
+        """
+        return to_tensor(self.read_efforts()[:, self.get_joint_ids(name)])
 
     def set_qf(
         self, qf: Any, joint_ids: Any = None, env_ids: Any = None, name: str | None = None
@@ -291,15 +420,33 @@ class Articulation(FrameReads):
         """
         joints = self._joints(joint_ids, name)
         values, ids = self._checked(qf, len(joints), env_ids, "qf", shared=True)
-        self.engine.write("qfrc_applied", values, ids, self.index.dof_adr[joints])
-        if self._effort_times is None:
-            self._effort_times = np.full((self.num_instances, self.dof), np.nan)
-        rows = np.arange(self.num_instances) if ids is None else ids
-        self._effort_times[np.ix_(rows, joints)] = self.engine.state("time")[rows]
+        self.write_qf(values, joints, ids)
 
     def get_qpos_limits(self, name: str | None = None) -> torch.Tensor:
         """(N, k, 2) lower and upper limits."""
         return to_tensor(self.drives.limits.values[:, self._joints(None, name)])
+
+    def get_joint_drive(
+        self, joint_ids: Any = None, env_ids: Any = None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Stiffness, damping, max_effort, max_velocity and friction, each (n, k).
+
+        The armature is `body_data.joint_armature`.
+        """
+        rows = self._rows(env_ids)
+        joints = self._joints(joint_ids)
+        drives = self.drives
+
+        def pick(values: Floats) -> torch.Tensor:
+            return to_tensor(values[rows][:, joints])
+
+        return (
+            pick(drives.stiffness),
+            pick(drives.damping),
+            pick(drives.max_effort),
+            pick(drives.max_velocity),
+            pick(drives.friction),
+        )
 
     def set_joint_drive(
         self,
@@ -318,31 +465,14 @@ class Articulation(FrameReads):
             ValueError: If a shape is wrong, a value is negative or a joint has no drive.
         """
         joints = self._joints(joint_ids)
-        given = (stiffness, damping, max_effort, max_velocity, friction, armature)
-        for name, value in zip(GAINS, given, strict=True):
+        gains = (stiffness, damping, max_effort, max_velocity, friction, armature)
+        for name, value in zip(GAINS, gains, strict=True):
             if value is None:
                 continue
             array, ids = self._checked(value, len(joints), env_ids, name, finite=False)
             if not (self.host.arrays.host(array) >= 0).all():
                 raise ValueError(f"{self.uid}: {name} must not be negative or NaN")
             self.drives.write(name, array, ids, joints)
-
-    def get_joint_drive(
-        self, joint_ids: Any = None, env_ids: Any = None
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Stiffness, damping, max_effort, max_velocity and friction, each (n, k).
-
-        The armature is `body_data.joint_armature`.
-        """
-        rows, joints, drives = self._rows(env_ids), self._joints(joint_ids), self.drives
-
-        def pick(values: F64) -> torch.Tensor:
-            return to_tensor(values[rows][:, joints])
-
-        gains = pick(drives.stiffness), pick(drives.damping)
-        return *gains, pick(drives.max_effort), pick(drives.max_velocity), pick(drives.friction)
-
-    # -- controls ------------------------------------------------------------------------------
 
     @property
     def ctrl_limits(self) -> torch.Tensor:
@@ -352,28 +482,6 @@ class Articulation(FrameReads):
         limits.
         """
         return to_tensor(self.parsed.ctrl_limits)
-
-    def find_actuators(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of controls with names that a regex matches in full, ascending.
-
-        Raises:
-            ValueError: If a pattern matches nothing; lists the controls.
-        """
-        found: set[int] = set()
-        for pattern in [patterns] if isinstance(patterns, str) else patterns:
-            ids, problems = match(pattern, self.actuator_names, f"actuator of {self.uid}", "")
-            if problems:
-                raise ValueError(problems[0].message)
-            found.update(ids)
-        return sorted(found)
-
-    def _picked(self, actuator_ids: Any, names: str | Sequence[str] | None) -> Ids:
-        count = len(self.actuator_names)
-        if names is not None:
-            actuator_ids = self.find_actuators(names)
-        elif actuator_ids is None:
-            return np.arange(count)
-        return self._indices(actuator_ids, count, "actuator_ids")
 
     def get_ctrl(
         self, actuator_ids: Any = None, names: str | Sequence[str] | None = None
@@ -406,44 +514,9 @@ class Articulation(FrameReads):
         values, ids = self._checked(ctrl, len(which), env_ids, "ctrl", shared=True)
         self.write_ctrl(values, which, ids)
 
-    def read_ctrl(self) -> F64:
-        """(N, M) controls: a live view or a copy; do not write or store."""
-        return self.engine.state("ctrl")[:, self._controls]
-
-    def write_ctrl(
-        self, values: F64, which: Ids, ids: EnvIndex | None = None, seconds: float | None = None
-    ) -> None:
-        """Set controls (n, k) from checked arrays, in the actuators' units.
-
-        Args:
-            values: The controls.
-            which: (k,) indices in `actuator_names`: the file's actuators, then drives.
-            ids: (n,) environments, or None for all.
-            seconds: If given, targets of drives move at most `max_velocity` times this.
-        """
-        columns = self.index.own_ctrl_ids[which]
-        values = self.drives.take_controls(values, columns, ids, seconds)
-        self.engine.write("ctrl", values, ids, columns_of(columns))
-
-    # -- links ---------------------------------------------------------------------------------
-
-    def body_of(self, link: str | None) -> int:
-        """MuJoCo body id of a link; None is the root link.
-
-        Raises:
-            ValueError: If there is no such link; lists the links.
-        """
-        if link is None:
-            return self.index.root_body_id
-        names = self.link_names
-        if link not in names:
-            there = f"{', '.join(names)}.{did_you_mean(link, names)}"
-            raise ValueError(f"{self.uid} has no link {link!r}; there are: {there}")
-        return int(self.index.body_ids[names.index(link)])
-
     def get_mass(self, link_names: Sequence[str] | None = None) -> torch.Tensor:
         """(N, k) link masses in kg."""
-        return to_tensor(self.engine.model_field("body_mass")[:, self._bodies_of(link_names)])
+        return to_tensor(self.read_mass(self._bodies_of(link_names)))
 
     def set_mass(
         self, mass: Any, link_names: Sequence[str] | None = None, env_ids: Any = None
@@ -455,37 +528,6 @@ class Articulation(FrameReads):
             raise ValueError(f"{self.uid}: masses must be positive, got {least}")
         self.write_mass(new, bodies, ids)
 
-    def write_mass(
-        self, mass: F64, bodies: Ids, ids: EnvIndex | None, inertia: bool = True
-    ) -> None:
-        """Set masses (n, k) in kg of bodies (k,), by MuJoCo's ids, from checked arrays.
-
-        Inertias scale with the masses, unless ``inertia`` is False.
-        """
-        self.engine.write_model("body_mass", mass, ids, bodies)
-        if inertia:
-            self.write_inertia(mass / self.engine.model.body_mass[bodies], bodies, ids)
-        else:
-            self.engine.set_const_later(ids)
-
-    def write_inertia(self, factor: F64, bodies: Ids, ids: EnvIndex | None) -> None:
-        """Set inertias of bodies (k,) to (n, k) times the compiled ones."""
-        moments = self.engine.model.body_inertia[bodies] * factor[:, :, None]
-        columns = (3 * bodies[:, None] + np.arange(3)).reshape(-1)
-        self.engine.write_model("body_inertia", moments.reshape(len(factor), -1), ids, columns)
-        self.engine.set_const_later(ids)
-
     def clear_dynamics(self, env_ids: Any = None) -> None:
         """Stop all joints and the root, and remove applied efforts."""
-        ids = as_env_ids(env_ids, self.num_instances)
-        dofs, start = self.index.dof_adr, self.index.free_qvel_adr
-        if start >= 0:
-            dofs = np.concatenate([np.arange(start, start + 6), dofs])
-        for field in ("qvel", "qacc_warmstart", "qfrc_applied"):
-            self.engine.write(field, 0.0, ids, dofs)
-
-    def forget_targets(self, ids: EnvIndex | None) -> None:
-        """Clear targets, and efforts of `set_qf`, after a reset of environments (n,), or all."""
-        self.drives.clear(ids)
-        if self._effort_times is not None:
-            self._effort_times[slice(None) if ids is None else ids] = np.nan
+        self.stop(as_env_ids(env_ids, self.num_instances))

@@ -17,8 +17,8 @@ from embodichain.utils.arrays import columns_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.articulation import Articulation
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["ComputedEfforts"]
 
@@ -54,7 +54,7 @@ class ComputedEfforts:
         for field in ("actuator_length", "actuator_velocity", "actuator_force"):
             self._engine.acceleration(field)
 
-    def read(self) -> F64:
+    def read(self) -> Floats:
         """(N, K) N m or N; efforts applied from outside (`set_qf`, effort actions) included."""
         engine = self._engine
         actual = engine.acceleration("qfrc_actuator")[:, self._dofs]
@@ -63,11 +63,10 @@ class ComputedEfforts:
             for i, found in enumerate(self._actuators)
         ]
         applied = engine.state("qfrc_applied")[:, self._dofs]
-        cut: F64 = self._asset.drives.cut_effort[:, self._joints]
-        total: F64 = np.stack(asked, axis=1) + applied + cut
-        return total
+        cut: Floats = self._asset.drives.cut_effort[:, self._joints]
+        return np.stack(asked, axis=1) + applied + cut
 
-    def _of_joint(self, actual: F64, actuators: list[int], limited: bool) -> F64:
+    def _of_joint(self, actual: Floats, actuators: list[int], limited: bool) -> Floats:
         """(N,) of actuators of one joint; other forces count as they are, unless cut together."""
         if not actuators:
             return actual
@@ -83,7 +82,7 @@ class ComputedEfforts:
                 total = total - gear * forces[:, actuator]
         return total
 
-    def _wanted(self, actuator: int) -> F64:
+    def _wanted(self, actuator: int) -> Floats:
         """(N,) force of an actuator before its limit, N m or N."""
         engine, model = self._engine, self._engine.model
         control: Any = engine.state("ctrl")[:, actuator]
@@ -91,7 +90,7 @@ class ComputedEfforts:
             low, high = model.actuator_ctrlrange[actuator]
             control = np.minimum(np.maximum(control, low), high)
         gain = engine.model_values("actuator_gainprm")[:, actuator, 0]
-        force: F64 = gain * control
+        force: Floats = gain * control
         if model.actuator_biastype[actuator] == _LINEAR[0]:
             return force
         bias = engine.model_values("actuator_biasprm")[:, actuator]

@@ -24,8 +24,9 @@ from embodichain.utils.arrays import columns_of, field_values, is_host
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
-    from embodichain.lab.sim.engine.api import F64, Columns, EnvIndex
+    from embodichain.lab.sim.engine.api import Columns, EnvIndex
     from embodichain.lab.sim.objects.entity import Handle
+    from embodichain.utils.array_types import Floats
     from embodichain.utils.arrays import Arrays
 
 __all__ = ["GAINS", "Drives", "JointLimits"]
@@ -51,30 +52,32 @@ class JointLimits:
         arrays: Makes the arrays.
     """
 
-    def __init__(self, limits: F64, count: int, arrays: Arrays) -> None:
+    def __init__(self, limits: Floats, count: int, arrays: Arrays) -> None:
         self._sides = tuple(arrays.put(np.tile(side, (count, 1))) for side in limits.T)
 
     @property
-    def values(self) -> F64:
+    def values(self) -> Floats:
         """(N, D, 2) copies."""
         return np.stack(self._sides, axis=-1)
 
-    def of(self, joints: Joints, ids: EnvIndex | None) -> tuple[F64, F64]:
+    def of(self, joints: Joints, ids: EnvIndex | None) -> tuple[Floats, Floats]:
         """Lower and upper limits (n, k) of joints in environments; do not write."""
         where = (slice(None), columns_of(joints)) if ids is None else (ids[:, None], joints)
         low, high = self._sides
         return low[where], high[where]
 
-    def clamp(self, values: F64, joints: Joints, ids: EnvIndex | None) -> F64:
+    def clamp(self, values: Floats, joints: Joints, ids: EnvIndex | None) -> Floats:
         """Return positions (n, k) of joints, clamped to their limits."""
         low, high = self.of(joints, ids)
         return np.minimum(np.maximum(values, low), high)
 
-    def set(self, side: Literal[0, 1], values: F64, joints: Joints, ids: EnvIndex | None) -> None:
+    def set(
+        self, side: Literal[0, 1], values: Floats, joints: Joints, ids: EnvIndex | None
+    ) -> None:
         """Set lower (0) or upper (1) limits (n, k) of joints in environments."""
         self._sides[side][_at(ids, joints)] = values
 
-    def restore(self, values: F64) -> None:
+    def restore(self, values: Floats) -> None:
         """Set all limits, (N, D, 2)."""
         for side, limits in enumerate(self._sides):
             limits[:] = values[..., side]
@@ -102,13 +105,13 @@ class Drives:
         control_columns: Their columns in ``ctrl``.
     """
 
-    stiffness: F64
-    damping: F64
-    max_effort: F64
-    max_velocity: F64
-    friction: F64
-    armature: F64
-    joint_damping: F64
+    stiffness: Floats
+    damping: Floats
+    max_effort: Floats
+    max_velocity: Floats
+    friction: Floats
+    armature: Floats
+    joint_damping: Floats
 
     def __init__(self, handle: Handle[EntityIndex], parsed: ParsedArticulation) -> None:
         self.parsed = parsed
@@ -116,10 +119,10 @@ class Drives:
         count, self._arrays = handle.num_instances, handle.host.arrays
         for name in (*GAINS, "joint_damping"):
             setattr(self, name, self._arrays.put(np.tile(getattr(parsed, name), (count, 1))))
-        self.strength: F64 = np.ones_like(self.stiffness)
-        self.target_qvel: F64 = np.zeros_like(self.stiffness)
-        self.cut_effort: F64 = np.zeros_like(self.stiffness)
-        self.encoder_bias: F64 = np.zeros_like(self.stiffness)
+        self.strength: Floats = np.ones_like(self.stiffness)
+        self.target_qvel: Floats = np.zeros_like(self.stiffness)
+        self.cut_effort: Floats = np.zeros_like(self.stiffness)
+        self.encoder_bias: Floats = np.zeros_like(self.stiffness)
         self.limits = JointLimits(parsed.qpos_limits, count, self._arrays)
         self.has_velocity_target = False
         self.joints: Joints = np.arange(0)
@@ -162,7 +165,7 @@ class Drives:
         return columns
 
     def write_target_qpos(
-        self, target: F64, joints: Joints, columns: Columns, ids: EnvIndex | None
+        self, target: Floats, joints: Joints, columns: Columns, ids: EnvIndex | None
     ) -> None:
         """Set finite position targets (n, k), clamped to the limits, in columns of ``ctrl``."""
         clamped = self.limits.clamp(target, joints, ids)
@@ -177,21 +180,19 @@ class Drives:
         """Whether controls may differ from position targets."""
         return self.has_velocity_target or self._springless or self._scaled
 
-    def _control(self, target: F64, where: Any) -> F64:
+    def _control(self, target: Floats, where: Any) -> Floats:
         """Controls for position targets (n, k) and the current velocity targets."""
-        control: F64 = self._mixed(target, where) * self._scale[where[1]]
-        return control
+        return self._mixed(target, where) * self._scale[where[1]]
 
-    def _mixed(self, target: F64, where: Any) -> F64:
+    def _mixed(self, target: Floats, where: Any) -> Floats:
         """As `_control`, in units of the joint."""
         stiffness, velocity = self.stiffness[where], self.target_qvel[where]
         ratio = np.divide(
             self.damping[where], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0
         )
-        control: F64 = np.where(stiffness > 0, target + ratio * velocity, velocity)
-        return control
+        return np.where(stiffness > 0, target + ratio * velocity, velocity)
 
-    def read_target_qpos(self) -> F64:
+    def read_target_qpos(self) -> Floats:
         """(N, D) position targets; the joint's position where a drive has no stiffness."""
         engine, index, driven = self._handle.engine, self._handle.index, self.joints
         out = engine.state("qpos")[:, index.qpos_adr]
@@ -205,18 +206,17 @@ class Drives:
         return out
 
     def within_rate(
-        self, target: F64, joints: Joints, seconds: float, ids: EnvIndex | None = None
-    ) -> F64:
+        self, target: Floats, joints: Joints, seconds: float, ids: EnvIndex | None = None
+    ) -> Floats:
         """Limit position targets (n, k) to what `max_velocity` lets them move in a time."""
         if not self._rated:
             return target
         where = _at(ids, joints)
         reach = self.max_velocity[where] * seconds
         now = self.read_target_qpos()[where]
-        moved: F64 = np.minimum(np.maximum(target, now - reach), now + reach)
-        return moved
+        return np.minimum(np.maximum(target, now - reach), now + reach)
 
-    def write_target_qvel(self, target: F64, joints: Joints, ids: EnvIndex | None) -> None:
+    def write_target_qvel(self, target: Floats, joints: Joints, ids: EnvIndex | None) -> None:
         """Set velocity targets (n, k) and update the controls."""
         columns, where = self.columns(joints), _at(ids, joints)
         position = self.read_target_qpos()[where]
@@ -235,8 +235,8 @@ class Drives:
         self._handle.engine.write("ctrl", target, ids, columns)
 
     def take_controls(
-        self, control: F64, columns: Joints, ids: EnvIndex | None, seconds: float | None = None
-    ) -> F64:
+        self, control: Floats, columns: Joints, ids: EnvIndex | None, seconds: float | None = None
+    ) -> Floats:
         """Return controls (n, k) to be written, and store those of drives as their targets.
 
         Position targets of drives of `drive_pros` are clamped to the joints' limits.
@@ -299,7 +299,7 @@ class Drives:
             return
         self._note(self.stiffness, self.max_velocity)
 
-    def _note(self, stiffness: F64, fastest: F64) -> None:
+    def _note(self, stiffness: Floats, fastest: Floats) -> None:
         self._rated = bool((fastest < NO_LIMIT).any())
         stiff = stiffness[:, self.joints] > 0
         self._springless = not stiff.all()
@@ -308,7 +308,7 @@ class Drives:
 
     # -- gains -----------------------------------------------------------------------------------
 
-    def write(self, name: str, values: F64, ids: EnvIndex | None, joints: Joints) -> None:
+    def write(self, name: str, values: Floats, ids: EnvIndex | None, joints: Joints) -> None:
         """Set an attribute, by name, to non-negative values (n, k).
 
         A `max_effort` of `NO_LIMIT` or more is no limit.
@@ -383,7 +383,7 @@ class Drives:
             engine.write_model("actuator_forcerange", bound, ids, columns_of(2 * actuators + side))
 
     def write_limit(
-        self, side: Literal[0, 1], values: F64, ids: EnvIndex | None, joints: Joints
+        self, side: Literal[0, 1], values: Floats, ids: EnvIndex | None, joints: Joints
     ) -> None:
         """Set lower (0) or upper (1) position limits (n, k) of joints that have limits."""
         engine = self._handle.engine
@@ -407,11 +407,10 @@ class Drives:
         model, index, parsed = self._handle.engine.model, self._handle.index, self.parsed
         driven, gear = self.joints, self._gear[self.joints]
 
-        def read(name: str, columns: Joints, declared: Any, unit: Any = 1.0) -> F64:
+        def read(name: str, columns: Joints, declared: Any, unit: Any = 1.0) -> Floats:
             """(k,) columns of a field times ``unit``; ``declared`` where they are as compiled."""
             now, compiled = field_values(model, fields, name, columns)
-            found: F64 = np.where(now == compiled, declared, now * unit)
-            return found
+            return np.where(now == compiled, declared, now * unit)
 
         every = np.arange(len(index.dof_adr))
         for name, field in _JOINT_FIELDS.items():
@@ -451,12 +450,12 @@ class Drives:
         self._note_gains()
         self._forget_velocities(ids)
 
-    def state_dict(self) -> dict[str, F64]:
+    def state_dict(self) -> dict[str, Floats]:
         """Targets and gains (copies)."""
         saved = {name: getattr(self, name).copy() for name in _SAVED}
         return {**saved, "limits": self.limits.values.copy()}
 
-    def load_state_dict(self, state: dict[str, F64]) -> None:
+    def load_state_dict(self, state: dict[str, Floats]) -> None:
         """Continue exactly where `state_dict` was taken; the engine restores model fields."""
         for name in _SAVED:
             getattr(self, name)[...] = state[name]

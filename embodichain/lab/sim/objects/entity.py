@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.cfg import ObjectBaseCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
-    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import Engine, EnvIndex
     from embodichain.lab.sim.objects.host import Host
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["BatchEntity", "Handle", "TensorRead", "TensorReads"]
 
@@ -29,6 +30,11 @@ Index = TypeVar("Index")
 
 class Handle(Generic[Index]):
     """A named entity, light or sensor in N environments of a simulation.
+
+    A handle has one set of methods, `read_...` and `write_...`, on arrays where the simulation has
+    them (`Floats`), for environments that were checked (`EnvIndex`). What users call (`get_...`,
+    `set_...`) is a thin layer over it: it checks shapes, environments and values, and takes and
+    returns float32 tensors.
 
     Args:
         uid: Its name.
@@ -47,7 +53,8 @@ class Handle(Generic[Index]):
 
     def bind(self, engine: Engine, index: Index) -> None:
         """Set the engine and the indices in the compiled model. Called once, by the simulation."""
-        self.engine, self.index = engine, index
+        self.engine = engine
+        self.index = index
 
     @cached_property
     def engine(self) -> Engine:
@@ -68,8 +75,7 @@ class Handle(Generic[Index]):
         self.host.compile()  # calls `bind`
         if "index" not in self.__dict__:
             raise RuntimeError(f"{self.uid} was removed from the scene before it was compiled")
-        found: Index = self.__dict__["index"]
-        return found
+        return self.__dict__["index"]
 
     def destroy(self) -> None:
         """Drop the reference to the engine."""
@@ -77,7 +83,7 @@ class Handle(Generic[Index]):
 
     def _checked(
         self, values: Any, width: int, env_ids: Any, what: str, **options: bool
-    ) -> tuple[F64, EnvIndex | None]:
+    ) -> tuple[Floats, EnvIndex | None]:
         """Return values (n, width) and their n environments; options as in `as_rows`.
 
         Users' values are copied to the simulation's device.
@@ -155,7 +161,8 @@ class BatchEntity(Handle["EntityIndex"]):
     @cached_property
     def row_columns(self) -> NDArray[np.int64]:
         """Sorted columns of the entity in the state row."""
-        engine, index = self.engine, self.index
+        engine = self.engine
+        index = self.index
         model = engine.model
         joints = np.flatnonzero(np.isin(model.jnt_bodyid, index.body_ids))  # ball and free as well
         dofs = np.flatnonzero(np.isin(model.dof_jntid, joints))
@@ -175,40 +182,29 @@ class BatchEntity(Handle["EntityIndex"]):
 
     # -- root pose -----------------------------------------------------------------------------
 
-    def _pose_rows(self, pose: Any, env_ids: Any, what: str) -> tuple[F64, EnvIndex | None]:
-        """Return (n, 7) float64 with unit quaternions from (n, 7) or (n, 4, 4)."""
-        ids = as_env_ids(env_ids, self.num_instances)
-        shape = tuple(np.shape(pose))
-        if len(shape) == 3 and shape[1:] == (4, 4):
-            flat, _ = self._checked(pose.reshape(shape[0], 16), 16, ids, what)
-            return matrix_to_pose(flat.reshape(-1, 4, 4)), ids
-        if len(shape) != 2 or shape[1] != 7:
-            count = self.num_instances if ids is None else len(ids)
-            raise ValueError(
-                f"{self.uid}: {what} must have shape ({count}, 7) (x, y, z, qw, qx, qy, qz) or "
-                f"({count}, 4, 4), got {shape}"
-            )
-        array = self._checked(pose, 7, ids, what)[0].copy()
-        array[:, 3:] = normalize_quat(array[:, 3:])
-        return array, ids
-
     def write_pose(
-        self, pos: F64, quat: F64 | None = None, env_ids: EnvIndex | None = None
+        self, pos: Floats, quat: Floats | None = None, env_ids: EnvIndex | None = None
     ) -> None:
         """Set the root position (n, 3) and, if given, orientation (n, 4) from checked arrays."""
-        index, write = self.index, self.engine.write
+        index = self.index
         if index.mocap_id >= 0:
-            fields, starts = ("mocap_pos", "mocap_quat"), (3 * index.mocap_id, 4 * index.mocap_id)
+            write = self.engine.write
+            pos_field, pos_start = ("mocap_pos", 3 * index.mocap_id)
+            quat_field, quat_start = ("mocap_quat", 4 * index.mocap_id)
         elif index.free_qpos_adr >= 0:
-            fields, starts = ("qpos", "qpos"), (index.free_qpos_adr, index.free_qpos_adr + 3)
+            write = self.engine.write
+            pos_field, pos_start = ("qpos", index.free_qpos_adr)
+            quat_field, quat_start = ("qpos", index.free_qpos_adr + 3)
         else:
-            write, body = self.engine.write_model, index.root_body_id
-            fields, starts = ("body_pos", "body_quat"), (3 * body, 4 * body)
-        write(fields[0], pos, env_ids, slice(starts[0], starts[0] + 3))
+            # Nothing moves it in physics: its pose is a part of the model.
+            write = self.engine.write_model
+            pos_field, pos_start = ("body_pos", 3 * index.root_body_id)
+            quat_field, quat_start = ("body_quat", 4 * index.root_body_id)
+        write(pos_field, pos, env_ids, slice(pos_start, pos_start + 3))
         if quat is not None:
-            write(fields[1], quat, env_ids, slice(starts[1], starts[1] + 4))
+            write(quat_field, quat, env_ids, slice(quat_start, quat_start + 4))
 
-    def read_pose(self) -> tuple[F64, F64]:
+    def read_pose(self) -> tuple[Floats, Floats]:
         """Root position (N, 3) and wxyz orientation (N, 4): live views, do not write or store."""
         root = self.motion(self.index.root_body_id)
         return root.position(), root.orientation()
@@ -219,10 +215,13 @@ class BatchEntity(Handle["EntityIndex"]):
 
     def motion_of(self, frame: BodyFrames) -> BodyMotion:
         """Motion of one frame of the entity; one shared object per frame."""
-        found = self._motions.get(frame)
-        if found is None:
-            found = self._motions[frame] = BodyMotion(self.engine, self.index, frame)
-        return found
+        motion = self._motions.get(frame)
+        if motion is None:
+            motion = BodyMotion(self.engine, self.index, frame)
+            self._motions[frame] = motion
+        return motion
+
+    # -- for users: tensors in and out, checked; see `Handle` ----------------------------------
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
         """Root pose in the environment's frame: (N, 7) x, y, z, qw, qx, qy, qz, or (N, 4, 4)."""
@@ -241,3 +240,20 @@ class BatchEntity(Handle["EntityIndex"]):
         """
         array, ids = self._pose_rows(pose, env_ids, "pose")
         self.write_pose(array[:, :3], array[:, 3:], ids)
+
+    def _pose_rows(self, pose: Any, env_ids: Any, what: str) -> tuple[Floats, EnvIndex | None]:
+        """Return (n, 7) float64 with unit quaternions from (n, 7) or (n, 4, 4)."""
+        ids = as_env_ids(env_ids, self.num_instances)
+        shape = tuple(np.shape(pose))
+        if len(shape) == 3 and shape[1:] == (4, 4):
+            flat, _ = self._checked(pose.reshape(shape[0], 16), 16, ids, what)
+            return matrix_to_pose(flat.reshape(-1, 4, 4)), ids
+        if len(shape) != 2 or shape[1] != 7:
+            count = self.num_instances if ids is None else len(ids)
+            raise ValueError(
+                f"{self.uid}: {what} must have shape ({count}, 7) (x, y, z, qw, qx, qy, qz) or "
+                f"({count}, 4, 4), got {shape}"
+            )
+        array = self._checked(pose, 7, ids, what)[0].copy()
+        array[:, 3:] = normalize_quat(array[:, 3:])
+        return array, ids

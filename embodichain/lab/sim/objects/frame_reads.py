@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.sim.compiler.index import Ids
     from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["FrameReads"]
 
@@ -41,12 +41,12 @@ class FrameReads(BatchEntity):
     def _bodies_of(self, links: Sequence[str] | None) -> Ids:
         return np.asarray([self.body_of(link) for link in links or self.link_names], np.int64)
 
-    def pose_of(self, bodies: int | Ids) -> F64:
+    def pose_of(self, bodies: int | Ids) -> Floats:
         """(N, 7) x, y, z, qw, qx, qy, qz of a body (MuJoCo's id), or (N, k, 7) of k bodies."""
         pos = self.engine.derived("xpos")[:, bodies]
         return np.concatenate([pos, self.engine.derived("xquat")[:, bodies]], axis=-1)
 
-    def velocity_of(self, bodies: int | Ids) -> F64:
+    def velocity_of(self, bodies: int | Ids) -> Floats:
         """(N, 6) linear velocity of a body's origin, then angular, world axes; or (N, k, 6)."""
         return np.concatenate(BodyFrames("link", bodies, bodies).velocities(self.engine), axis=-1)
 

@@ -12,8 +12,9 @@ from embodichain.utils.arrays import to_tensor
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import LightCfg
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.host import Host
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["Light"]
 
@@ -38,34 +39,41 @@ class Light(Handle[int]):
         super().__init__(uid, host)
         self.cfg = cfg
         count = self.num_instances
-        color, full = np.asarray(cfg.color, np.float64), host.arrays.full
-        self._color: F64 = host.arrays.put(np.tile(color, (count, 1)))
-        self._intensity: F64 = full((count, 1), float(cfg.intensity))
-        self._falloff: F64 = full((count, 1), float(cfg.radius))
+        color = np.asarray(cfg.color, np.float64)
+        full = host.arrays.full
+        self._color: Floats = host.arrays.put(np.tile(color, (count, 1)))
+        self._intensity: Floats = full((count, 1), float(cfg.intensity))
+        self._falloff: Floats = full((count, 1), float(cfg.radius))
 
-    # -- writes from checked arrays --------------------------------------------------------------
+    # -- reads, and writes from checked arrays ---------------------------------------------------
 
-    def write(self, field: str, values: F64, ids: EnvIndex | None) -> None:
+    def read_position(self) -> Floats:
+        """(N, 3) metres."""
+        start = 3 * self.index
+        return self.engine.model_field("light_pos")[:, start : start + 3]
+
+    def write(self, field: str, values: Floats, ids: EnvIndex | None) -> None:
         """Set ``light_pos`` or ``light_dir``, (n, 3), from checked arrays."""
         start = 3 * self.index
         self.engine.write_model(field, values, ids, slice(start, start + 3))
 
-    def write_emission(self, color: F64, intensity: F64, ids: EnvIndex | None) -> None:
+    def write_emission(self, color: Floats, intensity: Floats, ids: EnvIndex | None) -> None:
         """Set colours (n, 3) in [0, 1] and intensities (n, 1); negative ones count as 0."""
         where: Any = slice(None) if ids is None else ids
-        self._color[where], self._intensity[where] = color, intensity
+        self._color[where] = color
+        self._intensity[where] = intensity
         diffuse = self._color[where] * (np.maximum(self._intensity[where], 0.0) / FULL_INTENSITY)
         self.write("light_diffuse", diffuse, ids)
         self.write("light_specular", SPECULAR * diffuse, ids)
 
-    def emission(self, ids: EnvIndex | None = None) -> tuple[F64, F64]:
+    def emission(self, ids: EnvIndex | None = None) -> tuple[Floats, Floats]:
         """Current colours (n, 3) and intensities (n, 1) (copies)."""
         where: Any = slice(None) if ids is None else ids
         return self._color[where].copy(), self._intensity[where].copy()
 
-    # -- EmbodiChain's handle ----------------------------------------------------------------------
+    # -- for users: tensors in and out, checked; see `Handle` ----------------------------------
 
-    def _scalars(self, values: Any, env_ids: Any, what: str) -> tuple[F64, EnvIndex | None]:
+    def _scalars(self, values: Any, env_ids: Any, what: str) -> tuple[Floats, EnvIndex | None]:
         """Return values (n,), (n, 1) or a single one as (n, 1)."""
         array = _array(values)
         array = array.reshape(-1, 1) if array.size > 1 else array.reshape(-1)
@@ -92,8 +100,7 @@ class Light(Handle[int]):
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
         """Positions (N, 3) in metres, or matrices (N, 4, 4) with identity rotation."""
-        start = 3 * self.index
-        position = to_tensor(self.engine.model_field("light_pos")[:, start : start + 3])
+        position = to_tensor(self.read_position())
         if not to_matrix:
             return position
         matrices = torch.eye(4).repeat(len(position), 1, 1)
@@ -119,14 +126,15 @@ class Light(Handle[int]):
 
     # -- state -------------------------------------------------------------------------------------
 
-    def state_dict(self) -> dict[str, F64]:
+    def state_dict(self) -> dict[str, Floats]:
         """Colour, intensity and falloff (copies); the engine stores the rest."""
         state = {"color": self._color, "intensity": self._intensity, "falloff": self._falloff}
         return {name: values.copy() for name, values in state.items()}
 
-    def load_state_dict(self, state: dict[str, F64]) -> None:
+    def load_state_dict(self, state: dict[str, Floats]) -> None:
         """Continue where `state_dict` was taken; the engine restores model fields."""
-        self._color[:], self._intensity[:] = state["color"], state["intensity"]
+        self._color[:] = state["color"]
+        self._intensity[:] = state["intensity"]
         self._falloff[:] = state["falloff"]
 
 

@@ -16,8 +16,9 @@ from embodichain.utils.tensor_mapping import TensorMapping
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RobotCfg, SolverCfg
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["Robot"]
 
@@ -208,7 +209,7 @@ class Robot(Articulation):
 
     def _with_part(
         self, qpos: Any, name: str | None, env_ids: Any, what: str
-    ) -> tuple[F64, EnvIndex | None]:
+    ) -> tuple[Floats, EnvIndex | None]:
         """(n, D) present positions, with those of a part replaced."""
         ids = as_env_ids(env_ids, self.num_instances)
         whole = self.read_qpos()[self._rows(env_ids)].copy()
@@ -218,7 +219,7 @@ class Robot(Articulation):
             whole[:, joints] = values
         return whole, ids
 
-    def _batched(self, values: Any, inner: int, env_ids: Any, what: str) -> tuple[EnvIndex, F64]:
+    def _batched(self, values: Any, inner: int, env_ids: Any, what: str) -> tuple[EnvIndex, Floats]:
         """Environments (n m,) and values (n m, ...) of an array (n, m, ...)."""
         ids = as_env_ids(env_ids, self.num_instances)
         ids = np.arange(self.num_instances) if ids is None else ids
@@ -233,7 +234,7 @@ class Robot(Articulation):
         flat = as_rows(values.reshape(count, width), count, width, f"{self.uid}: {what}")
         return np.repeat(ids, shape[1]), flat.reshape(count, *shape[2:])
 
-    def _filled(self, qpos: F64 | None, name: str | None, ids: EnvIndex) -> F64:
+    def _filled(self, qpos: Floats | None, name: str | None, ids: EnvIndex) -> Floats:
         """(n, D) present positions of environments, with those (n, k) of a part replaced."""
         whole = self.read_qpos()[ids]
         if qpos is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["Solid"]
 
@@ -39,7 +39,7 @@ class Solid:
     uid: str
     kind: str
     geom: int
-    size: F64
+    size: Floats
     axes: NDArray[np.int64]
 
     @staticmethod
@@ -67,7 +67,7 @@ class Solid:
         """Axes that must have equal scales to keep the kind of shape."""
         return {"sphere": (0, 1, 2), "cylinder": (0, 1), "capsule": (0, 1)}.get(self.kind, ())
 
-    def check(self, scale: F64) -> None:
+    def check(self, scale: Floats) -> None:
         """Check that scales (n, 3) are positive and keep the kind of shape.
 
         Raises:
@@ -80,7 +80,7 @@ class Solid:
             axes = ", ".join("xyz"[axis] for axis in equal)
             raise ValueError(f"{self.uid}: a {self.kind} scales equally along {axes}")
 
-    def scaled(self, scale: F64) -> tuple[F64, F64, F64]:
+    def scaled(self, scale: Floats) -> tuple[Floats, Floats, Floats]:
         """Sizes (n, 3); ratios to the compiled volume (n,) and moments at equal mass (n, 3).
 
         Args:
@@ -97,7 +97,7 @@ class Solid:
         return size, volume, moments[:, self.axes]
 
 
-def _volume(kind: str, size: F64) -> F64:
+def _volume(kind: str, size: Floats) -> Floats:
     """Volume (n,), up to a constant factor."""
     a, b, c = size[:, 0], size[:, 1], size[:, 2]
     if kind == "sphere":
@@ -109,7 +109,7 @@ def _volume(kind: str, size: F64) -> F64:
     return a * b * c
 
 
-def _moments(kind: str, size: F64) -> F64:
+def _moments(kind: str, size: Floats) -> Floats:
     """Moments of inertia (n, 3) about the geom's axes per mass, up to a constant factor."""
     a, b, c = size[:, 0], size[:, 1], size[:, 2]
     if kind == "sphere":

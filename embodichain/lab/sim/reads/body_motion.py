@@ -11,8 +11,9 @@ from embodichain.utils.math import quat_to_matrix, rotate, rotate_back
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import EntityIndex
-    from embodichain.lab.sim.engine.api import F64, Engine
+    from embodichain.lab.sim.engine.api import Engine
     from embodichain.lab.sim.reads.frames import BodyFrames
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["BodyMotion", "Frame"]
 
@@ -35,11 +36,11 @@ class BodyMotion:
         self._engine = engine
         self._frame = frame
         self._version = -1
-        self._known: dict[str, F64] = {}
+        self._known: dict[str, Floats] = {}
         is_root = frame.kind == "link" and frame.ids == index.root_body_id
         self._qvel = index.free_qvel_adr if is_root else -1
         # Poses of floating and kinematic roots are part of the state.
-        self._pose: tuple[F64, F64] | None = None
+        self._pose: tuple[Floats, Floats] | None = None
         start, mocap = index.free_qpos_adr, index.mocap_id
         if is_root and mocap >= 0:
             position, quat = engine.state("mocap_pos"), engine.state("mocap_quat")
@@ -56,11 +57,11 @@ class BodyMotion:
         del self._engine, self._pose
         self._known.clear()
 
-    def position(self) -> F64:
+    def position(self) -> Floats:
         """(N, 3) m: a live view, do not store."""
         return self._frame.positions(self._engine) if self._pose is None else self._pose[0]
 
-    def orientation(self) -> F64:
+    def orientation(self) -> Floats:
         """(N, 4) wxyz: a live view, do not store."""
         if self._pose is not None:
             return self._pose[1]
@@ -68,7 +69,7 @@ class BodyMotion:
             return self._frame.orientations(self._engine)
         return self._once("quat", lambda: self._frame.orientations(self._engine))
 
-    def _once(self, name: str, compute: Callable[[], F64]) -> F64:
+    def _once(self, name: str, compute: Callable[[], Floats]) -> Floats:
         """The stored value, or a new one if the state has changed."""
         if self._version != self._engine.version:
             self._known.clear()
@@ -78,13 +79,13 @@ class BodyMotion:
             found = self._known[name] = compute()
         return found
 
-    def axes(self) -> F64:
+    def axes(self) -> Floats:
         """(N, 3, 3) rotation matrices; the columns are the frame's axes in the world."""
         if self._frame.kind == "link":
             return self._once("axes", lambda: quat_to_matrix(self.orientation()))
         return self._frame.axes(self._engine)
 
-    def linear_velocity(self, frame: Frame = "world") -> F64:
+    def linear_velocity(self, frame: Frame = "world") -> Floats:
         """(N, 3) m/s of the origin.
 
         For a floating root it is read from qvel; else see `point_velocities`.
@@ -95,18 +96,18 @@ class BodyMotion:
         """
         return self._once(f"linear {frame}", lambda: self._linear(frame))
 
-    def _linear(self, frame: Frame) -> F64:
+    def _linear(self, frame: Frame) -> Floats:
         if frame != "world":
             return self._turned(self.linear_velocity(), frame)
         if self._qvel >= 0:
             return self._engine.state("qvel")[:, self._qvel : self._qvel + 3]
         return self._frame.velocities(self._engine)[0]
 
-    def angular_velocity(self, frame: Frame = "world") -> F64:
+    def angular_velocity(self, frame: Frame = "world") -> Floats:
         """(N, 3) rad/s; see `linear_velocity`."""
         return self._once(f"angular {frame}", lambda: self._angular(frame))
 
-    def _angular(self, frame: Frame) -> F64:
+    def _angular(self, frame: Frame) -> Floats:
         if self._qvel >= 0 and frame != "yaw":  # qvel is in body axes
             own = self._engine.state("qvel")[:, self._qvel + 3 : self._qvel + 6]
             return own if frame == "body" else rotate(self.axes(), own)
@@ -114,7 +115,7 @@ class BodyMotion:
             return self._engine.derived("cvel")[:, self._frame.bodies, :3]
         return self._turned(self.angular_velocity(), frame)
 
-    def _turned(self, vectors: F64, frame: Literal["body", "yaw"]) -> F64:
+    def _turned(self, vectors: Floats, frame: Literal["body", "yaw"]) -> Floats:
         """Transform (N, 3) vectors from world axes to axes of the body or of its heading."""
         if frame == "body":
             return rotate_back(self.axes(), vectors)
@@ -123,7 +124,7 @@ class BodyMotion:
         level[:, 0], level[:, 1] = cos * x + sin * y, cos * y - sin * x
         return level
 
-    def _heading(self) -> tuple[F64, F64]:
+    def _heading(self) -> tuple[Floats, Floats]:
         """(N,) cosine and sine of the heading; (1, 0) for a vertical x axis."""
         ahead, left = self.axes()[:, 0, 0], self.axes()[:, 1, 0]
         length = np.sqrt(ahead * ahead + left * left)

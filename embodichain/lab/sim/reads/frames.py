@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     import mujoco
 
     from embodichain.lab.sim.compiler.names import FrameKind
-    from embodichain.lab.sim.engine.api import F64, Engine
+    from embodichain.lab.sim.engine.api import Engine
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["BodyFrames", "frame_named", "frames_named", "link_frame", "point_velocities"]
 
@@ -41,11 +42,11 @@ class BodyFrames:
     ids: Any
     bodies: Any
 
-    def positions(self, engine: Engine) -> F64:
+    def positions(self, engine: Engine) -> Floats:
         """(N, B, 3) metres, environment's frame: do not write or store."""
         return engine.derived("xpos" if self.kind == "link" else f"{self.kind}_xpos")[:, self.ids]
 
-    def orientations(self, engine: Engine) -> F64:
+    def orientations(self, engine: Engine) -> Floats:
         """(N, B, 4) wxyz: do not write or store."""
         carried = engine.derived("xquat")[:, self.bodies]
         if self.kind == "link":
@@ -53,12 +54,12 @@ class BodyFrames:
         own = engine.model_values(f"{self.kind}_quat")[:, self.ids]
         return quat_multiply(carried, own)
 
-    def axes(self, engine: Engine) -> F64:
+    def axes(self, engine: Engine) -> Floats:
         """(N, B, 3, 3) rotation matrices: do not write or store."""
         field = engine.derived("xmat" if self.kind == "link" else f"{self.kind}_xmat")
         return field.reshape(engine.num_envs, -1, 3, 3)[:, self.ids]
 
-    def velocities(self, engine: Engine) -> tuple[F64, F64]:
+    def velocities(self, engine: Engine) -> tuple[Floats, Floats]:
         """(N, B, 3) m/s of the origins and (N, B, 3) rad/s, world axes."""
         return point_velocities(engine, self.bodies, self.positions(engine))
 
@@ -83,7 +84,7 @@ def frames_named(model: mujoco.MjModel, kind: FrameKind, names: Sequence[str]) -
     return BodyFrames(kind, columns_of(ids), np.asarray(bodies, np.int64))
 
 
-def point_velocities(engine: Engine, bodies: Any, points: F64) -> tuple[F64, F64]:
+def point_velocities(engine: Engine, bodies: Any, points: Floats) -> tuple[Floats, Floats]:
     """Velocities of points fixed on bodies, world axes.
 
     MuJoCo's `cvel` is (angular, linear) at the centre of mass of the kinematic tree; moved to a

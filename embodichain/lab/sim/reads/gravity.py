@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import F64, Engine
+    from embodichain.lab.sim.engine.api import Engine
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["gravity_direction"]
 
 
-def gravity_direction(engine: Engine) -> F64:
+def gravity_direction(engine: Engine) -> Floats:
     """(N or 1, 3) unit vectors along gravity, world axes; zeros where there is none.
 
     One row if all environments have the same gravity.
@@ -22,7 +23,7 @@ def gravity_direction(engine: Engine) -> F64:
     """
     import mujoco  # lists of terms are made without it
 
-    gravity: F64 = engine.model_values("opt.gravity")
+    gravity: Floats = engine.model_values("opt.gravity")
     if engine.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY):
         return np.zeros_like(gravity)
     x, y, z = gravity[:, 0], gravity[:, 1], gravity[:, 2]

@@ -19,7 +19,8 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import Engine, EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["GroundHeights"]
 
@@ -47,7 +48,7 @@ class GroundHeights:
         self.columns = slice(first, first + 3)
         self._positions = engine.state("mocap_pos")
         values = model.hfield_data[start : start + rows * columns].astype(np.float64)
-        self._heights: F64 = values * extent + float(geom.pos[2])
+        self._heights: Floats = values * extent + float(geom.pos[2])
         self._shape = rows, columns
         self._half = half_x, half_y
         self._scale = (columns - 1) / (2.0 * half_x), (rows - 1) / (2.0 * half_y)
@@ -81,13 +82,13 @@ class GroundHeights:
         there = is_field and model.body_mocapid[model.geom_bodyid[chosen[0]]] >= 0
         return cls.of(engine) if there and is_host(engine.state("mocap_pos")) else None
 
-    def offset(self, env_ids: EnvIndex | None = None) -> F64:
+    def offset(self, env_ids: EnvIndex | None = None) -> Floats:
         """(n, 3) m: position of the terrain in environments; None is all. Do not write."""
         return self._positions[slice(None) if env_ids is None else env_ids, self.columns]
 
     def read(
-        self, x: F64, y: F64, env_ids: EnvIndex | None = None
-    ) -> tuple[F64, NDArray[np.bool_]]:
+        self, x: Floats, y: Floats, env_ids: EnvIndex | None = None
+    ) -> tuple[Floats, NDArray[np.bool_]]:
         """Height of the ground at places, and whether there is ground.
 
         Args:
@@ -109,11 +110,11 @@ class GroundHeights:
         right = u >= v
         other = self._heights[first + np.where(right, 1, self._shape[1])]
         most, least = np.maximum(u, v), np.minimum(u, v)
-        found: F64 = near + most * (other - near) + least * (far - other) + offset[:, 2]
+        found: Floats = near + most * (other - near) + least * (far - other) + offset[:, 2]
         return found, inside
 
 
-def _cell(place: F64, nodes: int) -> tuple[NDArray[np.int64], F64]:
+def _cell(place: Floats, nodes: int) -> tuple[NDArray[np.int64], Floats]:
     """The cell in which each coordinate is, in steps of the grid, and the share in [0, 1] of it."""
     place = np.clip(place, 0.0, nodes - 1.0)
     cell = np.minimum(place.astype(np.int64), nodes - 2)

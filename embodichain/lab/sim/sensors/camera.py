@@ -46,10 +46,11 @@ from embodichain.utils.math import (
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.sensing.scene_sensors import CameraIndex
     from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
     from embodichain.lab.sim.objects.host import Host
     from embodichain.lab.sim.sensors.sampling import Readings
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["Camera", "StereoCamera"]
 
@@ -62,9 +63,9 @@ _BY_DEPTH = frozenset({"depth", "distance", "normal", "position", "disparity"})
 class _Seen(NamedTuple):
     """What one camera draws in n environments: its place, its lens, and its pictures."""
 
-    eye: F64
-    axes: F64
-    lens: F64
+    eye: Floats
+    axes: Floats
+    lens: Floats
     pictures: dict[str, NDArray[Any]]
 
 
@@ -212,13 +213,13 @@ class Camera(BaseSensor):
         """Whether it is fixed on a link."""
         return bool(self.plan.bodies) or self.cfg.camera is not None
 
-    def read_pose(self) -> tuple[F64, F64]:
+    def read_pose(self) -> tuple[Floats, Floats]:
         """Position (N, 3) and wxyz orientation (N, 4) in the environment's frame."""
         camera = self.index.ids[0]
         axes = self.engine.derived("cam_xmat")[:, camera].reshape(-1, 3, 3)
         return self.engine.derived("cam_xpos")[:, camera].copy(), matrix_to_quat(axes)
 
-    def read_local_pose(self) -> tuple[F64, F64]:
+    def read_local_pose(self) -> tuple[Floats, Floats]:
         """Position (N, 3) and wxyz orientation (N, 4) in the frame of its link, if it has one."""
         camera, count = self.index.ids[0], self.num_instances
         pos, quat = (
@@ -227,11 +228,11 @@ class Camera(BaseSensor):
         )
         return np.broadcast_to(pos, (count, 3)).copy(), np.broadcast_to(quat, (count, 4)).copy()
 
-    def write_local_pose(self, pos: F64, quat: F64, env_ids: EnvIndex | None) -> None:
+    def write_local_pose(self, pos: Floats, quat: Floats, env_ids: EnvIndex | None) -> None:
         """Set position (n, 3) and unit wxyz orientation (n, 4) from checked arrays."""
         self._write_pose(self.index.ids[0], pos, quat, env_ids)
 
-    def _write_pose(self, camera: int, pos: F64, quat: F64, env_ids: EnvIndex | None) -> None:
+    def _write_pose(self, camera: int, pos: Floats, quat: Floats, env_ids: EnvIndex | None) -> None:
         write = self.engine.write_model
         write("cam_pos", pos, env_ids, slice(3 * camera, 3 * camera + 3))
         write("cam_quat", quat, env_ids, slice(4 * camera, 4 * camera + 4))
@@ -286,17 +287,17 @@ class Camera(BaseSensor):
 
     # -- lens ----------------------------------------------------------------------------------
 
-    def read_intrinsics(self, side: int = 0) -> F64:
+    def read_intrinsics(self, side: int = 0) -> Floats:
         """(N, 4) fx, fy, cx, cy in pixels."""
         size, values = (self.cfg.width, self.cfg.height), self.engine.model_values
         lens = self._here(lens_of(self.engine.model, self.index.ids[side], *size, values))
         return np.broadcast_to(lens, (self.num_instances, 4)).copy()
 
-    def _here(self, values: F64) -> F64:
+    def _here(self, values: Floats) -> Floats:
         """Values of the model that are on the host if all environments share them."""
         return self.host.arrays.constant(values) if is_host(values) else values
 
-    def write_intrinsics(self, lens: F64, env_ids: EnvIndex | None, side: int = 0) -> None:
+    def write_intrinsics(self, lens: Floats, env_ids: EnvIndex | None, side: int = 0) -> None:
         """Set fx, fy, cx, cy (n, 4) in pixels from a checked array.
 
         Raises:
@@ -376,20 +377,20 @@ class StereoCamera(Camera):
         baseline = float(np.sqrt((offset * offset).sum()))
         return disparities(seen[0].pictures["depth"], seen[0].lens[:, 0], baseline)
 
-    def _centre(self, pos: F64, quat: F64) -> tuple[F64, F64]:
+    def _centre(self, pos: Floats, quat: Floats) -> tuple[Floats, Floats]:
         """The pose halfway between the cameras, of the left one's."""
         offset, _ = pair_offset(self.cfg, 0)
         return pos - quat_rotate(quat, np.broadcast_to(offset, pos.shape)), quat
 
-    def read_pose(self) -> tuple[F64, F64]:
+    def read_pose(self) -> tuple[Floats, Floats]:
         """Position (N, 3) and wxyz orientation (N, 4) halfway, in the environment's frame."""
         return self._centre(*super().read_pose())
 
-    def read_local_pose(self) -> tuple[F64, F64]:
+    def read_local_pose(self) -> tuple[Floats, Floats]:
         """Position (N, 3) and wxyz orientation (N, 4) halfway, in the frame of its link."""
         return self._centre(*super().read_local_pose())
 
-    def write_local_pose(self, pos: F64, quat: F64, env_ids: EnvIndex | None) -> None:
+    def write_local_pose(self, pos: Floats, quat: Floats, env_ids: EnvIndex | None) -> None:
         """Set the pose halfway: position (n, 3), unit wxyz orientation (n, 4)."""
         for side, camera in enumerate(self.index.ids):
             offset, turn = pair_offset(self.cfg, side)
@@ -426,12 +427,12 @@ class StereoCamera(Camera):
         return left, right
 
 
-def _pose_tensor(pose: tuple[F64, F64], to_matrix: bool) -> torch.Tensor:
+def _pose_tensor(pose: tuple[Floats, Floats], to_matrix: bool) -> torch.Tensor:
     rows = np.concatenate(pose, axis=1)
     return to_tensor(pose_to_matrix(rows) if to_matrix else rows)
 
 
-def _matrices(lens: F64, pixel_origin: PixelOrigin) -> torch.Tensor:
+def _matrices(lens: Floats, pixel_origin: PixelOrigin) -> torch.Tensor:
     if pixel_origin not in _FIRST_PIXEL:
         there = " or ".join(map(repr, _FIRST_PIXEL))
         raise ValueError(f"pixel_origin is {there}, got {pixel_origin!r}")

@@ -33,8 +33,7 @@ def slopes(lens: NDArray[np.float64], width: int, height: int) -> tuple[F32, F32
 
 def distances(depth: F32, right: F32, up: F32) -> F32:
     """(N, H, W) distances along the ray, m; 0 where nothing is drawn."""
-    found: F32 = depth * np.sqrt(np.float32(1.0) + right * right + up * up)
-    return found
+    return depth * np.sqrt(np.float32(1.0) + right * right + up * up)
 
 
 def positions(

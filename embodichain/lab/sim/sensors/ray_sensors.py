@@ -15,9 +15,10 @@ from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.utils.math import quat_to_matrix, rotate
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.reads.height_field import GroundHeights
     from embodichain.lab.sim.sensors.sampling import Readings
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["HeightScanSensor", "RayCaster", "RaySensor"]
 
@@ -36,12 +37,12 @@ class _Cast(NamedTuple):
         normal: (n, R, 3) normals of the surfaces, if wanted.
     """
 
-    place: F64
-    origins: F64
-    directions: F64
-    distance: F64
+    place: Floats
+    origins: Floats
+    directions: Floats
+    distance: Floats
     hit: NDArray[np.bool_]
-    normal: F64 | None
+    normal: Floats | None
 
 
 class RayCaster(BaseSensor):
@@ -54,7 +55,7 @@ class RayCaster(BaseSensor):
     cfg: RayCastCfg
 
     @cached_property
-    def _rays(self) -> tuple[F64, F64]:
+    def _rays(self) -> tuple[Floats, Floats]:
         """(R, 3) starts and unit directions in the frame that `alignment` chooses."""
         starts, directions = pattern_rays(self.cfg.pattern)
         quat = np.asarray(self.cfg.quat, np.float64)
@@ -73,7 +74,7 @@ class RayCaster(BaseSensor):
             return link_frame(0)
         return frame_named(self.engine.model, self.plan.kind, self.plan.frames[0])
 
-    def _mount(self, env_ids: EnvIndex | None) -> tuple[F64, F64]:
+    def _mount(self, env_ids: EnvIndex | None) -> tuple[Floats, Floats]:
         """(n, 3) origin and (n, 3, 3) axes of the frame that `alignment` chooses."""
         rows = slice(None) if env_ids is None else env_ids
         position = self._frame.positions(self.engine)[rows]
@@ -115,18 +116,18 @@ class RaySensor(RayCaster):
             return cast.distance, points
         return cast.distance, points, np.where(hit, cast.normal, 0.0)
 
-    def read_distance(self) -> F64:
+    def read_distance(self) -> Floats:
         """(N, R) m along the rays; where nothing is hit, what `no_hit` says."""
         return self._readings()[0].copy()
 
-    def read_position(self) -> F64:
+    def read_position(self) -> Floats:
         """(N, R, 3) m: points that are hit, in the environment's frame.
 
         Where nothing is hit: the point at the distance that is read.
         """
         return self._readings()[1].copy()
 
-    def read_normal(self) -> F64:
+    def read_normal(self) -> Floats:
         """(N, R, 3) unit normals of the surfaces that are hit, world axes; 0 where nothing is.
 
         Raises:
@@ -168,7 +169,7 @@ class HeightScanSensor(RayCaster):
 
         return GroundHeights.hit_alone(self.engine, self.index.geoms)
 
-    def _above_ground(self, ground: GroundHeights, env_ids: EnvIndex | None) -> F64:
+    def _above_ground(self, ground: GroundHeights, env_ids: EnvIndex | None) -> Floats:
         """(n, R) m: what rays would measure, without rays."""
         cfg, (starts, _) = self.cfg, self._rays
         position, axes = self._mount(env_ids)
@@ -187,7 +188,7 @@ class HeightScanSensor(RayCaster):
         super().destroy()
         self.__dict__.pop("_ground", None)
 
-    def read_height(self) -> F64:
+    def read_height(self) -> Floats:
         """(N, R) m; negative where the surface is above the sensor.
 
         Where nothing is hit: as if the surface were at `max_range`, infinite or 0 (`no_hit`).
@@ -195,7 +196,7 @@ class HeightScanSensor(RayCaster):
         return self._readings()[0].copy()
 
 
-def _heading(axes: F64) -> F64:
+def _heading(axes: Floats) -> Floats:
     """(n, 3, 3) axes of headings: z up, x along the horizontal part of x of (n, 3, 3) axes.
 
     The world's axes where x is vertical.
@@ -205,7 +206,7 @@ def _heading(axes: F64) -> F64:
     vertical = length < 1e-9
     divisor = np.where(vertical, 1.0, length)
     cos, sin = np.where(vertical, 1.0, ahead / divisor), np.where(vertical, 0.0, left / divisor)
-    found: F64 = np.zeros_like(axes)
+    found: Floats = np.zeros_like(axes)
     found[:, 0, 0], found[:, 0, 1] = cos, -sin
     found[:, 1, 0], found[:, 1, 1] = sin, cos
     found[:, 2, 2] = 1.0

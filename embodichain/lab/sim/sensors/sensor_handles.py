@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.sensing.scene_sensors import SensorIndex
     from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan
     from embodichain.lab.sim.configs.sensor_cfg import ContactSensorCfg, SensorCfg
-    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import Engine, EnvIndex
     from embodichain.lab.sim.objects.host import Host
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "BaseSensor",
@@ -74,8 +75,7 @@ class BaseSensor(Handle["SensorIndex"]):
     @property
     def body_ids(self) -> NDArray[np.int64]:
         """(n,) MuJoCo body ids of the links it is fixed on, or that carry its sites or geoms."""
-        found: NDArray[np.int64] = self.frames.bodies
-        return found
+        return self.frames.bodies
 
     def get_data(self) -> dict[str, torch.Tensor]:
         """Return all `reads` as float32 tensors (N, ...), as in ``obs["sensor"][uid]``."""
@@ -112,7 +112,7 @@ class BaseSensor(Handle["SensorIndex"]):
         """Measure n environments (None: all); returns arrays (n, ...), which may be live views."""
         raise NotImplementedError
 
-    def _columns(self, rows: F64, env_ids: EnvIndex | None) -> F64:
+    def _columns(self, rows: Floats, env_ids: EnvIndex | None) -> Floats:
         """(n, ...) the sensor's columns of ``sensordata`` in the shape of its index."""
         index = self.index
         found = rows[slice(None) if env_ids is None else env_ids, index.columns]
@@ -180,7 +180,7 @@ class ContactSensor(_LastStepSensor):
         lengths = np.sqrt(x * x + y * y + z * z)
         return *now, lengths.max(axis=1), found.max(axis=1) > 0
 
-    def read_largest_force(self) -> F64:
+    def read_largest_force(self) -> Floats:
         """(N, n) N: largest net force on each link in the last ``history_length`` physics steps.
 
         The first call begins to keep them.
@@ -191,8 +191,7 @@ class ContactSensor(_LastStepSensor):
     def read_touched(self) -> NDArray[np.bool_]:
         """(N, n) whether each link was touched in one of these physics steps."""
         self.keep_history()
-        touched: NDArray[np.bool_] = self._readings()[2].copy()
-        return touched
+        return self._readings()[2].copy()
 
     def read_found(self) -> NDArray[np.bool_]:
         """(N, n) whether each link is touched."""
@@ -202,11 +201,11 @@ class ContactSensor(_LastStepSensor):
             touched = touched | found[:, :, other]
         return touched
 
-    def read_force(self) -> F64:
+    def read_force(self) -> Floats:
         """(N, n, 3) N: net force that contacts exert on each link, world axes."""
         forces = self._readings()[0][..., 1:]
         # MuJoCo reports the force of the link on the other body.
-        net: F64 = 0.0 - forces[:, :, 0]
+        net: Floats = 0.0 - forces[:, :, 0]
         for other in range(1, forces.shape[2]):
             net -= forces[:, :, other]
         return net
@@ -220,11 +219,11 @@ class ForceTorqueSensor(_LastStepSensor):
     descendants.
     """
 
-    def read_force(self) -> F64:
+    def read_force(self) -> Floats:
         """(N, n, 3) N, link axes."""
         return self._readings()[0][..., 0:3].copy()
 
-    def read_torque(self) -> F64:
+    def read_torque(self) -> Floats:
         """(N, n, 3) N m about the link's origin, link axes."""
         return self._readings()[0][..., 3:6].copy()
 
@@ -241,22 +240,22 @@ class ImuSensor(_LastStepSensor):
         state = self._columns(self.engine.derived("sensordata"), env_ids)
         return state[:, 0:7], super()._measure(env_ids)[0][:, 7:10]
 
-    def read_orientation(self) -> F64:
+    def read_orientation(self) -> Floats:
         """(N, 4) wxyz orientation of the sensor in the world."""
         return self._readings()[0][:, 0:4].copy()
 
-    def read_angular_velocity(self) -> F64:
+    def read_angular_velocity(self) -> Floats:
         """(N, 3) rad/s, sensor axes."""
         return self._readings()[0][:, 4:7].copy()
 
-    def read_acceleration(self) -> F64:
+    def read_acceleration(self) -> Floats:
         """(N, 3) m/s^2 specific force (acceleration minus gravity), sensor axes.
 
         It is 9.81 upwards at rest and 0 in free fall.
         """
         return self._readings()[1].copy()
 
-    def read_projected_gravity(self) -> F64:
+    def read_projected_gravity(self) -> Floats:
         """(N, 3) unit vector of gravity in sensor axes: (0, 0, -1) if upright; 0 without it."""
         quat = self.read_orientation()
         gravity = np.broadcast_to(gravity_direction(self.engine), (len(quat), 3))
@@ -273,19 +272,19 @@ class FramePoseSensor(BaseSensor):
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
         return (self._columns(self.engine.derived("sensordata"), env_ids),)
 
-    def read_position(self) -> F64:
+    def read_position(self) -> Floats:
         """(N, 3) m."""
         return self._readings()[0][:, 0:3].copy()
 
-    def read_orientation(self) -> F64:
+    def read_orientation(self) -> Floats:
         """(N, 4) wxyz."""
         return self._readings()[0][:, 3:7].copy()
 
-    def read_linear_velocity(self) -> F64:
+    def read_linear_velocity(self) -> Floats:
         """(N, 3) m/s of the frame's origin."""
         return self._readings()[0][:, 7:10].copy()
 
-    def read_angular_velocity(self) -> F64:
+    def read_angular_velocity(self) -> Floats:
         """(N, 3) rad/s."""
         return self._readings()[0][:, 10:13].copy()
 
@@ -302,20 +301,19 @@ class JointTorqueSensor(BaseSensor):
         fields = ("qfrc_actuator", "qfrc_passive", "qfrc_constraint")
         return tuple(self.engine.acceleration(name)[rows, self.index.dofs] for name in fields)
 
-    def read_torque(self) -> F64:
+    def read_torque(self) -> Floats:
         """(N, n) sum of the other three."""
         actuator, passive, constraint = self._readings()
-        total: F64 = actuator + passive + constraint
-        return total
+        return actuator + passive + constraint
 
-    def read_actuator(self) -> F64:
+    def read_actuator(self) -> Floats:
         """(N, n) of drives and other actuators (``qfrc_actuator``, `jointactuatorfrc`)."""
         return self._readings()[0].copy()
 
-    def read_passive(self) -> F64:
+    def read_passive(self) -> Floats:
         """(N, n) of springs, dampers and gravity compensation (``qfrc_passive``)."""
         return self._readings()[1].copy()
 
-    def read_constraint(self) -> F64:
+    def read_constraint(self) -> Floats:
         """(N, n) of limits, dry friction, equalities and contacts (``qfrc_constraint``)."""
         return self._readings()[2].copy()

@@ -53,8 +53,7 @@ class Frames(NamedTuple):
 def matmul(a: F64, b: F64) -> F64:
     """Products of matrices (3, 3, n) and matrices (3, m, n) or vectors (3, n), row by row."""
     parts = a * b if b.ndim == 2 else a[:, :, None] * b
-    found: F64 = parts[:, 0] + parts[:, 1] + parts[:, 2]
-    return found
+    return parts[:, 0] + parts[:, 1] + parts[:, 2]
 
 
 class Chain:

@@ -135,8 +135,7 @@ def joint_step(
 
 def clamped(values: F64, low: F64, high: F64) -> F64:
     """Values within bounds; cheaper than ``np.clip`` on small arrays."""
-    found: F64 = np.minimum(np.maximum(values, low), high)
-    return found
+    return np.minimum(np.maximum(values, low), high)
 
 
 def times(jacobian: F64, motion: F64) -> F64:

@@ -85,6 +85,36 @@ def test_velocities_are_in_world_axes(sim):
     np.testing.assert_allclose(turn.as_rotvec(), ang * 0.01, atol=2e-4)
 
 
+def test_wrong_velocities_change_nothing(sim):
+    box = sim.get_rigid_object("box")
+    box.set_velocity(np.eye(3), np.eye(3))
+    before = sim.engine.state("qvel").copy()
+    with pytest.raises(ValueError, match="ang_vel must have shape"):
+        box.set_velocity(np.zeros((3, 3)), np.zeros((2, 3)))
+    np.testing.assert_array_equal(sim.engine.state("qvel"), before)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("damping", np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])),
+        ("friction", np.array([0.5, 0.25, 0.75])),
+        ("body_scale", np.array([[1.0, 2.0, 0.5]] * 3)),
+    ],
+)
+def test_tensors_and_arrays_of_a_value_are_the_same(sim, name, values):
+    """What users set by tensors is what terms read as arrays, in single environments too."""
+    box = sim.get_rigid_object("box")
+    read = getattr(box, f"read_{name.removeprefix('body_')}")
+    getattr(box, f"set_{name}")(values)
+    np.testing.assert_allclose(read(), values)
+    getattr(box, f"set_{name}")(2.0 * values[1:2], env_ids=[1])
+    np.testing.assert_allclose(
+        read(), values * np.reshape([1, 2, 1], (3, *[1] * (values.ndim - 1)))
+    )
+    np.testing.assert_allclose(getattr(box, f"get_{name}")(env_ids=[1]), 2.0 * values[1:2])
+
+
 def test_kinematic_objects_do_not_fall_and_static_ones_do_not_move(sim):
     start = {u: sim.get_rigid_object(u).get_local_pose() for u in ("goal", "table", "box")}
     sim.update(step=20)

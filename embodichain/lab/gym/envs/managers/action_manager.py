@@ -26,9 +26,10 @@ from embodichain.utils.tensor_mapping import leaves_of
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.types import EnvAction
+    from embodichain.utils.array_types import Floats
     from embodichain.utils.arrays import Arrays
 
 __all__ = [
@@ -96,7 +97,7 @@ class ActionCheck:
         self._num_envs = num_envs
         self._arrays = arrays
 
-    def __call__(self, action: Any) -> tuple[EnvAction, F64]:
+    def __call__(self, action: Any) -> tuple[EnvAction, Floats]:
         """Check an action.
 
         Args:
@@ -137,13 +138,13 @@ class ActionCheck:
         shape = numbers.shape
         if shape != self._shape and (self._shape is not None or shape[:1] != (self._num_envs,)):
             raise ValueError(f"action must have shape {self._wanted()}, got {shape}")
-        given: F64 = numbers.astype(np.float64)
+        given: Floats = numbers.astype(np.float64)
         return tensor, self._finite(given if given.ndim == 2 else given.reshape(len(given), -1))
 
     def _wanted(self) -> str:
         return f"({self._num_envs}, ...)" if self._shape is None else f"{self._shape}"
 
-    def _joined(self, action: Mapping[str, Any]) -> F64:
+    def _joined(self, action: Mapping[str, Any]) -> Floats:
         leaves = [leaf.detach().cpu().numpy() for _, leaf in leaves_of(action)]
         if not leaves:
             raise ValueError("the action is an empty mapping")
@@ -156,7 +157,7 @@ class ActionCheck:
         return np.concatenate(rows, axis=1).astype(np.float64)
 
     @staticmethod
-    def _finite(values: F64) -> F64:
+    def _finite(values: Floats) -> Floats:
         if is_host(values) and not all_finite(values):
             rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
             raise ValueError(f"action is not finite in environments {rows[:8].tolist()}")
@@ -358,7 +359,7 @@ class ActionManager(Manager[ActionTermCfg]):
 
     def hold(self) -> NDArray[np.float64]:
         """(N, A) the action that keeps the present targets."""
-        held: F64 = self._arrays.full((self.num_envs, self.action_dim), 0.0)
+        held: Floats = self._arrays.full((self.num_envs, self.action_dim), 0.0)
         for name, term in self.terms.items():
             held[:, self.slices[name]] = term.instance.hold()
         return held

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.utils.array_types import Floats
     from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 
@@ -31,7 +32,7 @@ class Draws(Protocol):
 
     def draw(
         self, what: str, shape: Sequence[int], low: Any, high: Any, env_ids: EnvIndex | None
-    ) -> F64:
+    ) -> Floats:
         """Draw uniform numbers from the calling term's own stream, and log them.
 
         Args:
@@ -53,11 +54,11 @@ class EventDraws(Draws, Protocol):
     def draw_columns(
         self,
         columns: Mapping[str, slice],
-        low: F64,
-        high: F64,
+        low: Floats,
+        high: Floats,
         env_ids: EnvIndex | None,
         normal: bool = False,
-    ) -> F64:
+    ) -> Floats:
         """Draw several quantities at once, each logged under its name; see `EventManager`."""
         ...
 
@@ -73,7 +74,7 @@ class Commands(Draws, Protocol):
         """Names of the columns of a command."""
         ...
 
-    def values(self, name: str) -> F64:
+    def values(self, name: str) -> Floats:
         """(N, K) float64 current command: a live view; do not write to it or store it."""
         ...
 
@@ -188,7 +189,7 @@ class TermContext(ObservedEnv, Protocol):
         """(N,) bool: whether the last step, which ends an episode in a reset, was a success."""
         ...
 
-    def read_last_action(self) -> F64:
+    def read_last_action(self) -> Floats:
         """(N, A) action as last given to `step`; do not write to it."""
         ...
 

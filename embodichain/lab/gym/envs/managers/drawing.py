@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.gym.envs.managers.terms.registry import Kind
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
     from embodichain.utils.arrays import Arrays
 
 __all__ = [
@@ -76,7 +77,7 @@ class DrawingManager(Manager[C]):
 
     def draw(
         self, what: str, shape: Sequence[int], low: Any, high: Any, env_ids: EnvIndex | None
-    ) -> F64:
+    ) -> Floats:
         """Draw uniform numbers for the term that is being called, and log them.
 
         Args:
@@ -98,11 +99,11 @@ class DrawingManager(Manager[C]):
     def draw_columns(
         self,
         columns: Mapping[str, slice],
-        low: F64,
-        high: F64,
+        low: Floats,
+        high: Floats,
         env_ids: EnvIndex | None,
         normal: bool = False,
-    ) -> F64:
+    ) -> Floats:
         """Draw several quantities at once, and log each under its name.
 
         Args:
@@ -119,7 +120,7 @@ class DrawingManager(Manager[C]):
         """
         found = [self._replayed(n, (c.stop - c.start,), env_ids) for n, c in columns.items()]
         known = [values for values in found if values is not None]
-        values: F64
+        values: Floats
         if known and len(known) == len(found):
             values = np.concatenate(known, axis=1)
         elif normal:
@@ -132,14 +133,13 @@ class DrawingManager(Manager[C]):
             self._drawn[name] = values[:, where]
         return values
 
-    def _replayed(self, what: str, shape: Sequence[int], env_ids: EnvIndex | None) -> F64 | None:
+    def _replayed(self, what: str, shape: Sequence[int], env_ids: EnvIndex | None) -> Floats | None:
         """(n, *shape) recorded draw of a term that is replayed, or None."""
         given = self._recorded.get(what)
         if given is None or given.shape != tuple(shape):
             return None
         n = self.num_envs if env_ids is None else len(env_ids)
-        rows: F64 = self.env.arrays.put(np.tile(given, (n, *[1] * len(shape))))
-        return rows
+        return self.env.arrays.put(np.tile(given, (n, *[1] * len(shape))))
 
     def replay(
         self, name: str, mode: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]
@@ -176,7 +176,7 @@ class Timer:
         self._arrays = arrays
         self._step_dt = step_dt
 
-    def start(self, env_ids: EnvIndex | None, seconds: F64) -> None:
+    def start(self, env_ids: EnvIndex | None, seconds: Floats) -> None:
         """Start the timer for (n,) seconds, rounded to control steps, at least one."""
         steps = np.maximum(1, np.rint(seconds / self._step_dt)).astype(np.int64)
         self.left[slice(None) if env_ids is None else env_ids] = steps
@@ -193,8 +193,7 @@ class Timer:
         """
         if env_ids is None:
             self.left -= steps
-            due: EnvIndex = self._arrays.where(self.left <= 0)
-            return due
+            return self._arrays.where(self.left <= 0)
         self.left[env_ids] -= steps
         return env_ids[self.left[env_ids] <= 0]
 
@@ -373,8 +372,8 @@ class CommandManager(DrawingManager[CommandCfg]):
             for name, term in self.terms.items()
             if term.cfg.resampling_time_s is not None
         }
-        self._sums: dict[str, F64] = {}
-        self._steps: F64 = env.arrays.full(self.num_envs, 0.0)
+        self._sums: dict[str, Floats] = {}
+        self._steps: Floats = env.arrays.full(self.num_envs, 0.0)
 
     def _bind(self) -> None:
         for name, term in self.terms.items():
@@ -416,10 +415,9 @@ class CommandManager(DrawingManager[CommandCfg]):
             raise ConfigError([Problem(key, message, did_you_mean(name, self.terms).strip())])
         return name
 
-    def values(self, name: str) -> F64:
+    def values(self, name: str) -> Floats:
         """(N, K) float64 commands in force: a live view; do not write to it or store it."""
-        values: F64 = self.terms[name].instance.values
-        return values
+        return self.terms[name].instance.values
 
     def get_command(self, name: str) -> torch.Tensor:
         """(N, K) float32 commands in force; a copy."""

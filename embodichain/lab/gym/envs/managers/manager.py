@@ -85,8 +85,7 @@ class BuiltTerm(Generic[C]):
         lead = self.spec.lead
         if lead is not None:
             return "obs" in lead
-        taken: bool = getattr(self.instance, "takes_obs", True)
-        return taken
+        return getattr(self.instance, "takes_obs", True)
 
 
 def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[C]:
@@ -232,8 +231,7 @@ def _call(
             if value.shape[1:] != (1,):
                 raise ConfigError([_several_columns(name, value, kind, shape_path, columns)])
             value = value[:, 0]
-        shaped: NDArray[Any] = value
-        return shaped
+        return value
 
     return call
 

@@ -196,8 +196,7 @@ def _in_type_of(value: NDArray[Any], changed: NDArray[Any]) -> NDArray[Any]:
     if not np.issubdtype(value.dtype, np.integer):
         return changed
     info = np.iinfo(value.dtype)
-    rounded: NDArray[Any] = np.clip(np.rint(changed), info.min, info.max).astype(value.dtype)
-    return rounded
+    return np.clip(np.rint(changed), info.min, info.max).astype(value.dtype)
 
 
 def _copy(values: NDArray[Any] | None) -> NDArray[Any] | None:
@@ -452,8 +451,7 @@ class ObservationManager(Manager[ObservationCfg]):
         import torch  # lists of terms are made without it
 
         entries = [obs[p].reshape(count, -1).to(torch.float32) for p in paths]
-        rows: NDArray[np.float32] = self._arrays.of(torch.cat(entries, dim=1))
-        return rows
+        return self._arrays.of(torch.cat(entries, dim=1))
 
     def memory(self) -> dict[str, Any]:
         """Noise, delays, histories and states of terms (copies): what an observation advances."""

@@ -23,7 +23,6 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sensors.camera import Camera
     from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensor
     from embodichain.lab.sim.sensors.sensor_handles import (
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
         ForceTorqueSensor,
         ImuSensor,
     )
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "Angle",
@@ -349,7 +349,7 @@ if TYPE_CHECKING:
     ForceTorqueOf = ForceTorqueSensor
     HeightScanOf = HeightScanSensor
     SensorOf = BaseSensor
-    Command = Callable[[], F64]
+    Command = Callable[[], Floats]
     PlanarCommand = Command
     PositionCommand = Command
     VelocityCommand = Command

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.terms.term_columns import TermColumns
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
     from embodichain.utils.arrays import Arrays
     from embodichain.utils.random import RandomStreams
 
@@ -75,7 +76,7 @@ class Noise:
         self._shape = (streams.num_envs, *shape)
         self._width = int(np.prod(shape, dtype=np.int64))
 
-        def sized(*names: str) -> F64:
+        def sized(*names: str) -> Floats:
             return _sized(cfg, names, shape, path, columns)
 
         self._draws = cfg.type != "constant"
@@ -119,7 +120,7 @@ class Noise:
             found = value * self.last if self._operation == "scale" else self.last.copy()
         return found
 
-    def _draw(self, rows: EnvIndex | None) -> F64:
+    def _draw(self, rows: EnvIndex | None) -> Floats:
         """(n, width) float64."""
         if self._gaussian:
             normal = self._streams.normal(self._stream, (self._width,), rows)
@@ -134,12 +135,12 @@ def _sized(
     shape: tuple[int, ...],
     path: str,
     columns: TermColumns,
-) -> F64:
+) -> Floats:
     """(width,) read-only numbers of the first given field; a mean may be absent."""
     name = next((n for n in names if getattr(cfg, n) is not None), names[0])
     given = first_given(getattr(cfg, name), 0.0)
     numbers = columns.numbers(given, shape, f"{path}.noise.{name}")
-    array: F64 = np.broadcast_to(numbers, shape or (1,)).reshape(-1).copy()
+    array: Floats = np.broadcast_to(numbers, shape or (1,)).reshape(-1).copy()
     array.setflags(write=False)
     return array
 
@@ -252,8 +253,7 @@ class Delay:
     ) -> NDArray[Any]:
         """(N, ...) the delayed value; `before` is the value before the first of an episode."""
         recent = self.past.append(value, rows, before)
-        delayed: NDArray[Any] = recent[self._rows, self._high - self.lag]
-        return delayed
+        return recent[self._rows, self._high - self.lag]
 
 
 class ActionPipeline:
@@ -277,7 +277,7 @@ class ActionPipeline:
         ConfigError: If a list of the noise does not have one value per column.
     """
 
-    hold: Callable[[], F64]
+    hold: Callable[[], Floats]
 
     def __init__(
         self,

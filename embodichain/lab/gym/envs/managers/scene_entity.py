@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.sim.compiler.names import FrameKind, NamedBy
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.computed_effort import ComputedEfforts
     from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["ResolvedEntity", "references_in", "resolve_entity"]
 
@@ -202,7 +202,7 @@ class ResolvedEntity:
     def _dofs(self) -> NDArray[np.int64]:
         return np.asarray(self.asset.entity.dof_adr, np.int64)[self._columns]
 
-    def _pick(self, values: F64) -> F64:
+    def _pick(self, values: Floats) -> Floats:
         return values if self.all_joints else values[:, self._columns]
 
     def require_joints(self) -> None:
@@ -211,43 +211,39 @@ class ResolvedEntity:
             raise ConfigError([Problem(self.path, f"{self.uid!r} has no joints")])
 
     @cached_property
-    def initial_qpos(self) -> F64:
+    def initial_qpos(self) -> Floats:
         """(K,) initial joint positions, rad or m."""
-        found: F64 = np.asarray(self.asset.parsed.init_qpos, np.float64)[self._columns]
-        return found
+        return np.asarray(self.asset.parsed.init_qpos, np.float64)[self._columns]
 
-    def qpos(self) -> F64:
+    def qpos(self) -> Floats:
         """(N, K) joint positions, rad or m; do not write to it or store it."""
         return self._pick(self.asset.read_qpos())
 
     @cached_property
-    def _initial_rows(self) -> F64:
+    def _initial_rows(self) -> Floats:
         rows = np.tile(self.initial_qpos, (self.asset.num_instances, 1))
-        found: F64 = self.asset.host.arrays.put(rows)
-        return found
+        return self.asset.host.arrays.put(rows)
 
-    def displacement(self) -> F64:
+    def displacement(self) -> Floats:
         """(N, K) joint positions minus the initial ones, rad or m."""
         return self.qpos() - self._initial_rows
 
-    def encoder_bias(self) -> F64:
+    def encoder_bias(self) -> Floats:
         """(N, K) what encoders read minus joint positions, rad or m."""
         return self._pick(self.asset.drives.encoder_bias)
 
-    def qvel(self) -> F64:
+    def qvel(self) -> Floats:
         """(N, K) joint velocities, rad/s or m/s; do not write to it or store it."""
         return self._pick(self.asset.read_qvel())
 
-    def target_qpos(self) -> F64:
+    def target_qpos(self) -> Floats:
         """(N, K) position targets of the drives, rad or m; qpos of joints without a drive."""
-        found: F64 = self.asset.drives.read_target_qpos()[:, self._columns]
-        return found
+        return self.asset.drives.read_target_qpos()[:, self._columns]
 
-    def effort(self) -> F64:
+    def effort(self) -> Floats:
         """(N, K) efforts of the last physics step, N m or N: drive, damping and applied efforts."""
         applied = self.asset.engine.state("qfrc_applied")[:, self._dofs]
-        found: F64 = self._pick(self.asset.read_qf()) + applied
-        return found
+        return self._pick(self.asset.read_qf()) + applied
 
     @cached_property
     def _computed(self) -> ComputedEfforts:
@@ -255,17 +251,16 @@ class ResolvedEntity:
 
         return ComputedEfforts(self.asset, self._columns)
 
-    def computed_effort(self) -> F64:
+    def computed_effort(self) -> Floats:
         """(N, K) efforts of the last physics step before limits of force cut them, N m or N."""
         return self._computed.read()
 
     def hinges(self) -> NDArray[np.bool_]:
         """(K,) whether a joint is a hinge, not a slide."""
         model = self.asset.engine.model
-        turns: NDArray[np.bool_] = model.jnt_type[model.dof_jntid[self._dofs]] == _HINGE
-        return turns
+        return model.jnt_type[model.dof_jntid[self._dofs]] == _HINGE
 
-    def qpos_limits(self, soft_ratio: float = 1.0) -> tuple[F64, F64]:
+    def qpos_limits(self, soft_ratio: float = 1.0) -> tuple[Floats, Floats]:
         """Low and high position limits in force, (N, K) each; infinite without a limit.
 
         Args:
@@ -284,7 +279,7 @@ class ResolvedEntity:
         inset = 0.5 * (1.0 - soft_ratio) * width
         return low + inset, high - inset
 
-    def qpos_ranges(self) -> tuple[F64, F64]:
+    def qpos_ranges(self) -> tuple[Floats, Floats]:
         """Low and high position limits in force, (N, K) each.
 
         Raises:
@@ -302,7 +297,7 @@ class ResolvedEntity:
             raise ConfigError([Problem(self.path, message)])
         return low, high
 
-    def qvel_limits(self) -> F64:
+    def qvel_limits(self) -> Floats:
         """(N, K) rad/s or m/s: the smaller of the drive's maximum and the file's limit.
 
         Raises:
@@ -310,7 +305,7 @@ class ResolvedEntity:
         """
         return self._smaller(self.asset.drives.max_velocity, "qvel_limits", "velocity")
 
-    def effort_limits(self) -> F64:
+    def effort_limits(self) -> Floats:
         """(N, K) N m or N: the smaller of the drive's maximum and the file's limit.
 
         Raises:
@@ -319,7 +314,7 @@ class ResolvedEntity:
         drives = self.asset.drives
         return self._smaller(drives.max_effort * drives.strength, "qf_limits", "effort")
 
-    def _smaller(self, drive: F64, of_file: str, what: str) -> F64:
+    def _smaller(self, drive: Floats, of_file: str, what: str) -> Floats:
         file = np.asarray(getattr(self.asset.parsed, of_file), np.float64)
         limits = np.minimum(drive[:, self._columns], file[self._columns])
         limits = np.where(limits >= UNLIMITED, np.inf, limits)
@@ -331,7 +326,7 @@ class ResolvedEntity:
     def _checked(self) -> set[str]:
         return set()
 
-    def _was_checked(self, limits: F64, what: str) -> bool:
+    def _was_checked(self, limits: Floats, what: str) -> bool:
         """Whether limits on a device were checked before: once, because it waits for the device."""
         if is_host(limits):
             return False
@@ -350,32 +345,31 @@ class ResolvedEntity:
 
     @cached_property
     def _motion(self) -> BodyMotion:
-        found: BodyMotion = self.asset.motion_of(self.frame)
-        return found
+        return self.asset.motion_of(self.frame)
 
-    def position(self) -> F64:
+    def position(self) -> Floats:
         """(N, 3) m: a live view; do not write to it or store it."""
         return self._motion.position()
 
-    def orientation(self) -> F64:
+    def orientation(self) -> Floats:
         """(N, 4) wxyz: a live view; do not write to it or store it."""
         return self._motion.orientation()
 
-    def axes(self) -> F64:
+    def axes(self) -> Floats:
         """(N, 3, 3) rotation matrix; do not write to it."""
         return self._motion.axes()
 
-    def linear_velocity(self, frame: Frame = "world") -> F64:
+    def linear_velocity(self, frame: Frame = "world") -> Floats:
         """(N, 3) m/s of the origin; do not write to it. See `BodyMotion.linear_velocity`."""
         return self._motion.linear_velocity(frame)
 
-    def angular_velocity(self, frame: Frame = "world") -> F64:
+    def angular_velocity(self, frame: Frame = "world") -> Floats:
         """(N, 3) rad/s; do not write to it. See `BodyMotion.linear_velocity`."""
         return self._motion.angular_velocity(frame)
 
     # -- all picked frames; L is their number, 1 for the root ------------------------------------
 
-    def link_poses(self, in_root_frame: bool = False) -> tuple[F64, F64]:
+    def link_poses(self, in_root_frame: bool = False) -> tuple[Floats, Floats]:
         """Positions (N, L, 3) in m and orientations (N, L, 4), wxyz; do not store them.
 
         Args:
@@ -392,7 +386,7 @@ class ResolvedEntity:
         inverse = _repeated(quat_conjugate(root_quat), position.shape[1])
         return quat_rotate(inverse, position - root_position[:, None]), quat_multiply(inverse, quat)
 
-    def link_velocities(self, in_root_frame: bool = False) -> tuple[F64, F64]:
+    def link_velocities(self, in_root_frame: bool = False) -> tuple[Floats, Floats]:
         """Linear in m/s, of the frames' origins, and angular in rad/s, (N, L, 3) each.
 
         Args:
@@ -415,7 +409,7 @@ class ResolvedEntity:
         return ResolvedEntity(self.uid, self.asset) if self.frame_names else self
 
 
-def _repeated(quat: F64, count: int) -> F64:
+def _repeated(quat: Floats, count: int) -> Floats:
     """(N, count, 4) of (N, 4)."""
     return np.broadcast_to(quat[:, None], (len(quat), count, 4))
 
@@ -469,8 +463,7 @@ def resolve_entity(
 
 
 def _from_mapping(cfg: Mapping[str, Any]) -> SceneEntityCfg:
-    found: SceneEntityCfg = from_dict(SceneEntityCfg, dict(cfg))
-    return found
+    return from_dict(SceneEntityCfg, dict(cfg))
 
 
 _FIELDS = frozenset(SceneEntityCfg.__dataclass_fields__)

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.managers.context import Draws
     from embodichain.lab.sim.compiler.names import NamedBy
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.articulation import Articulation
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "ActionMeaning",
@@ -79,7 +80,7 @@ Action spaces must be finite, for learners and for random actions.
 
 def finite_limits(
     limits: ArrayLike, joint_ids: Sequence[int] | NDArray[np.int64]
-) -> tuple[F64, F64]:
+) -> tuple[Floats, Floats]:
     """Return (A,) lowest and highest positions, rad or m; unlimited sides get +-`_UNLIMITED`.
 
     Args:
@@ -192,7 +193,7 @@ class ActionTerm(Term):
         """(N, A) or (A,) the action that keeps the present targets."""
         return self.home()
 
-    def metrics(self) -> Mapping[str, F64]:
+    def metrics(self) -> Mapping[str, Floats]:
         """How the last action was applied: name -> (N,). The default is empty."""
         return {}
 
@@ -223,7 +224,7 @@ class CommandTerm(Term):
 
     saved: ClassVar[tuple[str, ...]] = ("values",)
     names: tuple[str, ...] = ()
-    values: F64
+    values: Floats
     marker: CommandMarker | None = None
 
     def resample(self, env_ids: EnvIndex | None) -> None:
@@ -241,7 +242,7 @@ class CommandTerm(Term):
             env_ids: (n,) environments that stepped or drew, or None for all.
         """
 
-    def metrics(self) -> Mapping[str, F64]:
+    def metrics(self) -> Mapping[str, Floats]:
         """Tracking errors of the commands now: name -> (N,). The default is empty."""
         return {}
 
@@ -278,6 +279,6 @@ class Uniform:
         low, high = (np.atleast_1d(np.asarray(bound, np.float64)) for bound in bounds)
         return cls(name, *(np.deg2rad(low), np.deg2rad(high)) if degrees else (low, high))
 
-    def __call__(self, draws: Draws, env_ids: EnvIndex | None) -> F64:
+    def __call__(self, draws: Draws, env_ids: EnvIndex | None) -> Floats:
         """(n, ...) numbers for the environments given, or for all. Do not write into it."""
         return draws.draw(self.name, self.low.shape, self.low, self.high, env_ids)

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import MetricCfg, RewardCfg, TerminationCfg
-from embodichain.lab.gym.envs.managers.context import TermContext
 from embodichain.lab.gym.envs.managers.manager import Manager, checked_rows
 from embodichain.lab.gym.envs.managers.terms.check import check_weight
 from embodichain.lab.gym.envs.managers.terms.term_errors import FAILURES, kind_of_values
@@ -23,11 +22,11 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     import torch
 
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.types import EnvObs
 
 __all__ = [
-    "JudgedEnv",
     "MetricManager",
     "RewardManager",
     "TermRows",
@@ -417,26 +416,7 @@ class RewardManager(Manager[RewardCfg]):
             self._sums[row] = state["episode_sums"][name]
 
 
-class JudgedEnv(TermContext, Protocol):
-    """An environment with its termination, metric and reward managers."""
-
-    @property
-    def termination_manager(self) -> TerminationManager:
-        """The terminations."""
-        ...
-
-    @property
-    def metric_manager(self) -> MetricManager:
-        """The metrics."""
-        ...
-
-    @property
-    def reward_manager(self) -> RewardManager:
-        """The rewards."""
-        ...
-
-
-def check_shapes(env: JudgedEnv, obs: EnvObs) -> None:
+def check_shapes(env: TermContext, obs: EnvObs) -> None:
     """Call every termination, metric and reward once to check its shape, and undo the changes.
 
     Random streams are restored and terms are reset. Only for environments with the default
@@ -450,7 +430,10 @@ def check_shapes(env: JudgedEnv, obs: EnvObs) -> None:
     Raises:
         ValueError: If a term's value has another shape than (N,); names the term.
     """
-    managers = env.termination_manager, env.metric_manager, env.reward_manager
+    terminations = cast("TerminationManager", env.managers["terminations"])
+    metrics = cast("MetricManager", env.managers["metrics"])
+    rewards = cast("RewardManager", env.managers["rewards"])
+    managers = (terminations, metrics, rewards)
     if not any(len(manager) for manager in managers):
         return
     count = env.num_envs
@@ -463,9 +446,9 @@ def check_shapes(env: JudgedEnv, obs: EnvObs) -> None:
     }
     action = env.last_action
     saved = env.streams.state_dict()
-    env.termination_manager.compute(obs, action, info)
-    env.metric_manager.compute(obs, action, info)
-    env.reward_manager.compute(None, obs, action, info)
+    terminations.compute(obs, action, info)
+    metrics.compute(obs, action, info)
+    rewards.compute(None, obs, action, info)
     env.streams.load_state_dict(saved)
     for manager in managers:
         manager.reset(None)

@@ -14,7 +14,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["check_friction_acts"]
 
@@ -32,7 +32,7 @@ def check_friction_acts(
     names: Sequence[str],
     geoms: Sequence[NDArray[np.int64]],
     axis: int,
-    highest: F64,
+    highest: Floats,
     each: bool,
 ) -> None:
     """Check that frictions that are drawn can act in a contact.

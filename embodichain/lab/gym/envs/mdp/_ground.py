@@ -8,8 +8,9 @@ import numpy as np
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.reads.height_field import GroundHeights
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["above_ground", "ground_of"]
 
@@ -30,7 +31,7 @@ def ground_of(env: TermContext) -> GroundHeights | None:
     return GroundHeights.of(env.sim.engine)
 
 
-def above_ground(ground: GroundHeights | None, places: F64, env_ids: EnvIndex | None) -> F64:
+def above_ground(ground: GroundHeights | None, places: Floats, env_ids: EnvIndex | None) -> Floats:
     """Return places whose heights count from the ground below them.
 
     Args:

@@ -17,7 +17,8 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     import mujoco
 
-    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import Engine, EnvIndex
+    from embodichain.utils.array_types import Floats
 else:
     mujoco = lazy_loader.load("mujoco")
 
@@ -35,7 +36,7 @@ __all__ = [
 
 Operation = Literal["add", "scale", "abs"]
 """How a drawn number changes the compiled one: it is added, multiplies it, or replaces it."""
-Write = Callable[["F64", "EnvIndex | None"], None]
+Write = Callable[["Floats", "EnvIndex | None"], None]
 """Writes values (n, m) in the environments given, or in all."""
 GROUND = "default_plane"
 
@@ -56,7 +57,7 @@ class Values:
     """
 
     names: Sequence[str]
-    default: F64
+    default: Floats
     write: Callable[[NDArray[np.int64]], Write]
     lowest: float | None = None
     unlimited: str = ""
@@ -142,7 +143,7 @@ def _mass(entity: ResolvedEntity, options: Options) -> Values:
     names, bodies = [names[i] for i in heavy], bodies[heavy]
 
     def write(ids: NDArray[np.int64]) -> Write:
-        def masses(values: F64, env_ids: EnvIndex | None) -> None:
+        def masses(values: Floats, env_ids: EnvIndex | None) -> None:
             values = np.maximum(values, options.min_mass)
             if hasattr(asset, "parsed"):
                 asset.write_mass(values, bodies[ids], env_ids, options.recompute_inertia)
@@ -159,8 +160,7 @@ def _mass(entity: ResolvedEntity, options: Options) -> Values:
 
 def _shapes(asset: Any) -> tuple[str, ...]:
     """Names of the shapes that an object may have, if it has `any_of`."""
-    names: tuple[str, ...] = getattr(asset, "shape_names", ())
-    return names
+    return getattr(asset, "shape_names", ())
 
 
 def _com(entity: ResolvedEntity, options: Options) -> Values:
@@ -171,7 +171,7 @@ def _com(entity: ResolvedEntity, options: Options) -> Values:
     columns = (3 * bodies[:, None] + np.arange(3)).reshape(-1)
 
     def write(ids: NDArray[np.int64]) -> Write:
-        def offsets(values: F64, env_ids: EnvIndex | None) -> None:
+        def offsets(values: Floats, env_ids: EnvIndex | None) -> None:
             engine.write_model("body_ipos", values, env_ids, columns[ids])
             engine.set_const_later(env_ids)
 
@@ -189,7 +189,7 @@ def _inertia(entity: ResolvedEntity, options: Options) -> Values:
         compiled = engine.model.body_mass[bodies[ids]]
         compiled = np.where(compiled > 0, compiled, 1.0)
 
-        def factors(values: F64, env_ids: EnvIndex | None) -> None:
+        def factors(values: Floats, env_ids: EnvIndex | None) -> None:
             if not hasattr(asset, "parsed"):
                 asset.write_inertia_scale(values[:, 0], env_ids)
                 return
@@ -221,7 +221,7 @@ def _scale(entity: ResolvedEntity, options: Options) -> Values:
     axes = np.arange(3) if width == 3 else np.zeros(3, np.int64)
     axes[equal] = axes[equal[0]] if equal else 0
 
-    def factors(values: F64, env_ids: EnvIndex | None) -> None:
+    def factors(values: Floats, env_ids: EnvIndex | None) -> None:
         asset.write_scale(values[:, axes], env_ids, options.fixed_density)
 
     return Values(list("xyz"[:width]), np.ones(width), lambda ids: factors, 1e-6)
@@ -272,7 +272,7 @@ def _coefficients(
         order = np.argsort(geoms)
         columns, source = 3 * geoms[order] + axis, source[order]
 
-        def coefficients(values: F64, env_ids: EnvIndex | None) -> None:
+        def coefficients(values: Floats, env_ids: EnvIndex | None) -> None:
             engine.write_model("geom_friction", values[:, source], env_ids, columns)
 
         return coefficients
@@ -344,7 +344,7 @@ def _strength(entity: ResolvedEntity, options: Options) -> Values:
         drives, rest = driven[ids[ids < len(driven)]], own[ids[ids >= len(driven)] - len(driven)]
         parts = _proportional(model, rest) if len(rest) else []
 
-        def factors(values: F64, env_ids: EnvIndex | None) -> None:
+        def factors(values: Floats, env_ids: EnvIndex | None) -> None:
             if len(drives):
                 asset.drives.write("strength", values[:, : len(drives)], env_ids, drives)
             factor = values[:, len(drives) :]
@@ -356,7 +356,7 @@ def _strength(entity: ResolvedEntity, options: Options) -> Values:
     return Values(names, np.ones(len(names)), write, 0.0)
 
 
-_Part = tuple[str, NDArray[np.int64], "F64", NDArray[np.int64]]
+_Part = tuple[str, NDArray[np.int64], "Floats", NDArray[np.int64]]
 """A model field, its columns, their compiled values, and the index of each one's factor."""
 
 

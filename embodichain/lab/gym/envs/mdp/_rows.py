@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "action_rows",
@@ -31,38 +31,34 @@ __all__ = [
 ]
 
 
-def squares(vectors: NDArray[Any]) -> F64:
+def squares(vectors: NDArray[Any]) -> Floats:
     """Sum of the squares of the rows, (N, ..., K) -> (N, ...)."""
     rows = contiguous(vectors, np.float64)
-    found: F64 = np.vecdot(rows, rows)
-    return found
+    return np.vecdot(rows, rows)
 
 
-def total(values: NDArray[Any]) -> F64:
+def total(values: NDArray[Any]) -> Floats:
     """Sum of the rows, (N, K) -> (N,); 0 where K is 0."""
     rows = contiguous(values, np.float64)
-    found: F64 = np.vecdot(rows, _ones(rows.shape[1]))
-    return found
+    return np.vecdot(rows, _ones(rows.shape[1]))
 
 
 @cache
-def _ones(count: int) -> F64:
+def _ones(count: int) -> Floats:
     return np.ones(count)
 
 
-def mean(values: F64) -> F64:
+def mean(values: Floats) -> Floats:
     """Mean of the rows, (N, K) -> (N,)."""
-    found: F64 = total(values) / max(values.shape[1], 1)
-    return found
+    return total(values) / max(values.shape[1], 1)
 
 
-def norm(vectors: NDArray[Any]) -> F64:
+def norm(vectors: NDArray[Any]) -> Floats:
     """Euclidean length of the rows, (N, ..., K) -> (N, ...)."""
-    found: F64 = np.sqrt(squares(vectors))
-    return found
+    return np.sqrt(squares(vectors))
 
 
-def angle_between(a: F64, b: F64) -> F64:
+def angle_between(a: Floats, b: Floats) -> Floats:
     """(N,) rad in [0, pi] of the rotation from one orientation to another, (N, 4) wxyz each.
 
     2 atan2(|v|, |w|) of the difference, which is exact near 0, unlike an arc cosine.
@@ -71,11 +67,10 @@ def angle_between(a: F64, b: F64) -> F64:
 
     difference = quat_multiply(quat_conjugate(a), b)
     sine, cosine = norm(difference[:, 1:]), np.abs(difference[:, 0])
-    found: F64 = 2.0 * np.arctan2(sine, contiguous(cosine))
-    return found
+    return 2.0 * np.arctan2(sine, contiguous(cosine))
 
 
-def action_rows(env: TermContext, action: Any) -> F64:
+def action_rows(env: TermContext, action: Any) -> Floats:
     """(N, A) float64 copy of the action that rewards receive.
 
     Raises:
@@ -83,8 +78,7 @@ def action_rows(env: TermContext, action: Any) -> F64:
     """
     if not hasattr(action, "detach"):
         raise TypeError(f"this term needs an action tensor, got {type(action).__name__}")
-    rows: F64 = env.arrays.of(action.detach()).astype(np.float64)
-    return rows
+    return env.arrays.of(action.detach()).astype(np.float64)
 
 
 def tensor(array: NDArray[np.float64] | NDArray[np.bool_]) -> torch.Tensor:

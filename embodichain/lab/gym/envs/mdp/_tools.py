@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "MovesTool",
@@ -50,14 +50,14 @@ class MovesTool(Protocol):
         """What the action does with the tool's orientation."""
 
     @property
-    def joint_speeds(self) -> F64:
+    def joint_speeds(self) -> Floats:
         """(k,) largest speeds of the solver's moving joints, rad/s or m/s."""
 
     @property
     def tool_speeds(self) -> tuple[float, float]:
         """Largest speeds of the tool, m/s and rad/s, that the action can ask for."""
 
-    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+    def action_towards(self, pos: Floats, quat: Floats, qpos: Floats) -> Floats:
         """The action that asks for a pose of the tool, within the action's bounds.
 
         Args:
@@ -126,7 +126,7 @@ def moving_joints(entity: ResolvedEntity, solver: ArmSolver) -> ResolvedEntity:
     return dataclasses.replace(entity, joint_ids=joints, joint_names=solver.names, all_joints=False)
 
 
-def usual_speeds(asset: Any, joints: NDArray[np.int64], solver: ArmSolver) -> F64:
+def usual_speeds(asset: Any, joints: NDArray[np.int64], solver: ArmSolver) -> Floats:
     """(k,) rad/s or m/s: the smaller of file and drive, else pi rad/s or 1 m/s.
 
     Args:
@@ -137,5 +137,4 @@ def usual_speeds(asset: Any, joints: NDArray[np.int64], solver: ArmSolver) -> F6
     limits = np.minimum(asset.parsed.qvel_limits, asset.parsed.max_velocity)[joints]
     hinges = solver.chain.hinges[np.isin(solver.chain.joints, joints)]
     usual = np.where(hinges, _TURNS_A_SECOND, _METRES_A_SECOND)
-    found: F64 = np.where(limits < UNLIMITED, limits, usual)
-    return found
+    return np.where(limits < UNLIMITED, limits, usual)

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "UniformJointPositionCommand",
@@ -97,9 +98,9 @@ class UniformVelocityCommand(CommandTerm):
         self._stiffness = heading_control_stiffness
         self._stands = rel_standing_envs
         self._heads = rel_heading_envs
-        self.values: F64 = full((count, 3), 0.0)
+        self.values: Floats = full((count, 3), 0.0)
         self.marker = CommandMarker("velocity", entity_cfg.body_id)
-        self.heading_target: F64 = full(count, 0.0)
+        self.heading_target: Floats = full(count, 0.0)
         self.is_heading: NDArray[np.bool_] = full(count, False, np.bool_)
         self.is_standing: NDArray[np.bool_] = full(count, False, np.bool_)
 
@@ -123,7 +124,7 @@ class UniformVelocityCommand(CommandTerm):
         turning = (self.is_heading & ~self.is_standing)[where]
         self.values[where, 2] = np.where(turning, rate[where], self.values[where, 2])
 
-    def metrics(self) -> Mapping[str, F64]:
+    def metrics(self) -> Mapping[str, Floats]:
         """Distance of the velocity from the command: in the plane, and about z."""
         difference = self._entity.linear_velocity("yaw")[:, :2] - self.values[:, :2]
         turning = self._entity.angular_velocity()[:, 2]
@@ -170,7 +171,7 @@ class UniformPoseCommand(CommandTerm):
         ends = ([*position_range[i], *angles[i]] for i in (0, 1))
         self._pose = Uniform("pose", *ends)
         self._unique = make_quat_unique
-        self.values: F64 = env.arrays.full((env.num_envs, 7), 0.0)
+        self.values: Floats = env.arrays.full((env.num_envs, 7), 0.0)
         self.values[:, 3] = 1.0
         self.marker = CommandMarker("pose", self._root.body_id)
 
@@ -186,13 +187,13 @@ class UniformPoseCommand(CommandTerm):
             quat = unique_quat(quat)
         self.values[where, 3:] = quat
 
-    def world(self) -> tuple[F64, F64]:
+    def world(self) -> tuple[Floats, Floats]:
         """The commanded position (N, 3) and wxyz orientation (N, 4) in the environment's frame."""
         turn = self._root.orientation()
         position = self._root.position() + quat_rotate(turn, self.values[:, :3])
         return position, quat_multiply(turn, self.values[:, 3:])
 
-    def metrics(self) -> Mapping[str, F64]:
+    def metrics(self) -> Mapping[str, Floats]:
         """Distance of the picked link, site or geom from the command."""
         if not self._entity.frame_names:
             return {}
@@ -244,14 +245,14 @@ class UniformJointPositionCommand(CommandTerm):
             rows = _rows(position_range, self.names, np.zeros(len(ids)) if relative else home)
             rows = np.clip(rows + home[:, None] if relative else rows, limits[:, :1], limits[:, 1:])
         self._qpos = Uniform("qpos", rows[:, 0], rows[:, 1])
-        self.values: F64 = env.arrays.put(np.tile(home, (env.num_envs, 1)))
+        self.values: Floats = env.arrays.put(np.tile(home, (env.num_envs, 1)))
 
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw positions."""
         drawn = self._qpos(self._env.command_manager, env_ids)
         self.values[slice(None) if env_ids is None else env_ids] = drawn
 
-    def metrics(self) -> Mapping[str, F64]:
+    def metrics(self) -> Mapping[str, Floats]:
         """Distance of the joints from the command."""
         qpos: Any = self._entity.asset.read_qpos()
         if not self._entity.all_joints:
@@ -259,7 +260,7 @@ class UniformJointPositionCommand(CommandTerm):
         return {"joint_error": norm(qpos - self.values)}
 
 
-def _rows(given: Range | dict[str, Range], names: tuple[str, ...], rest: F64) -> F64:
+def _rows(given: Range | dict[str, Range], names: tuple[str, ...], rest: Floats) -> Floats:
     """(K, 2) ranges of the joints; those that no pattern matches have their value in ``rest``."""
     rows = np.stack([rest, rest], axis=1)
     if not isinstance(given, dict):

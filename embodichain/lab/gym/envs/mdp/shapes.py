@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
     Mask = NDArray[np.bool_]
 
@@ -73,47 +74,47 @@ Sigmoid = Literal[
 # (Tassa et al., "dm_control: Software and tasks for continuous control", 2020, arXiv:2006.12983).
 
 
-def _gaussian(x: F64, value: float) -> F64:
+def _gaussian(x: Floats, value: float) -> Floats:
     scaled = x * math.sqrt(-2.0 * math.log(value))
     return np.exp(-0.5 * scaled * scaled)
 
 
-def _linear(x: F64, value: float) -> F64:
+def _linear(x: Floats, value: float) -> Floats:
     return np.maximum(1.0 - x * (1.0 - value), 0.0)
 
 
-def _hyperbolic(x: F64, value: float) -> F64:
+def _hyperbolic(x: Floats, value: float) -> Floats:
     # cosh overflows to infinity for large errors: the value is then 0, which is correct.
     with np.errstate(over="ignore"):
         return 1.0 / np.cosh(x * math.acosh(1.0 / value))
 
 
-def _long_tail(x: F64, value: float) -> F64:
+def _long_tail(x: Floats, value: float) -> Floats:
     scaled = x * math.sqrt(1.0 / value - 1.0)
     return 1.0 / (scaled * scaled + 1.0)
 
 
-def _cosine(x: F64, value: float) -> F64:
+def _cosine(x: Floats, value: float) -> Floats:
     # x is clipped before the cosine, instead of replacing the result, so that NaN stays NaN.
     scaled = np.minimum(x * (math.acos(2.0 * value - 1.0) / math.pi), 1.0)
     return 0.5 * (1.0 + np.cos(math.pi * scaled))
 
 
-def _tanh_squared(x: F64, value: float) -> F64:
+def _tanh_squared(x: Floats, value: float) -> Floats:
     bent = np.tanh(x * math.atanh(math.sqrt(1.0 - value)))
     return 1.0 - bent * bent
 
 
-def _quadratic(x: F64, value: float) -> F64:
+def _quadratic(x: Floats, value: float) -> Floats:
     scaled = x * math.sqrt(1.0 - value)
     return np.maximum(1.0 - scaled * scaled, 0.0)
 
 
-def _reciprocal(x: F64, value: float) -> F64:
+def _reciprocal(x: Floats, value: float) -> Floats:
     return 1.0 / (x * (1.0 / value - 1.0) + 1.0)
 
 
-SIGMOIDS: dict[str, Callable[[F64, float], F64]] = {
+SIGMOIDS: dict[str, Callable[[Floats, float], Floats]] = {
     "gaussian": _gaussian,
     "linear": _linear,
     "hyperbolic": _hyperbolic,
@@ -155,34 +156,32 @@ class Tolerance:
         self._margin = float(margin)
         self._sigmoid, self._value = SIGMOIDS[sigmoid], float(value_at_margin)
 
-    def __call__(self, x: F64) -> F64:
+    def __call__(self, x: Floats) -> Floats:
         """Values in [0, 1] of the shape of ``x``; NaN stays NaN."""
         # A bound at infinity is never exceeded: the difference is -inf, and the maximum 0.
         excess = np.maximum(np.maximum(self._low - x, x - self._high), 0.0)
         if self._margin > 0.0:
             return self._sigmoid(contiguous(excess / self._margin), self._value)
-        inside: F64 = np.where(excess > 0.0, 0.0, 1.0)
+        inside: Floats = np.where(excess > 0.0, 0.0, 1.0)
         return np.where(np.isnan(excess), excess, inside)
 
 
-def gaussian_kernel(squared: F64, std: float) -> F64:
+def gaussian_kernel(squared: Floats, std: float) -> Floats:
     """exp(-e^2 / std^2) of squared errors, the kernel of Isaac Lab's tracking rewards."""
-    found: F64 = np.exp(contiguous(squared) * (-1.0 / (std * std)))
-    return found
+    return np.exp(contiguous(squared) * (-1.0 / (std * std)))
 
 
-def tanh_kernel(error: F64, std: float) -> F64:
+def tanh_kernel(error: Floats, std: float) -> Floats:
     """1 - tanh(e / std) of errors >= 0, the kernel of Isaac Lab's reaching rewards."""
-    found: F64 = 1.0 - np.tanh(contiguous(error) / std)
-    return found
+    return 1.0 - np.tanh(contiguous(error) / std)
 
 
 AtMargin = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
-Values = Callable[["F64"], "F64"]
-Truths = Callable[["F64"], "Mask"]
+Values = Callable[["Floats"], "Floats"]
+Truths = Callable[["Floats"], "Mask"]
 
 
-def _columns(values: F64) -> F64:
+def _columns(values: Floats) -> Floats:
     """(N, K) of (N,) or (N, K)."""
     return values[:, None] if values.ndim == 1 else values
 
@@ -199,7 +198,7 @@ def _every_column(mask: Mask) -> Mask:
     return cast("Mask", found)
 
 
-def _length(values: F64) -> F64:
+def _length(values: Floats) -> Floats:
     """(N,) absolute value, or Euclidean length of the rows."""
     return np.abs(values) if values.ndim == 1 else norm(values)
 
@@ -250,7 +249,7 @@ def column(env: TermContext, which: Annotated[int, Field(ge=0)] | str) -> Values
     """
     index = int(which)
 
-    def one(values: F64) -> F64:
+    def one(values: Floats) -> Floats:
         columns = _columns(values)
         if index >= columns.shape[1]:
             message = f"there are {columns.shape[1]} columns, numbered from 0; got {index}"
@@ -362,7 +361,7 @@ def within(env: TermContext, bounds: BoundsOrBox) -> Truths:
     """
     low, high = (np.asarray(bound, np.float64) for bound in bounds)
 
-    def inside(values: F64) -> Mask:
+    def inside(values: Floats) -> Mask:
         columns = _columns(values)
         return _every_column((columns >= low) & (columns <= high))
 
@@ -381,7 +380,7 @@ def outside(env: TermContext, bounds: BoundsOrBox) -> Truths:
     """
     low, high = (np.asarray(bound, np.float64) for bound in bounds)
 
-    def beyond(values: F64) -> Mask:
+    def beyond(values: Floats) -> Mask:
         columns = _columns(values)
         return _any_column((columns < low) | (columns > high))
 
@@ -468,9 +467,9 @@ class Rate(Term):
         # Steps without a rate yet.
         self._left: NDArray[np.int64] = env.arrays.full(env.num_envs, order, np.int64)
         self._all_known = False
-        self._past: list[F64] = []
+        self._past: list[Floats] = []
 
-    def __call__(self, values: F64) -> F64:
+    def __call__(self, values: Floats) -> Floats:
         """Changes of the shape of ``values``."""
         rows = values.astype(np.float64)
         past = self._past or [rows] * self._order

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.compiler.scene.terrain import Terrain
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.reads.height_field import GroundHeights
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "HeightAboveGround",
@@ -124,8 +125,7 @@ class PlaceTerrain(Term):
             first = starts[self.column[ids]]
             count = starts[self.column[ids] + 1] - first
             chosen = np.minimum((drawn / self.terrain.levels * count).astype(np.int64), count - 1)
-            found: NDArray[np.int64] = levels[first + chosen]
-            return found
+            return levels[first + chosen]
         level = self.level[ids]
         return np.where(level >= self.terrain.levels, drawn.astype(np.int64), level)
 
@@ -243,12 +243,11 @@ class TerrainLevel(Term):
     def __init__(self, env: TermContext) -> None:
         self._terrain, self._ground = _terrain(env), _heights(env)
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,) the level."""
         terrain = self._terrain
         x = 0.0 - self._ground.offset()[:, 0]
-        level: F64 = np.round((x - terrain.origins[0, 0, 0]) / terrain.size)
-        return level
+        return np.round((x - terrain.origins[0, 0, 0]) / terrain.size)
 
 
 @quantity(name="height_above_ground")
@@ -267,7 +266,7 @@ class HeightAboveGround(Term):
     def __init__(self, env: TermContext, of: Body) -> None:
         self._of, self._ground = of, _heights(env)
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,) m."""
         place = self._of.position()
         return place[:, 2] - self._ground.read(place[:, 0], place[:, 1])[0]
@@ -287,7 +286,7 @@ class TerrainEdgeDistance(Term):
     def __init__(self, env: TermContext, of: Body) -> None:
         self._of, self._half, self._ground = of, _terrain(env).half, _heights(env)
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,) m."""
         place = np.abs(self._of.position()[:, :2] - self._ground.offset()[:, :2])
         return np.minimum(self._half[0] - place[:, 0], self._half[1] - place[:, 1])

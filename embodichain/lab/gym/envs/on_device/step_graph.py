@@ -13,7 +13,7 @@ from __future__ import annotations
 import gc
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 
@@ -24,40 +24,30 @@ from embodichain.lab.sim.engine.device.device_array import DeviceArray, EnvMask
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observation import Observation
-    from embodichain.lab.gym.envs.on_device.step_copies import StepCopies
+    from embodichain.lab.gym.envs.observers import ObservedEnv
     from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
-    from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvObs
 
-__all__ = ["RecordedEnv", "StepGraph"]
+__all__ = ["StepGraph"]
 
 logger = logging.getLogger(__name__)
 _WARM_UP = 2
 """Steps before those that are observed and recorded: they load kernels and make constants."""
 _COUNTERS = {
-    *("control_step", "version", "_version", "_all_changed", "physics_seconds"),
-    *("_any_dirty", "arrays_moved", "_views_made"),
+    "control_step",
+    "version",
+    "_version",
+    "_all_changed",
+    "physics_seconds",
+    "_any_dirty",
+    "arrays_moved",
+    "_views_made",
 }
-"""Numbers of the host that change, and decide nothing in a recorded step, or are in `revision`."""
+"""Numbers of the host that change from step to step, and do not decide what a step launches: they
+only count, or `revision` contains them."""
 
 
 Step = tuple["EnvObs", torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
-
-
-class RecordedEnv(Protocol):
-    """What `StepGraph` uses of an environment."""
-
-    control_step: int
-    arrays_moved: bool
-    copies: StepCopies | None
-
-    @property
-    def sim(self) -> SimulationManager:
-        """The simulation."""
-
-    @property
-    def revision(self) -> tuple[int, ...]:
-        """Changes when steps are computed in another way."""
 
 
 class StepGraph:
@@ -70,7 +60,7 @@ class StepGraph:
         reason: Why steps are not recorded, or an empty string.
     """
 
-    def __init__(self, env: RecordedEnv) -> None:
+    def __init__(self, env: ObservedEnv) -> None:
         self._env = env
         self._engine = cast("DeviceEngine", env.sim.engine)
         self._left = _WARM_UP
@@ -81,38 +71,46 @@ class StepGraph:
         self._version = -1
         self.reason = ""
 
-    def step(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
+    def step(
+        self,
+        run: Callable[[torch.Tensor], Step],
+        action: torch.Tensor,
+        *,
+        arrays_moved: bool,
+        forget: Callable[[], None],
+    ) -> Step:
         """Take a control step.
 
         Args:
-            run: Takes a step by launching its kernels.
+            run: Takes a step by launching its kernels. It is not called where a graph is replayed.
             action: (N, A) on the device.
+            arrays_moved: Whether code outside of steps may have replaced arrays since the last one.
+            forget: Undoes what Python did in `run`, after a recording that failed: the numbers of
+                that step were not computed.
 
         Returns:
             What `run` returns. Observation, reward and flags are copies; ``info`` is valid until
             the next step.
         """
         self._engine.check_memory()
-        if self._graph is not None and not self._is_valid():
-            self._graph = self._revision = None
+        if self._graph is not None and not self._is_valid(arrays_moved):
+            self._graph = None
+            self._revision = None
             self._left = 1
         if self.reason or self._left:
             self._left = max(self._left - 1, 0)
             return run(action)
-        if self._graph is not None:
-            self._env.control_step += 1
-        elif self._revision is None:
-            return self._observe(run, action)
-        else:
-            self._record(run, action)
+        if self._graph is None:
+            if self._revision is None:
+                return self._observe(run, action)
+            self._record(run, action, forget)
             if self._graph is None:
                 return run(action)
         self._action.copy_(action)
         self._graph.replay()
         obs, reward, terminated, truncated, info = self._result
-        seen = cast("Observation", obs)
-        copies = reward.clone(), terminated.clone(), truncated.clone()
-        return seen.copy(), *copies, dict(info)
+        observation = cast("Observation", obs).copy()
+        return observation, reward.clone(), terminated.clone(), truncated.clone(), dict(info)
 
     def _observe(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> Step:
         """Take a step, and find the arrays that it reads and replaces."""
@@ -121,17 +119,18 @@ class StepGraph:
         watched: dict[Path, tuple[Any, Any]] = {}
         for path, place in before.items():
             value = place.get()
-            put = _Watched(value.tensor) if isinstance(value, DeviceArray) else value
-            watched[path] = value, put
-            place.set(put)
+            stand_in = _Watched(value.tensor) if isinstance(value, DeviceArray) else value
+            watched[path] = (value, stand_in)
+            place.set(stand_in)
         self._revision = ()
         result = run(action)
         after, numbers_after = self._places()
         changing = []
-        for path, (value, put) in watched.items():
-            was_read = put.was_read if isinstance(put, _Watched) else True
+        for path, (value, stand_in) in watched.items():
+            # Of a tensor that is not in a `DeviceArray` it is not known: it counts as read.
+            was_read = stand_in.was_read if isinstance(stand_in, _Watched) else True
             now = after[path].get() if path in after else None
-            if now is put:
+            if now is stand_in:
                 after[path].set(value)
             elif was_read and now is None:
                 self._give_up(f"a step removes {_shown(path)}, which it reads")
@@ -161,21 +160,26 @@ class StepGraph:
         self.reason = self.reason or reason
         logger.warning("steps are not recorded as a CUDA graph: %s", reason)
 
-    def _record(self, run: Callable[[torch.Tensor], Step], action: torch.Tensor) -> None:
+    def _record(
+        self,
+        run: Callable[[torch.Tensor], Step],
+        action: torch.Tensor,
+        forget: Callable[[], None],
+    ) -> None:
         """Record a step; its launches run when the graph is replayed."""
-        env = self._env
         places = self._places()[0]
         self._action = action.clone()
-        for path in self._changing:  # each its own memory: two places may hold the same array
+        # Each gets memory of its own: two places may hold the same array.
+        for path in self._changing:
             value = places[path].get()
             self._kept[path] = value.copy() if isinstance(value, DeviceArray) else value.clone()
             places[path].set(self._kept[path])
         graph = torch.cuda.CUDAGraph()
         saved = {path: place.get() for path, place in places.items()}
-        control_step = env.control_step
         collecting = gc.isenabled()
         gc.collect()
-        gc.disable()  # what it frees would be recorded
+        # What the garbage collector frees would be recorded.
+        gc.disable()
         try:
             with (
                 torch.cuda.graph(graph, capture_error_mode="thread_local"),
@@ -184,11 +188,8 @@ class StepGraph:
                 self._result = run(self._action)
                 self._keep()
         except (TypeError, ValueError, RuntimeError) as error:
-            # Nothing of the recorded step was computed: undo what Python did.
             torch.cuda.synchronize()
-            if env.copies is not None:
-                env.copies.restart()
-            env.control_step = control_step
+            forget()
             now = self._places()[0]
             for path, value in saved.items():
                 if path in now:
@@ -198,8 +199,10 @@ class StepGraph:
         finally:
             if collecting:
                 gc.enable()
-        self._graph, self._revision = graph, env.revision
-        self._numbers, self._version = _decisive(self._places()[1]), self._engine.version
+        self._graph = graph
+        self._revision = self._env.revision
+        self._numbers = _decisive(self._places()[1])
+        self._version = self._engine.version
 
     def _keep(self) -> None:
         """Copy the arrays that replaced kept ones into these, and put the kept ones back."""
@@ -213,16 +216,20 @@ class StepGraph:
             value = place.get()
             if value is kept:
                 continue
-            old, new = _tensor(kept), _tensor(value)
+            old = _tensor(kept)
+            new = _tensor(value)
             if (new.shape, new.dtype) != (old.shape, old.dtype):
                 change = f"{tuple(old.shape)} {old.dtype} to {tuple(new.shape)} {new.dtype}"
                 raise ValueError(f"a step changes {_shown(path)} from {change}")
-            moved.append((place, kept, new.clone() if new.data_ptr() in addresses else new))
+            if new.data_ptr() in addresses:
+                # It is in the memory of a kept array, which the copies below overwrite.
+                new = new.clone()
+            moved.append((place, kept, new))
         for place, kept, new in moved:
             _tensor(kept).copy_(new)
             place.set(kept)
 
-    def _is_valid(self) -> bool:
+    def _is_valid(self, arrays_moved: bool) -> bool:
         """Whether the graph computes the next step, after changes by code outside of steps.
 
         What such code has put in place of kept arrays is copied into these. It may have written to
@@ -230,9 +237,8 @@ class StepGraph:
         """
         if self._revision != self._env.revision:
             return False
-        if not self._env.arrays_moved and self._version == self._engine.version:
+        if not arrays_moved and self._version == self._engine.version:
             return True
-        self._env.arrays_moved = False
         self._version = self._engine.version
         places, numbers = self._places()
         if not self._kept.keys() <= places.keys() or _decisive(numbers) != self._numbers:
@@ -251,7 +257,8 @@ class _Watched(DeviceArray):
     __slots__ = ("_numbers", "was_read")
 
     def __init__(self, tensor: torch.Tensor) -> None:
-        self._numbers, self.was_read = tensor, False
+        self._numbers = tensor
+        self.was_read = False
 
     @property
     def tensor(self) -> torch.Tensor:  # type: ignore[override]
@@ -261,8 +268,7 @@ class _Watched(DeviceArray):
 
 
 def _tensor(value: Any) -> torch.Tensor:
-    tensor: torch.Tensor = value.tensor if isinstance(value, DeviceArray) else value
-    return tensor
+    return value.tensor if isinstance(value, DeviceArray) else value
 
 
 def _decisive(numbers: dict[Path, HostValue]) -> dict[Path, HostValue]:

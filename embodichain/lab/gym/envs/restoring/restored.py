@@ -1,7 +1,5 @@
 """Restoring a recorded moment: the state, the model and the draws of a `Snapshot`.
 
-`state_of` and `load_state` save and restore an environment of this process, to the bit.
-
 A snapshot has no states of terms (histories, delays, commands, timers) and of random streams: they
 begin as at a reset, and `not_restored` names them.
 """
@@ -9,7 +7,7 @@ begin as at a reset, and `not_restored` names them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -22,14 +20,11 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.manager import Manager
     from embodichain.lab.gym.envs.step.episodes import Episodes
-    from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
-    from embodichain.lab.sim.engine.api import Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import Engine
     from embodichain.lab.sim.sim_manager import SimulationManager
-    from embodichain.utils.random import RandomStreams
+    from embodichain.utils.array_types import EnvIds
 
-__all__ = ["SavedEnv", "load_state", "not_restored", "put", "snapshot_of", "state_of"]
-
-_PARTS = ("sim", "streams", "episodes")
+__all__ = ["not_restored", "put", "snapshot_of"]
 
 _ALWAYS = ("random streams", "sums of rewards and metrics over the episode")
 
@@ -40,56 +35,6 @@ _EXTRAS = {
     "left": "when it is drawn next",
 }
 """Entries of a manager's state besides those of its terms."""
-
-
-class SavedEnv(Protocol):
-    """What `state_of` reads of an environment."""
-
-    @property
-    def num_envs(self) -> int:
-        """N."""
-
-    control_step: int
-    np_random: np.random.Generator
-    observation_buffer: ObservationBuffer
-    managers: dict[str, Manager[Any]]
-    sim: SimulationManager
-    streams: RandomStreams
-    episodes: Episodes
-
-
-def state_of(env: SavedEnv) -> dict[str, Any]:
-    """Return the state from which an environment continues bit for bit (copies)."""
-    state = {
-        "num_envs": env.num_envs,
-        "control_step": env.control_step,
-        "np_random": env.np_random.bit_generator.state,
-        "observation": env.observation_buffer.last.copy(),
-        "managers": {name: manager.state_dict() for name, manager in env.managers.items()},
-        **{name: getattr(env, name).state_dict() for name in _PARTS},
-    }
-    saved: dict[str, Any] = env.sim.arrays.saved(state)
-    return saved
-
-
-def load_state(env: SavedEnv, saved: dict[str, Any]) -> None:
-    """Continue where `state_of` was taken, in an environment of the same config.
-
-    Raises:
-        ValueError: If the number of environments differs.
-    """
-    if saved["num_envs"] != env.num_envs:
-        raise ValueError(
-            f"this state is of {saved['num_envs']} environments, the environment has {env.num_envs}"
-        )
-    saved = env.sim.arrays.loaded(saved)
-    for name in _PARTS:
-        getattr(env, name).load_state_dict(saved[name])
-    env.np_random.bit_generator.state = saved["np_random"]
-    for name, manager in env.managers.items():
-        manager.load_state_dict(saved["managers"][name])
-    env.control_step = saved["control_step"]
-    env.observation_buffer.last = saved["observation"].copy()
 
 
 def snapshot_of(
@@ -113,7 +58,7 @@ def put(
     sim: SimulationManager,
     managers: Mapping[str, Manager[Any]],
     episodes: Episodes,
-    ids: EnvIndex,
+    ids: EnvIds,
 ) -> None:
     """Set the state, model fields, draws and counters of environments from a snapshot.
 
@@ -122,12 +67,11 @@ def put(
         sim: The simulation.
         managers: All managers by section.
         episodes: The counters.
-        ids: (n,) sorted unique environments.
+        ids: (n,) environments, on the host.
 
     Raises:
         ConfigError: If it is of another scene or another action space.
     """
-    sim.arrays.require_host("recorded states")
     _check(snapshot, sim.engine.model, episodes.last_action.shape[1])
     where = None if len(ids) == sim.num_envs else ids
     for manager in managers.values():
@@ -148,9 +92,7 @@ def put(
     episodes.set_last_action(ids, snapshot.last_action)
 
 
-def _replay_draw(
-    managers: Mapping[str, Manager[Any]], drawn: Drawn, where: EnvIndex | None
-) -> None:
+def _replay_draw(managers: Mapping[str, Manager[Any]], drawn: Drawn, where: EnvIds | None) -> None:
     """Call a term with its recorded draws, to set what it stores outside the simulation state."""
     manager: Any = managers["commands" if drawn.mode == "command" else "events"]
     term = manager.terms.get(drawn.term)
@@ -160,7 +102,7 @@ def _replay_draw(
         manager.replay(drawn.term, drawn.mode, where, drawn.values)
 
 
-def _put_model(engine: Engine, fields: Mapping[str, NDArray[Any]], where: EnvIndex | None) -> None:
+def _put_model(engine: Engine, fields: Mapping[str, NDArray[Any]], where: EnvIds | None) -> None:
     """Set the fields that differ between environments; reset all others to the compiled model."""
     engine.forward(where)  # pending derivations must not overwrite the fields set below
     engine.reset(where)
@@ -204,19 +146,19 @@ def not_restored(
     snapshot: Snapshot, sim: SimulationManager, managers: Mapping[str, Manager[Any]]
 ) -> list[str]:
     """What differs from the recorded moment, one line each."""
-    found = [*snapshot.notes, *_ALWAYS]
+    missing = [*snapshot.notes, *_ALWAYS]
     for uid, sensor in sim.sensors.items():
         if sensor.cfg.rate is not None:
-            found.append(f"sensors.{uid}: readings between measurements")
-    again = {("commands" if d.mode == "command" else "events", d.term) for d in snapshot.drawn}
+            missing.append(f"sensors.{uid}: readings between measurements")
+    redrawn = {("commands" if d.mode == "command" else "events", d.term) for d in snapshot.drawn}
     for section, manager in managers.items():
         for name, why in _kept(manager):
-            if why or (section, name) not in again:
-                found.append(f"{section}.{name}{why}")
-    other = _differing(sim.engine.model, snapshot.model)
-    if other:
-        found.insert(0, f"the scene is another one: its {', '.join(other)} differ")
-    return found
+            if why or (section, name) not in redrawn:
+                missing.append(f"{section}.{name}{why}")
+    other_fields = _differing(sim.engine.model, snapshot.model)
+    if other_fields:
+        missing.insert(0, f"the scene is another one: its {', '.join(other_fields)} differ")
+    return missing
 
 
 def _kept(manager: Manager[Any]) -> Iterator[tuple[str, str]]:
@@ -239,14 +181,16 @@ def _any(value: Any) -> bool:
 
 def _differing(here: mujoco.MjModel, there: mujoco.MjModel) -> list[str]:
     """Arrays of the model, and numbers of its options, that are not the same."""
-    found = []
+    differing = []
     for a, b, prefix in ((here, there, ""), (here.opt, there.opt, "opt.")):
         for name in dir(a):
-            own = name.startswith("_") or name == "signature"  # differs for each compilation
-            value = None if own else getattr(a, name)
+            # The signature differs for each compilation.
+            if name.startswith("_") or name == "signature":
+                continue
+            value = getattr(a, name)
             if isinstance(value, (np.ndarray, int, float)) and not _same(value, getattr(b, name)):
-                found.append(prefix + name)
-    return found
+                differing.append(prefix + name)
+    return differing
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -38,8 +38,7 @@ class StartupChanges:
     def _state(self) -> State:
         state = self._sim.state_dict()
         parts = {name: state[name] for name in _PARTS}
-        saved: State = self._sim.arrays.saved({"model": state["engine"]["model"], **parts})
-        return saved
+        return self._sim.arrays.saved({"model": state["engine"]["model"], **parts})
 
     def note(self) -> None:
         """Keep what differs now from what was before."""

@@ -15,6 +15,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from embodichain.utils.array_types import EnvIndex
 from embodichain.utils.arrays import Arrays, tensor_of
 from embodichain.utils.suggest import did_you_mean
 
@@ -51,7 +52,8 @@ class Episodes:
     """
 
     def __init__(self, num_envs: int, limit: int, arrays: Arrays) -> None:
-        self.limit, self._arrays = limit, arrays
+        self.limit = limit
+        self._arrays = arrays
         self.begun = False
         self._uncounted = False
         self.elapsed: NDArray[np.int32] = arrays.full(num_envs, 0, np.int32)
@@ -63,7 +65,7 @@ class Episodes:
         self.cut: Mask | None = self.success.copy() if self._on_device else None
         self.last_action: NDArray[np.float64] = arrays.full((num_envs, 0), 0.0)
 
-    def set_last_action(self, ids: NDArray[np.int64], action: Any) -> None:
+    def set_last_action(self, ids: EnvIndex, action: Any) -> None:
         """Set the last action of environments (n,)."""
         self.last_action = self.last_action.copy()
         self.last_action[ids] = action
@@ -84,13 +86,14 @@ class Episodes:
         It counts for terms and after a step. EmbodiChain counts it after the hooks that observe and
         judge; these see the steps before it.
         """
-        before, self._uncounted = self._uncounted, not present
+        before = self._uncounted
+        self._uncounted = not present
         try:
             yield
         finally:
             self._uncounted = before
 
-    def begin(self, ids: NDArray[np.int64]) -> None:
+    def begin(self, ids: EnvIndex) -> None:
         """Start the next episode of environments (n,)."""
         self.begun = True
         self.elapsed[ids] = 0
@@ -99,7 +102,7 @@ class Episodes:
         if self.cut is not None:
             self.cut[ids] = False
 
-    def restore(self, ids: NDArray[np.int64], elapsed: int, episode: int) -> None:
+    def restore(self, ids: EnvIndex, elapsed: int, episode: int) -> None:
         """Continue an episode in environments (n,)."""
         self.begun = True
         self.elapsed[ids] = elapsed
@@ -107,11 +110,11 @@ class Episodes:
         self._forget(ids)
         self.settle(ids)
 
-    def _forget(self, ids: NDArray[np.int64]) -> None:
+    def _forget(self, ids: EnvIndex) -> None:
         self.success = self.success.copy()  # arrays returned earlier must not change
         self.success[ids] = False
 
-    def settle(self, ids: NDArray[np.int64]) -> None:
+    def settle(self, ids: EnvIndex) -> None:
         """Clear the pending reset of environments (n,) that were reset explicitly."""
         if self.pending is not None:
             self.pending[ids] = False
@@ -146,9 +149,11 @@ class Episodes:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
-        self.elapsed, self.ids = saved["elapsed"].copy(), saved["ids"].copy()
+        self.elapsed = saved["elapsed"].copy()
+        self.ids = saved["ids"].copy()
         self.begun = bool(self._arrays.host(self.ids)[0] >= 0)
-        self.success, self.last_action = saved["success"].copy(), saved["last_action"].copy()
+        self.success = saved["success"].copy()
+        self.last_action = saved["last_action"].copy()
         self.pending = None if saved["pending"] is None else saved["pending"].copy()
         none = np.zeros_like(self.success) if self._on_device else None
         self.cut = none if saved["cut"] is None else saved["cut"].copy()
@@ -166,13 +171,13 @@ def parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
     if isinstance(mode, AutoresetMode):
         return mode
     names = {m.name: m for m in AutoresetMode} | {m.value: m for m in AutoresetMode}
-    found = names.get(mode) or names.get(str(mode).upper())
-    if found is None:
+    named_mode = names.get(mode) or names.get(str(mode).upper())
+    if named_mode is None:
         allowed = ", ".join(m.name for m in AutoresetMode)
         raise ValueError(
             f"unknown autoreset_mode {mode!r}; one of: {allowed}.{did_you_mean(str(mode), names)}"
         )
-    return found
+    return named_mode
 
 
 def seed_globals(env: gym.Env[Any, Any], seed: int) -> None:

@@ -7,11 +7,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -24,22 +24,31 @@ from embodichain.lab.gym.envs.managers.terms.term_errors import (
     present_step,
     warn_not_finite,
 )
-from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, TermRows, check_shapes
+from embodichain.lab.gym.envs.managers.value_managers import TermRows, check_shapes
+from embodichain.utils.array_types import EnvIds, host_ids
 from embodichain.utils.arrays import all_finite, as_env_ids, is_host, tensor_of
 from embodichain.utils.system.atomic import atomic_file
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.action_manager import ActionManager
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.gym.envs.managers.drawing import CommandManager
     from embodichain.lab.gym.envs.managers.manager import CurriculumManager
     from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+    from embodichain.lab.gym.envs.managers.value_managers import (
+        MetricManager,
+        RewardManager,
+        TerminationManager,
+    )
     from embodichain.lab.gym.envs.observation import Observation
     from embodichain.lab.gym.envs.step.episodes import Episodes
-    from embodichain.lab.sim.engine.api import F64, Engine
+    from embodichain.lab.sim.engine.api import Engine
     from embodichain.lab.sim.types import EnvObs
+    from embodichain.utils.array_types import Floats
     from embodichain.utils.arrays import Arrays
 
 __all__ = [
+    "JudgingHooks",
     "Outcome",
     "StateDump",
     "StepJudge",
@@ -55,6 +64,7 @@ Mask = NDArray[np.bool_]
 F32 = NDArray[np.float32]
 Info = dict[str, Any]
 _TAKE_OBS = ("get_reward", "_extend_reward", "check_truncated")
+_MAKE_INFO = ("compute_task_state", "evaluate", "get_info")
 _OBSERVE = ("get_obs", "_extend_obs", "_get_sensor_obs")
 _ID_KEYS = ("reset_ids", "env_ids", "env_idx", "reset_mask")
 
@@ -111,10 +121,9 @@ def checked_reward(reward: Any, num_envs: int, hook: str, arrays: Arrays) -> NDA
         ValueError: If it is not a tensor (N,); names the hook.
     """
     if not isinstance(reward, torch.Tensor) or reward.shape != (num_envs,):
-        found = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
-        raise ValueError(f"{hook} must return a tensor of shape ({num_envs},), got {found}")
-    copy: NDArray[np.float32] = arrays.of(reward).astype(np.float32)
-    return copy
+        kind = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
+        raise ValueError(f"{hook} must return a tensor of shape ({num_envs},), got {kind}")
+    return arrays.of(reward).astype(np.float32)
 
 
 def none_set(mask: Mask) -> bool:
@@ -134,16 +143,14 @@ def as_mask(value: Any, num_envs: int, what: str, arrays: Arrays) -> Mask:
         ValueError: If it is not (N,); (N, 1) is refused too, because it would broadcast.
     """
     if value is None:
-        none: Mask = arrays.full(num_envs, False, np.bool_)
-        return none
+        return arrays.full(num_envs, False, np.bool_)
     array = arrays.of(value)
     if array.shape != (num_envs,):
         raise ValueError(f"{what} must have shape ({num_envs},), got {array.shape}")
-    mask: Mask = array.astype(np.bool_)
-    return mask
+    return array.astype(np.bool_)
 
 
-def reset_ids(options: dict[str, Any], num_envs: int) -> NDArray[np.int64]:
+def reset_ids(options: dict[str, Any], num_envs: int) -> EnvIds:
     """Remove the environments to reset from the options of `reset`, and return them.
 
     Args:
@@ -151,21 +158,22 @@ def reset_ids(options: dict[str, Any], num_envs: int) -> NDArray[np.int64]:
         num_envs: N.
 
     Returns:
-        (n,) sorted unique int64; all of them if none is named.
+        (n,); all of them if none is named.
 
     Raises:
         ValueError: If two of these options are given, or the indices or the mask are invalid.
     """
-    given: Mapping[str, Any] = {key: options.pop(key) for key in _ID_KEYS if key in options}
-    if len(given) > 1:
-        raise ValueError(f"give one of {', '.join(given)}, not several")
-    ids = None
-    for key, value in given.items():
+    selections = {key: options.pop(key) for key in _ID_KEYS if key in options}
+    if len(selections) > 1:
+        raise ValueError(f"give one of {', '.join(selections)}, not several")
+    for key, value in selections.items():
         try:
             ids = as_env_ids(value, num_envs)
         except ValueError as error:
             raise ValueError(f"options[{key!r}]: {error}") from error
-    return np.arange(num_envs) if ids is None else ids
+        if ids is not None:
+            return host_ids(ids)
+    return np.arange(num_envs)
 
 
 def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
@@ -176,11 +184,10 @@ def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
     if is_host(values) and all_finite(values):
         return None
     if is_host(values):
-        bad: Mask = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
-        return bad
+        return ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
     largest = np.abs(values) if values.ndim == 1 else np.abs(values).max(axis=1)
-    wild: Mask = ~(largest < np.inf)  # the largest of NaN and others is NaN
-    return wild
+    # The largest of NaN and others is NaN.
+    return ~(largest < np.inf)
 
 
 def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
@@ -190,7 +197,8 @@ def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
         info: Not changed, nor are its tensors.
         rows: (N,) bool.
     """
-    copy, mask = dict(info), tensor_of(rows)
+    copy = dict(info)
+    mask = tensor_of(rows)
     for key, value in info.items():
         if isinstance(value, TermRows):
             copy[key] = value.zeroed(rows)
@@ -201,60 +209,92 @@ def zeroed(info: Mapping[str, Any], rows: Mask) -> dict[str, Any]:
     return copy
 
 
-class _JudgedByHooks(JudgedEnv, Protocol):
-    episodes: Episodes
+@dataclass(frozen=True)
+class JudgingHooks:
+    """The hooks of an environment's class that judge a step.
+
+    Attributes:
+        overridden: Names of the optional hooks that the class overrides.
+        get_info: Returns the entries of ``info`` that the class makes.
+        get_reward: Returns (N,) rewards; None if the class does not override it.
+        extend_reward: Returns (N,) rewards from those of `get_reward` and of the terms; likewise.
+    """
+
+    overridden: frozenset[str]
+    get_info: Callable[..., dict[str, Any]]
+    get_reward: Callable[..., torch.Tensor] | None
+    extend_reward: Callable[..., torch.Tensor] | None
 
     @property
-    def action_manager(self) -> ActionManager: ...
+    def make_info(self) -> bool:
+        """Whether the class may put entries into ``info`` that terms read."""
+        return not self.overridden.isdisjoint(_MAKE_INFO)
 
     @property
-    def command_manager(self) -> CommandManager: ...
+    def take_obs(self) -> bool:
+        """Whether the observation is made before judging, for these hooks.
 
-    @property
-    def observation_manager(self) -> ObservationManager: ...
-
-    @property
-    def curriculum_manager(self) -> CurriculumManager: ...
-
-    def get_info(self, **kwargs: Any) -> dict[str, Any]: ...
-
-    def get_reward(self, obs: EnvObs, action: Any, info: dict[str, Any]) -> torch.Tensor: ...
-
-    def _extend_reward(
-        self, rewards: torch.Tensor, obs: EnvObs, action: Any, info: dict[str, Any]
-    ) -> torch.Tensor: ...
+        So it is too where a class has own hooks that observe and such that judge: the latter may
+        read what the former keep, as in EmbodiChain.
+        """
+        if not self.overridden.isdisjoint(_TAKE_OBS):
+            return True
+        return self.make_info and not self.overridden.isdisjoint(_OBSERVE)
 
 
 class StepJudge:
     """Evaluates a step after its physics.
 
     Args:
-        env: The environment, its managers built.
-        overridden: Which optional hooks its class overrides.
+        env: The environment.
+        hooks: The hooks of its class.
+        episodes: Its counters.
+        actions: Its action manager; the others are its managers likewise.
+        commands: Commands.
+        observations: Observations.
+        terminations: Terminations.
+        metrics: Metrics.
+        rewards: Rewards.
+        curriculum: Curricula.
     """
 
-    def __init__(self, env: _JudgedByHooks, overridden: frozenset[str]) -> None:
+    def __init__(
+        self,
+        env: TermContext,
+        hooks: JudgingHooks,
+        *,
+        episodes: Episodes,
+        actions: ActionManager,
+        commands: CommandManager,
+        observations: ObservationManager,
+        terminations: TerminationManager,
+        metrics: MetricManager,
+        rewards: RewardManager,
+        curriculum: CurriculumManager,
+    ) -> None:
         self._env = env
+        self._hooks = hooks
+        self._episodes = episodes
+        self._actions = actions
+        self._commands = commands
+        self._observations = observations
+        self._terminations = terminations
+        self._metrics = metrics
+        self._rewards = rewards
+        self._curriculum = curriculum
+        # Environments whose physics diverged in the last step.
         self._physics: Mask | None = None
+        # How often each warning was given.
         self._told: dict[str, int] = {}
-        # The hooks of a class may put entries into info that terms read.
-        self._checks = overridden.isdisjoint(("compute_task_state", "evaluate", "get_info"))
-        self._get_reward = env.get_reward if "get_reward" in overridden else None
-        self._extend_reward = env._extend_reward if "_extend_reward" in overridden else None
-        self._hooks_take_obs = not overridden.isdisjoint(_TAKE_OBS) or not (
-            self._checks or overridden.isdisjoint(_OBSERVE)
-        )
+        self._hooks_take_obs = hooks.take_obs
 
     @property
     def takes_obs(self) -> bool:
-        """Whether a hook or a term takes the observation, which is then made before judging.
-
-        So it is too where a class has own hooks that observe and such that judge: the latter may
-        read what the former keep, as in EmbodiChain.
-        """
-        env = self._env
-        managers = env.termination_manager, env.metric_manager, env.reward_manager
-        return self._hooks_take_obs or any(manager.takes_obs for manager in managers)
+        """Whether a hook or a term takes the observation, which is then made before judging."""
+        if self._hooks_take_obs:
+            return True
+        managers = (self._terminations, self._metrics, self._rewards)
+        return any(manager.takes_obs for manager in managers)
 
     def check_terms(self, obs: EnvObs) -> None:
         """Call every term once and check its shape, unless terms may read info of a class's hooks.
@@ -262,7 +302,7 @@ class StepJudge:
         Raises:
             ValueError: If a term's value is not (N,); names the term.
         """
-        if self._checks:
+        if not self._hooks.make_info:
             check_shapes(self._env, obs)
 
     def info(self, obs: Any, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
@@ -278,27 +318,30 @@ class StepJudge:
             kwargs: Those of `step`.
         """
         env = self._env
-        with env.episodes.counting(present=False):
-            found = env.get_info(**kwargs)
-        info = found if type(found) is dict else dict(found.items())  # EmbodiChain's is not a dict
+        with self._episodes.counting(present=False):
+            class_info = self._hooks.get_info(**kwargs)
+        # EmbodiChain's is not a dict.
+        info = class_info if type(class_info) is dict else dict(class_info.items())
         success = as_mask(info.get("success"), env.num_envs, "success", env.arrays)
         fail = as_mask(info.get("fail"), env.num_envs, "fail", env.arrays)
         info["elapsed_steps"] = env.elapsed_steps
-        masks = env.termination_manager.compute(obs, action, info)
+        masks = self._terminations.compute(obs, action, info)
         if "success" in masks:
             success = success | masks["success"]
         if "fail" in masks:
             fail = fail | masks["fail"]
-        info["success"], info["fail"] = tensor_of(success.copy()), tensor_of(fail)
+        info["success"] = tensor_of(success.copy())
+        info["fail"] = tensor_of(fail)
         info["success_terminated"] = tensor_of(success)
-        env.metric_manager.compute(obs, action, info)
-        if env.action_manager.has_metrics:
-            env.action_manager.report(info["metrics"])
-        if env.command_manager.has_metrics:
-            env.command_manager.report(info["metrics"])
-        if len(env.curriculum_manager):
-            info["curriculum"] = dict(env.curriculum_manager.values)
-        env.episodes.success = env.arrays.of(info["success"]).copy()
+        self._metrics.compute(obs, action, info)
+        if self._actions.has_metrics:
+            self._actions.report(info["metrics"])
+        if self._commands.has_metrics:
+            self._commands.report(info["metrics"])
+        if len(self._curriculum):
+            info["curriculum"] = dict(self._curriculum.values)
+        # The metric `success` may have replaced it.
+        self._episodes.success = env.arrays.of(info["success"]).copy()
         return info, Outcome(success, fail, masks.get("time_out"))
 
     def reward(self, obs: Any, action: Any, info: Info) -> F32:
@@ -309,37 +352,40 @@ class StepJudge:
             action: The action that rewards receive.
             info: The result of `info`; gains the values of the terms.
         """
-        count, own = self._env.num_envs, None
-        if self._get_reward is not None:
+        env = self._env
+        hooks = self._hooks
+        class_reward = None
+        if hooks.get_reward is not None:
             with self._as_class_counts(info):
-                given = self._get_reward(obs, action, info)
-            own = checked_reward(given, count, "get_reward", self._env.arrays)
-        reward = self._env.reward_manager.compute(own, obs, action, info)
-        if self._extend_reward is not None:
+                value = hooks.get_reward(obs, action, info)
+            class_reward = checked_reward(value, env.num_envs, "get_reward", env.arrays)
+        reward = self._rewards.compute(class_reward, obs, action, info)
+        if hooks.extend_reward is not None:
             with self._as_class_counts(info):
-                extended = self._extend_reward(tensor_of(reward), obs, action, info)
-            reward = checked_reward(extended, count, "_extend_reward", self._env.arrays)
+                value = hooks.extend_reward(tensor_of(reward), obs, action, info)
+            reward = checked_reward(value, env.num_envs, "_extend_reward", env.arrays)
         return reward
 
     @contextmanager
     def _as_class_counts(self, info: Info) -> Iterator[None]:
         """Let ``elapsed_steps`` be without the present step, as EmbodiChain's hooks count."""
-        env, counted = self._env, info["elapsed_steps"]
-        with env.episodes.counting(present=False):
-            info["elapsed_steps"] = env.elapsed_steps
+        elapsed_steps = info["elapsed_steps"]
+        with self._episodes.counting(present=False):
+            info["elapsed_steps"] = self._env.elapsed_steps
             yield
-        info["elapsed_steps"] = counted
+        info["elapsed_steps"] = elapsed_steps
 
     def diverged(self, obs: Observation, reward: F32) -> Mask | None:
         """(N,) environments that diverged in this step, or None; without those pending a reset."""
-        mask = self._physics = self._env.sim.engine.take_diverged()
+        self._physics = self._env.sim.engine.take_diverged()
+        mask = self._physics
         for bad in (bad_rows(obs.rows), bad_rows(reward)):
             if bad is not None:
                 mask = bad if mask is None else mask | bad
         if mask is None:
             return None
-        if self._env.episodes.pending is not None:
-            mask = mask & ~self._env.episodes.pending
+        if self._episodes.pending is not None:
+            mask = mask & ~self._episodes.pending
         return None if none_set(mask) else mask
 
     def explain(self, mask: Mask, obs: Observation, reward: F32, info: Info) -> None:
@@ -354,29 +400,30 @@ class StepJudge:
         sound = finite_physics(env)
         if self._physics is not None:
             sound = sound & ~self._physics
-        sick, rest = mask & ~sound, mask & sound
-        if sick.any():
-            ids = np.flatnonzero(sick)
+        diverged_physics = mask & ~sound
+        rest = mask & sound
+        if diverged_physics.any():
+            ids = np.flatnonzero(diverged_physics)
             text = "%s: %d of %d environments diverged (%s); they end and are reset"
             logger.warning(text, present_step(env), len(ids), len(mask), listed(ids))
         if not rest.any():
             return
-        found = env.command_manager.not_finite(rest)
-        found |= env.observation_manager.not_finite(obs, rest)
-        found |= env.reward_manager.not_finite(info, rest)
-        for _, rows in found.values():
+        # Name of a term -> what its values are, and in which environments.
+        causes = self._commands.not_finite(rest)
+        causes |= self._observations.not_finite(obs, rest)
+        causes |= self._rewards.not_finite(info, rest)
+        for _, rows in causes.values():
             rest = rest & ~rows
         if rest.any():
-            found["the sum of the rewards"] = kind_of_values(reward[rest]), rest
-        warn_not_finite(env, found, "their physics is finite; they end and are reset", self._told)
+            causes["the sum of the rewards"] = (kind_of_values(reward[rest]), rest)
+        warn_not_finite(env, causes, "their physics is finite; they end and are reset", self._told)
 
     def exclude(self, mask: Mask, info: Info) -> Info:
         """Remove environments (N,) that diverged from ``info`` and sums."""
         info = zeroed(info, mask)
-        rewards, episodes = self._env.reward_manager, self._env.episodes
-        rewards.take_back(mask)
-        info["episode_sums"] = rewards.episode_sums
-        episodes.success = episodes.success & ~mask
+        self._rewards.take_back(mask)
+        info["episode_sums"] = self._rewards.episode_sums
+        self._episodes.success = self._episodes.success & ~mask
         return info
 
 
@@ -395,7 +442,7 @@ class StateDump:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        self._before: F64 = engine.rows.copy()
+        self._before: Floats = engine.rows.copy()
         self._written = 0
 
     def keep(self) -> None:
@@ -403,7 +450,7 @@ class StateDump:
         np.copyto(self._before, self._engine.rows)
 
     def write(
-        self, folder: Path | None, rows: NDArray[np.bool_], control_step: int, action: F64
+        self, folder: Path | None, rows: NDArray[np.bool_], control_step: int, action: Floats
     ) -> None:
         """Write the first `MAX_DUMPS` environments that diverged to files.
 

@@ -6,8 +6,8 @@ first observation had not been made: noise, delays and histories advance once in
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from embodichain.utils.arrays import is_host
 
 if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
     from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
     from embodichain.lab.gym.envs.observation import Observation
@@ -22,73 +23,70 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.step.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.types import EnvObs
-    from embodichain.utils.arrays import Arrays
-    from embodichain.utils.random import RandomStreams
 
-__all__ = ["ObservingEnv", "StepObservation", "observe"]
+__all__ = ["StepObservation"]
 
 Changed = Sequence["EnvIndex | None"]
 
 
-class ObservingEnv(Protocol):
-    """What `StepObservation` uses of an environment."""
-
-    episodes: Episodes
-    streams: RandomStreams
-    observation_buffer: ObservationBuffer
-    observation_manager: ObservationManager
-    event_manager: EventManager
-    command_manager: CommandManager
-
-    @property
-    def num_envs(self) -> int:
-        """N."""
-
-    @property
-    def arrays(self) -> Arrays:
-        """Makes arrays."""
-
-    def get_obs(self, **kwargs: Any) -> EnvObs:
-        """Observe all environments."""
-
-
-def observe(env: ObservingEnv, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
-    """Observe all environments.
-
-    Args:
-        env: The environment.
-        kwargs: Those of `step`, or the options of `reset`.
-        stepped: (n,) environments that stepped or were reset, None for all: their noise, delays and
-            histories advance.
-    """
-    env.observation_manager.stepped = stepped
-    return env.observation_buffer.complete(env.get_obs(**kwargs))
-
-
 class StepObservation:
-    """Makes the observation of a step.
+    """Makes the observation of a step, or after a reset.
 
     Args:
         env: The environment.
+        get_obs: Its hook, which observes all environments.
+        buffer: Makes observations.
+        episodes: Counters of the episodes.
+        observations: The observation manager.
+        events: The event manager.
+        commands: The command manager.
     """
 
-    def __init__(self, env: ObservingEnv) -> None:
+    def __init__(
+        self,
+        env: TermContext,
+        get_obs: Callable[..., EnvObs],
+        buffer: ObservationBuffer,
+        *,
+        episodes: Episodes,
+        observations: ObservationManager,
+        events: EventManager,
+        commands: CommandManager,
+    ) -> None:
         self._env = env
+        self._get_obs = get_obs
+        self._buffer = buffer
+        self._episodes = episodes
+        self._observations = observations
+        self._events = events
+        self._commands = commands
         self._before: tuple[Any, Any, Any] | None = None
+
+    def after_reset(self, options: dict[str, Any], were_reset: EnvIndex | None) -> Observation:
+        """Observe all environments after a reset.
+
+        Args:
+            options: Those of `reset`.
+            were_reset: Environments that were reset: only their noise, delays and histories
+                advance. None is all.
+        """
+        return self._observe(options, were_reset)
 
     def to_judge(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
         """Observe before judging.
 
         Args:
             kwargs: Those of `step`.
-            stepped: (n,) environments that stepped, None for all.
+            stepped: Environments that stepped, None for all.
         """
-        env, self._before = self._env, None
-        if not (env.event_manager.acts_in_steps or env.command_manager.acts_in_steps):
-            return self._observe(kwargs, stepped)
-        memory, counters = env.observation_manager.memory(), env.streams.save_counters()
-        seen = self._observe(kwargs, stepped)
-        self._before = memory, counters, env.streams.save_counters()
+        self._before = None
+        if not (self._events.acts_in_steps or self._commands.acts_in_steps):
+            return self._observe_step(kwargs, stepped)
+        streams = self._env.streams
+        memory = self._observations.memory()
+        counters = streams.save_counters()
+        seen = self._observe_step(kwargs, stepped)
+        self._before = (memory, counters, streams.save_counters())
         return seen
 
     def to_return(
@@ -105,18 +103,19 @@ class StepObservation:
             changed: Environments of each event that fired and each new command; None is all. Their
                 rows are observed once more, the others are those seen.
             kwargs: Those of `step`.
-            stepped: (n,) environments that stepped, None for all.
+            stepped: Environments that stepped, None for all.
         """
         if seen is None:
-            return self._observe(kwargs, stepped)
-        before, self._before = self._before, None
+            return self._observe_step(kwargs, stepped)
+        before = self._before
+        self._before = None
         if before is None or not changed:
             return seen
         env = self._env
-        memory, *counters = before
-        env.observation_manager.recall(memory)
-        env.streams.take_back(*counters)
-        again = self._observe(kwargs, stepped)
+        memory, counters_before, counters_after = before
+        self._observations.recall(memory)
+        env.streams.take_back(counters_before, counters_after)
+        again = self._observe_step(kwargs, stepped)
         rows: NDArray[np.bool_] = env.arrays.full(env.num_envs, False, np.bool_)
         for ids in changed:
             rows[slice(None) if ids is None else ids] = True
@@ -124,7 +123,12 @@ class StepObservation:
             return again
         return again.with_rows(np.where(rows[:, None], again.rows, seen.rows))
 
-    def _observe(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
+    def _observe_step(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
         # Hooks that observe do not count the present step, as in EmbodiChain; terms do.
-        with self._env.episodes.counting(present=False):
-            return observe(self._env, kwargs, stepped)
+        with self._episodes.counting(present=False):
+            return self._observe(kwargs, stepped)
+
+    def _observe(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
+        """Observe; the noise, delays and histories of environments `stepped` advance."""
+        self._observations.stepped = stepped
+        return self._buffer.complete(self._get_obs(**kwargs))

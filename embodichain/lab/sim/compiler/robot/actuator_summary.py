@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.robot.drives.pd_drives import inertia_matrix
@@ -130,8 +131,7 @@ def joint_inertia(parsed: ParsedArticulation) -> F64:
     data = mujoco.MjData(parsed.model)
     data.qpos[[joint.qposadr[0] for joint in joints]] = parsed.init_qpos
     dofs = [joint.dofadr[0] for joint in joints]
-    found: F64 = inertia_matrix(parsed.model, data)[dofs, dofs]
-    return found
+    return inertia_matrix(parsed.model, data)[dofs, dofs]
 
 
 def top_speeds(parsed: ParsedArticulation) -> F64:
@@ -173,6 +173,5 @@ def time_constants(parsed: ParsedArticulation) -> F64:
     return np.where(_driven(parsed), found, np.nan)
 
 
-def _driven(parsed: ParsedArticulation) -> F64:
-    driven: F64 = np.array([bool(name) for name in parsed.drives], np.bool_)
-    return driven
+def _driven(parsed: ParsedArticulation) -> NDArray[np.bool_]:
+    return np.array([bool(name) for name in parsed.drives], np.bool_)

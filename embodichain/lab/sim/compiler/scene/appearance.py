@@ -228,8 +228,7 @@ def _noise(rng: np.random.Generator, along: float, across: float) -> F64:
     fy, fx = np.fft.fftfreq(_WOOD_PIXELS)[:, None], np.fft.rfftfreq(_WOOD_PIXELS)[None, :]
     filtered = np.exp(-2.0 * (np.pi * np.hypot(fx * along, fy * across)) ** 2)
     smooth = np.fft.irfft2(white * filtered, (_WOOD_PIXELS, _WOOD_PIXELS))
-    unit: F64 = smooth / smooth.std()
-    return unit
+    return smooth / smooth.std()
 
 
 # ------------------------------------------------------------------------------------------- lights

@@ -63,8 +63,7 @@ class FrictionEffect:
         for one, other in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
             if geom in (one, other):
                 found[other if geom == one else one] = False
-        partners: Ids = np.flatnonzero(found).astype(np.int64)
-        return partners
+        return np.flatnonzero(found).astype(np.int64)
 
     def why_not(self, geom: int, axis: int, highest: float, least: F64) -> str:
         """Return why a geom's friction cannot act; empty if it can.

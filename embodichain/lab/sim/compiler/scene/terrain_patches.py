@@ -55,23 +55,18 @@ class PatchGrid:
     @property
     def axis(self) -> F64:
         """(count,) m: coordinates of the nodes from the middle, the same along x and y."""
-        offsets: F64 = (
-            np.arange(self.count, dtype=np.float64) - 0.5 * (self.count - 1)
-        ) * self.resolution
-        return offsets
+        return (np.arange(self.count, dtype=np.float64) - 0.5 * (self.count - 1)) * self.resolution
 
     @property
     def radius(self) -> F64:
         """(count, count) m: half the edge of the square around the middle through each node."""
         axis = np.abs(self.axis)
-        found: F64 = np.maximum(axis[:, None], axis[None, :])
-        return found
+        return np.maximum(axis[:, None], axis[None, :])
 
     @property
     def outside(self) -> F64:
         """(count, count) m: distance of each node from the platform, 0 on it."""
-        found: F64 = np.maximum(self.radius - 0.5 * self.platform, 0.0)
-        return found
+        return np.maximum(self.radius - 0.5 * self.platform, 0.0)
 
 
 class _Numbers:

@@ -319,8 +319,7 @@ def entity_of_geom(model: mujoco.MjModel, entities: Mapping[str, EntityIndex]) -
     root = np.array(model.body_rootid, np.int32)
     for index in entities.values():
         root[index.body_ids] = index.root_body_id
-    found: NDArray[np.int32] = np.append(root[model.geom_bodyid], -1).astype(np.int32)
-    return found
+    return np.append(root[model.geom_bodyid], -1).astype(np.int32)
 
 
 def _points(cfg: ExtrinsicsCfg) -> tuple[F64, F64, F64]:

@@ -265,8 +265,7 @@ def _standing_back(shown: F64, axes: F64, fovy: float, target: Sequence[float] |
         at[axis] = 0.5 * (high - low) if aim is None else aim[axis]
         depth = max(depth, (high - at[axis]) / t, (low + at[axis]) / t)
     at[2] = depth
-    position: F64 = axes @ at
-    return position
+    return axes @ at
 
 
 # ------------------------------------------------------------------------------------------- bounds
@@ -291,8 +290,7 @@ def _shown(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
     geoms = np.flatnonzero(of_bodies if of_bodies.any() else drawn)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
     if not len(geoms):
-        empty: F64 = 0.3 * (signs + np.array([0, 0, 1]))
-        return empty
+        return 0.3 * (signs + np.array([0, 0, 1]))
     boxes = model.geom_aabb[geoms]
     corners = boxes[:, None, :3] + signs * boxes[:, None, 3:]
     axes = data.geom_xmat[geoms].reshape(-1, 3, 3)

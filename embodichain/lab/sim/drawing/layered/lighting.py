@@ -112,8 +112,7 @@ def shadow_views(
 
 
 def _unit(vectors: F64) -> F64:
-    found: F64 = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
-    return found
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def _axes(direction: F64) -> F64:
@@ -126,8 +125,7 @@ def _axes(direction: F64) -> F64:
 
 def _along(axes: F64, places: F64) -> F64:
     """(n, G, 3) places in the frame of an eye; sums in a fixed order, whatever n is."""
-    found: F64 = (places[:, :, None] * axes[:, None]).sum(axis=-1)
-    return found
+    return (places[:, :, None] * axes[:, None]).sum(axis=-1)
 
 
 def _parallel(axes: F64, places: F64, reach: F64) -> F64:
@@ -158,5 +156,4 @@ def _spread(axes: F64, eye: F64, places: F64, reach: F64, cutoff: float) -> F64:
     found[:, :3, :3] = axes
     found[:, :3, 3] = -(axes * eye[:, None]).sum(axis=-1)
     found[:, 3, 3] = 1.0
-    projected: F64 = (rows[:, :, :, None] * found[:, None]).sum(axis=2)
-    return projected
+    return (rows[:, :, :, None] * found[:, None]).sum(axis=2)

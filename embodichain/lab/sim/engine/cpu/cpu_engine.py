@@ -31,6 +31,7 @@ from embodichain.lab.sim.engine.cpu.mujoco_process import (
 )
 from embodichain.lab.sim.engine.fields import DERIVED_FIELDS, ModelFields, row_layout
 from embodichain.lab.sim.engine.sensor_history import SensorHistory
+from embodichain.utils.array_types import EnvIds
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.uncopied import Uncopied
@@ -71,7 +72,7 @@ class _DivergenceMarks(Protocol):
 
     def begin(self) -> None: ...
 
-    def failed(self, env_ids: EnvIndex) -> None: ...
+    def failed(self, env_ids: EnvIds) -> None: ...
 
     def forget(self, rows: Any) -> None: ...
 
@@ -174,7 +175,7 @@ class HostEngine(Uncopied, Engine):
     def kept_sensors(self, columns: slice, depth: int) -> F64:
         return self._history.read(columns, depth, self.acceleration("sensordata"))
 
-    def _call(self, function: Any, *args: Any, **kwargs: Any) -> EnvIndex | None:
+    def _call(self, function: Any, *args: Any, **kwargs: Any) -> EnvIds | None:
         """Run a batch call; remember and return the environments in which MuJoCo raised."""
         try:
             function(*args, **kwargs)
@@ -412,7 +413,7 @@ class CpuEngine(HostEngine):
             for listener in listeners:
                 listener.on_physics(event)
 
-    def _step_recorded(self, nstep: int, env_ids: EnvIndex | None) -> EnvIndex | None:
+    def _step_recorded(self, nstep: int, env_ids: EnvIndex | None) -> EnvIds | None:
         """Step as `Batch.step` does, to the bit, and record the sensors of each physics step."""
         ids = np.arange(self.num_envs) if env_ids is None else env_ids
         steps = np.zeros((len(ids), nstep, self.model.nsensordata))
@@ -424,13 +425,13 @@ class CpuEngine(HostEngine):
         self._history.append(steps, env_ids)
         return failed
 
-    def _roll_out(self, steps: F64, env_ids: EnvIndex | None) -> EnvIndex | None:
+    def _roll_out(self, steps: F64, env_ids: EnvIndex | None) -> EnvIds | None:
         """Step and record into ``steps`` (n, nstep, nsensordata); return where MuJoCo raised."""
         out, nstep = {"sensordata": steps}, steps.shape[1]
         names = ["sensordata"]
         return self._call(self._batch.rollout, nstep, record=names, ids=env_ids, out=out)
 
-    def _step_on(self, steps: F64, ids: EnvIndex, before: F64, failed: EnvIndex | None) -> None:
+    def _step_on(self, steps: F64, ids: EnvIndex, before: F64, failed: EnvIds | None) -> None:
         """Take the steps that a rollout has left out: it stops where a warning is counted.
 
         Args:
@@ -539,7 +540,7 @@ class _Divergence:
         self._warned = self._warning.tobytes()
         self._failed: NDArray[np.bool_] | None = None
 
-    def failed(self, env_ids: EnvIndex) -> None:
+    def failed(self, env_ids: EnvIds) -> None:
         """Remember environments (n,) in which MuJoCo raised."""
         if self._failed is None:
             self._failed = np.zeros(len(self._warning), np.bool_)

@@ -160,13 +160,11 @@ def _norm(
     values = operand(x, device)
     if ord is not None:
         refuse("numpy.linalg.norm with ord has no form on a device: used")
-    found: torch.Tensor = torch.linalg.vector_norm(values, dim=axis, keepdim=keepdims)
-    return found
+    return torch.linalg.vector_norm(values, dim=axis, keepdim=keepdims)
 
 
 def _cross(device: torch.device, a: Any, b: Any, axis: int = -1) -> torch.Tensor:
-    found: torch.Tensor = torch.linalg.cross(*_broadcast(device, a, b), dim=axis)
-    return found
+    return torch.linalg.cross(*_broadcast(device, a, b), dim=axis)
 
 
 def _reduction(function: Callable[..., torch.Tensor]) -> Callable[..., torch.Tensor]:
@@ -183,8 +181,7 @@ def _moveaxis(device: torch.device, a: Any, source: Any, destination: Any) -> to
 
 
 def _broadcast_to(device: torch.device, array: Any, shape: Any) -> torch.Tensor:
-    found: torch.Tensor = operand(array, device).expand(shape)
-    return found
+    return operand(array, device).expand(shape)
 
 
 def _expand_dims(device: torch.device, a: Any, axis: int) -> torch.Tensor:

@@ -45,8 +45,7 @@ class DeviceArrays(Arrays):
         return constant(array, self.device)
 
     def host(self, array: Any) -> NDArray[Any]:
-        found: NDArray[Any] = array.host() if isinstance(array, DeviceArray) else array
-        return found
+        return array.host() if isinstance(array, DeviceArray) else array
 
     def of(self, values: Any) -> Any:
         if isinstance(values, torch.Tensor):
@@ -65,8 +64,7 @@ class DeviceArrays(Arrays):
         return EnvMask(torch.from_numpy(mask).to(self.device), everything=len(ids) == count)
 
     def are_all(self, ids: Any, count: int) -> bool:
-        everything: bool = ids.everything
-        return everything
+        return ids.everything
 
     def streams(self, seed: int, count: int, first: int = 0) -> RandomStreams:
         from embodichain.lab.sim.engine.warp.device_streams import DeviceStreams

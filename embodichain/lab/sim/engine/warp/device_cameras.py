@@ -277,8 +277,7 @@ def _pixels(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
     """(H, W, C) of a texture."""
     shape = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
     start = int(model.tex_adr[texture])
-    found: NDArray[np.uint8] = model.tex_data[start : start + int(np.prod(shape))].reshape(shape)
-    return found
+    return model.tex_data[start : start + int(np.prod(shape))].reshape(shape)
 
 
 def _with_textures(
@@ -297,8 +296,7 @@ def _with_textures(
 def _mean(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
     """(1, 1, C) mean colour of a texture."""
     mean = _pixels(model, texture).mean(axis=(0, 1), keepdims=True)
-    found: NDArray[np.uint8] = np.rint(mean).astype(np.uint8)
-    return found
+    return np.rint(mean).astype(np.uint8)
 
 
 def _say_what_differs(model: mujoco.MjModel) -> None:

@@ -327,8 +327,7 @@ def _mask(env_ids: Any) -> torch.Tensor:
         return env_ids.tensor
     if not isinstance(env_ids, EnvMask):
         raise TypeError(f"environments on a device are an EnvMask, got {type(env_ids).__name__}")
-    mask: torch.Tensor = env_ids.mask
-    return mask
+    return env_ids.mask
 
 
 def _fixed(bound: Any) -> bool:

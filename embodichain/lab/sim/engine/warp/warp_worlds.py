@@ -419,8 +419,7 @@ class WarpWorlds:
             # Memory of torch, so that its stream orders what uses it.
             setattr(owner, field, wp.from_torch(whole, array.dtype))
             self._own.add(field)
-        tensor: torch.Tensor = wp.to_torch(getattr(owner, field))
-        return tensor
+        return wp.to_torch(getattr(owner, field))
 
     def limit_forces(self, ranges: torch.Tensor) -> None:
         """Limit the forces of all actuators, (N, nu, 2)."""

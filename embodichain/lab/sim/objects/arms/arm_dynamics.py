@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     import mujoco
     from numpy.typing import NDArray
 
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.lab.sim.reads.frames import BodyFrames
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["ArmDynamics", "in_axes", "matrix_product"]
 
 
-def matrix_product(a: F64, b: F64) -> F64:
+def matrix_product(a: Floats, b: Floats) -> Floats:
     """(r, s, n) products of matrices (r, k, n) and (k, s, n), elementwise in a fixed order."""
-    found: F64 = a[:, 0, None] * b[None, 0]
+    found: Floats = a[:, 0, None] * b[None, 0]
     for inner in range(1, a.shape[1]):
         found = found + a[:, inner, None] * b[None, inner]
     return found
@@ -57,13 +57,13 @@ class ArmDynamics:
         self._root = int(model.body_rootid[body])
         self._entries = _entries(model, self._dofs.tolist())
 
-    def mass_matrix(self) -> F64:
+    def mass_matrix(self) -> Floats:
         """(k, k, n) joint-space inertia with the joints' armature, kg m^2 (kg of slides)."""
         values = contiguous(self._engine.derived("M")[:, self._entries].T)
         size = len(self._dofs)
         return values.reshape(size, size, -1)
 
-    def bias(self) -> F64:
+    def bias(self) -> Floats:
         """(k, n) efforts that balance gravity, Coriolis and centrifugal forces, N m or N.
 
         Less those that `gravcomp` of the links balances already.
@@ -72,7 +72,7 @@ class ArmDynamics:
         found = bias - self._engine.derived("qfrc_gravcomp")[:, self._dofs]
         return contiguous(found.T)
 
-    def jacobian(self) -> F64:
+    def jacobian(self) -> Floats:
         """(6, k, n) velocity of the tool's origin, then its angular velocity, in world axes.
 
         MuJoCo's `cdof` (angular, linear at the tree's centre of mass), moved to the origin.
@@ -86,23 +86,23 @@ class ArmDynamics:
         )
         return np.concatenate([np.moveaxis(cdof[:, 3:], 1, 0) + moved, turn])
 
-    def joint_motion(self) -> tuple[F64, F64]:
+    def joint_motion(self) -> tuple[Floats, Floats]:
         """Positions (k, n), rad or m, and velocities (k, n) of the joints."""
         qpos, qvel = self._asset.read_qpos(), self._asset.read_qvel()
         joints = self._joints
         return contiguous(qpos[:, joints].T), contiguous(qvel[:, joints].T)
 
-    def pose(self) -> F64:
+    def pose(self) -> Floats:
         """(n, 7) x, y, z, qw, qx, qy, qz of the tool."""
         tool, engine = self._tool, self._engine
         return np.concatenate([tool.positions(engine), tool.orientations(engine)], axis=1)
 
-    def velocity(self) -> F64:
+    def velocity(self) -> Floats:
         """(6, n) velocity of the tool's origin, then its angular velocity, in world axes."""
         return contiguous(np.concatenate(self._tool.velocities(self._engine), axis=1).T)
 
 
-def in_axes(axes: F64, twists: F64) -> F64:
+def in_axes(axes: Floats, twists: Floats) -> Floats:
     """Twists or errors (6 or 3, ..., n) of world axes, in axes with orientations (n, 4), wxyz."""
     back = contiguous(np.moveaxis(quat_to_matrix(quat_conjugate(axes)), 0, -1))
     parts = twists.reshape(-1, 3, *twists.shape[1:])

@@ -35,9 +35,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.sim.cfg import SolverCfg
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.lab.sim.reads.frames import BodyFrames
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["Approach", "ArmSolver", "tool_bodies"]
 
@@ -80,9 +81,9 @@ class Approach(NamedTuple):
             notable part, as at the border of the workspace.
     """
 
-    change: F64
-    distance: F64
-    angle: F64
+    change: Floats
+    distance: Floats
+    angle: Floats
     stationary: NDArray[np.bool_]
 
 
@@ -152,31 +153,32 @@ class ArmSolver:
     @property
     def hinges(self) -> NDArray[np.bool_]:
         """(k,) whether each of the joints `moving` is a hinge, not a slide."""
-        found: NDArray[np.bool_] = self.chain.hinges[self._columns]
-        return found
+        return self.chain.hinges[self._columns]
 
     @property
     def has_closed_form(self) -> bool:
         """Whether solutions are computed in closed form."""
         return self._closed is not None and self.chain.is_shared
 
-    def frames(self, qpos: F64, env_ids: EnvIndex | None = None) -> Frames:
+    def frames(self, qpos: Floats, env_ids: EnvIndex | None = None) -> Frames:
         """Axes of the chain's joints and pose of the tool at joint positions (n, D)."""
         return self.chain.frames(self._in_chain(qpos), env_ids)
 
-    def forward(self, qpos: F64, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
+    def forward(self, qpos: Floats, env_ids: EnvIndex | None = None) -> tuple[Floats, Floats]:
         """Position (n, 3) and orientation (n, 4) of the tool at joint positions (n, D)."""
         pos, quat = self.forward_in_root(qpos, env_ids)
         root_pos, root_quat = self.root_pose(env_ids)
         return root_pos + quat_rotate(root_quat, pos), quat_multiply(root_quat, quat)
 
-    def forward_in_root(self, qpos: F64, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
+    def forward_in_root(
+        self, qpos: Floats, env_ids: EnvIndex | None = None
+    ) -> tuple[Floats, Floats]:
         """`forward` in the frame of the root."""
         frames = self.frames(qpos, env_ids)
         quat = matrix_to_quat(np.moveaxis(frames.rotation, -1, 0))
         return contiguous(frames.position.T), quat
 
-    def jacobian(self, qpos: F64, env_ids: EnvIndex | None = None) -> F64:
+    def jacobian(self, qpos: Floats, env_ids: EnvIndex | None = None) -> Floats:
         """(n, 6, k) of the joints `moving`: linear velocity of the tool, then angular velocity."""
         found = self.chain.jacobian(self.frames(qpos, env_ids))
         turn = np.moveaxis(quat_to_matrix(self.root_pose(env_ids)[1]), 0, -1)
@@ -186,7 +188,7 @@ class ArmSolver:
         ]
         return contiguous(np.moveaxis(np.stack(columns, axis=1), -1, 0))
 
-    def to_root(self, pos: F64, quat: F64 | None, env_ids: EnvIndex | None = None) -> Target:
+    def to_root(self, pos: Floats, quat: Floats | None, env_ids: EnvIndex | None = None) -> Target:
         """Poses (n, 3), (n, 4) of the environment's frame in that of the root."""
         root_pos, root_quat = self.root_pose(env_ids)
         back = quat_conjugate(root_quat)
@@ -195,13 +197,13 @@ class ArmSolver:
 
     def inverse(
         self,
-        qpos: F64,
-        pos: F64,
-        quat: F64 | None,
+        qpos: Floats,
+        pos: Floats,
+        quat: Floats | None,
         env_ids: EnvIndex | None = None,
         *,
         restarts: bool = True,
-    ) -> tuple[F64, NDArray[np.bool_]]:
+    ) -> tuple[Floats, NDArray[np.bool_]]:
         """Find joint positions that move the tool to poses.
 
         Args:
@@ -230,8 +232,8 @@ class ArmSolver:
         return found, reached
 
     def solutions(
-        self, qpos: F64, pos: F64, quat: F64, env_ids: EnvIndex | None = None
-    ) -> tuple[F64, NDArray[np.bool_]]:
+        self, qpos: Floats, pos: Floats, quat: Floats, env_ids: EnvIndex | None = None
+    ) -> tuple[Floats, NDArray[np.bool_]]:
         """All solutions of the closed form, else all that searches find; the nearest first.
 
         Searches begin at ``qpos`` and at `num_samples` other points between the limits, the same
@@ -249,11 +251,11 @@ class ArmSolver:
 
     def approach(
         self,
-        qpos: F64,
+        qpos: Floats,
         frames: Frames,
-        error: F64,
-        largest: F64,
-        posture: F64 | None = None,
+        error: Floats,
+        largest: Floats,
+        posture: Floats | None = None,
         gain: float = 0.0,
         env_ids: EnvIndex | None = None,
     ) -> Approach:
@@ -286,14 +288,14 @@ class ArmSolver:
         angle = np.sqrt(squared(left[3:])) if len(left) > 3 else np.zeros_like(distance)
         return Approach(contiguous(step.T), distance, angle, stationary)
 
-    def limits(self, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
+    def limits(self, env_ids: EnvIndex | None = None) -> tuple[Floats, Floats]:
         """Lowest and highest positions (k, n) of the moving joints."""
         low, high = self._asset.drives.limits.of(self.moving, env_ids)
         return contiguous(low.T), contiguous(high.T)
 
     def _all(
-        self, qpos: F64, target: Target, env_ids: EnvIndex | None
-    ) -> tuple[F64, NDArray[np.bool_]]:
+        self, qpos: Floats, target: Target, env_ids: EnvIndex | None
+    ) -> tuple[Floats, NDArray[np.bool_]]:
         closed, rotation = self._closed, target.rotation
         if closed is None or rotation is None:
             raise ValueError("there is no closed form")
@@ -305,8 +307,8 @@ class ArmSolver:
         return whole, exist
 
     def _found(
-        self, qpos: F64, target: Target, env_ids: EnvIndex | None
-    ) -> tuple[F64, NDArray[np.bool_]]:
+        self, qpos: Floats, target: Target, env_ids: EnvIndex | None
+    ) -> tuple[Floats, NDArray[np.bool_]]:
         start, (low, high) = self._in_chain(qpos), self.limits(env_ids)
         found, reached = self._search.solve_all(start, target, low, high, self._samples, env_ids)
         seed, positions = start[self._columns], found[:, self._columns]
@@ -316,16 +318,15 @@ class ArmSolver:
         whole[..., self.moving] = np.moveaxis(near, 1, -1)
         return whole, exist
 
-    def _within_limits(self, qpos: F64, env_ids: EnvIndex | None) -> NDArray[np.bool_]:
+    def _within_limits(self, qpos: Floats, env_ids: EnvIndex | None) -> NDArray[np.bool_]:
         low, high = self.limits(env_ids)
         now = qpos[:, self.moving].T
         beyond = np.maximum(low - now, now - high).max(axis=0)
-        within: NDArray[np.bool_] = np.asarray(beyond <= 0.0)
-        return within
+        return np.asarray(beyond <= 0.0)
 
     def _searched(
-        self, qpos: F64, target: Target, env_ids: EnvIndex | None, restarts: int
-    ) -> tuple[F64, NDArray[np.bool_]]:
+        self, qpos: Floats, target: Target, env_ids: EnvIndex | None, restarts: int
+    ) -> tuple[Floats, NDArray[np.bool_]]:
         low, high = self.limits(env_ids)
         start = self._in_chain(qpos)
         found, reached = self._search.solve(start, target, low, high, restarts, env_ids)
@@ -333,17 +334,17 @@ class ArmSolver:
         whole[:, self.moving] = found[self._columns].T
         return whole, reached
 
-    def _in_chain(self, qpos: F64) -> F64:
+    def _in_chain(self, qpos: Floats) -> Floats:
         """(K, n) positions of the chain's joints."""
         return contiguous(qpos[:, self.chain.joints].T)
 
-    def root_pose(self, env_ids: EnvIndex | None = None) -> tuple[F64, F64]:
+    def root_pose(self, env_ids: EnvIndex | None = None) -> tuple[Floats, Floats]:
         """Position (n, 3) and orientation (n, 4) of the root."""
         pos, quat = self._asset.read_pose()
         return (pos, quat) if env_ids is None else (pos[env_ids], quat[env_ids])
 
 
-def _posture(cfg: SolverCfg, names: Sequence[str]) -> F64 | None:
+def _posture(cfg: SolverCfg, names: Sequence[str]) -> Floats | None:
     """(k,) positions, NaN for joints without a preference; None without any."""
     if not cfg.posture:
         return None

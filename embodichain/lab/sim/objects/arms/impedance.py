@@ -15,8 +15,8 @@ from embodichain.utils.arrays import contiguous, is_host, precise
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_to_rotvec
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.arms.arm_dynamics import ArmDynamics
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["Impedance"]
 
@@ -53,23 +53,23 @@ class Impedance:
     def __init__(
         self,
         dynamics: ArmDynamics,
-        stiffness: F64,
-        ratio: F64,
+        stiffness: Floats,
+        ratio: Floats,
         most: tuple[float, float],
         decoupling: bool,
-        posture: F64,
+        posture: Floats,
         pull: float,
     ) -> None:
         self._dynamics, self._most, self._decouples = dynamics, most, decoupling
-        self._stiffness: F64 = stiffness[:, None]
+        self._stiffness: Floats = stiffness[:, None]
         root = np.sqrt(self._stiffness)
-        self._root: F64 = root
-        self._damping: F64 = 2.0 * ratio[:, None] * root
-        self._weight: F64 = np.sqrt(ratio)[:, None] * root
-        self._posture: F64 = posture[:, None]
+        self._root: Floats = root
+        self._damping: Floats = 2.0 * ratio[:, None] * root
+        self._weight: Floats = np.sqrt(ratio)[:, None] * root
+        self._posture: Floats = posture[:, None]
         self._pull, self._brake = pull, 2.0 * np.sqrt(pull)
 
-    def error(self, pos: F64, quat: F64 | None) -> F64:
+    def error(self, pos: Floats, quat: Floats | None) -> Floats:
         """(6, N) from the tool to poses (N, 3), (N, 4), world axes; (3, N) without orientation.
 
         The rotation vector is the logarithm of R_target R_tool^T.
@@ -81,7 +81,7 @@ class Impedance:
             error = np.concatenate([error, quat_to_rotvec(turn)], axis=1)
         return contiguous(error.T)
 
-    def efforts(self, error: F64, axes: F64 | None) -> F64:
+    def efforts(self, error: Floats, axes: Floats | None) -> Floats:
         """(k, N) efforts for the engine's current state, N m or N.
 
         Args:
@@ -109,7 +109,7 @@ class Impedance:
         effort = dynamics.bias() + transposed(jacobian, force)
         return effort if lean is None else effort + times(mass, lean)
 
-    def _damped(self, mobility: F64, velocity: F64) -> F64:
+    def _damped(self, mobility: Floats, velocity: Floats) -> Floats:
         """(r, N) forces of the damper without decoupling."""
         scaled = np.moveaxis(self._root[:, None] * mobility * self._root[None], -1, 0)
         # eigh raises for NaN, which the velocity of an environment that diverged has as well.
@@ -119,23 +119,20 @@ class Impedance:
         rate = np.where(moves, 1.0 / np.sqrt(np.where(moves, squares, 1.0)), 0.0)
         modes = contiguous(np.moveaxis(modes, 0, -1))
         found = transposed(modes, self._weight * velocity) * contiguous(rate.T)
-        forces: F64 = 2.0 * self._weight * times(modes, found)
-        return forces
+        return 2.0 * self._weight * times(modes, found)
 
-    def _lean(self) -> F64:
+    def _lean(self) -> Floats:
         """(k, N) accelerations towards the posture."""
         qpos, qvel = self._dynamics.joint_motion()
-        found: F64 = self._pull * (self._posture - qpos) - self._brake * qvel
-        return found
+        return self._pull * (self._posture - qpos) - self._brake * qvel
 
 
-def _shortened(vectors: F64, length: float) -> F64:
+def _shortened(vectors: Floats, length: float) -> Floats:
     """Vectors (3, N), scaled to a length where they are longer."""
-    found: F64 = vectors * (length / np.maximum(np.sqrt(squared(vectors)), length))
-    return found
+    return vectors * (length / np.maximum(np.sqrt(squared(vectors)), length))
 
 
-def _solved(matrix: F64, right: F64) -> F64:
+def _solved(matrix: Floats, right: Floats) -> Floats:
     """Solutions of N systems (k, k, N), (k, ..., N); on the host LAPACK solves each alone."""
     vectors = right if right.ndim == 3 else right[:, None]
     if not is_host(matrix):

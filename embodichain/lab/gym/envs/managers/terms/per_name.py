@@ -19,7 +19,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.names import NamedBy
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "JointClip",
@@ -178,7 +178,7 @@ def per_joint(
     path: str,
     what: str = "joint",
     named_by: Sequence[NamedBy] = (),
-) -> F64:
+) -> Floats:
     """Spread a `PerJoint` over joints, or other named things.
 
     Args:
@@ -203,8 +203,7 @@ def per_joint(
         value = in_columns(value, names, named_by, path, what)
     else:
         value = [value] * len(names)
-    found: F64 = np.asarray(value, np.float64)
-    return found
+    return np.asarray(value, np.float64)
 
 
 def joint_clip(
@@ -213,8 +212,8 @@ def joint_clip(
     path: str,
     what: str = "joint",
     named_by: Sequence[NamedBy] = (),
-    rest: tuple[F64, F64] | None = None,
-) -> tuple[F64, F64]:
+    rest: tuple[Floats, Floats] | None = None,
+) -> tuple[Floats, Floats]:
     """Low and high, (A,) each, of a `JointClip`; arguments and errors as of `per_joint`.
 
     Args:
@@ -248,7 +247,7 @@ def ranges_in_columns(
     path: str,
     named_by: Sequence[NamedBy] = (),
     what: str = "joint",
-) -> tuple[F64, F64]:
+) -> tuple[Floats, Floats]:
     """Low and high, (A,) each, of [low, high], of two rows, or of {regex: [low, high]}.
 
     Args:

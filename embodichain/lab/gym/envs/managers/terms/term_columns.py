@@ -16,7 +16,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.compiler.names import NamedBy
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["TermColumns", "columns_of_term"]
 
@@ -51,7 +51,7 @@ class TermColumns:
             return list(self.names) * each
         return [name for name in self.names for _ in range(each)]
 
-    def numbers(self, value: Any, shape: tuple[int, ...], path: str) -> F64 | float:
+    def numbers(self, value: Any, shape: tuple[int, ...], path: str) -> Floats | float:
         """One number for each entry of the last dimension, (K,), or one for all.
 
         Args:
@@ -80,8 +80,7 @@ class TermColumns:
         if len(value) != width:
             message = f"has {len(value)} values; the last dimension of the value is {width}"
             raise ConfigError([Problem(path, message)])
-        found: F64 = np.asarray(value, np.float64)
-        return found
+        return np.asarray(value, np.float64)
 
     def _require_plain_order(self, value: Sequence[Any], path: str) -> None:
         """Refuse a list of several numbers a name if names are not written in their order."""

@@ -138,8 +138,7 @@ def _located(env: TermContext, path: str, problem: Problem) -> Problem:
 def finite_physics(env: TermContext) -> NDArray[np.bool_]:
     """(N,) environments whose state is finite and not beyond what MuJoCo calls diverged."""
     # The largest of NaN and others is NaN, which is not smaller.
-    found: NDArray[np.bool_] = np.abs(env.sim.engine.rows).max(axis=1) < mujoco.mjMAXVAL
-    return found
+    return np.abs(env.sim.engine.rows).max(axis=1) < mujoco.mjMAXVAL
 
 
 def kind_of_values(values: NDArray[Any]) -> str:

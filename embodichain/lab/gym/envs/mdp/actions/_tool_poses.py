@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.gym.envs.managers.param_types import Box3
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "AbsolutePose",
@@ -112,18 +112,19 @@ class AbsolutePose:
         if self._world:
             turn = np.asarray(index.quat0, np.float64)[None]
             pos, quat = root + quat_rotate(turn, pos), quat_multiply(turn, quat)
-        self.home: F64 = self.action_at(pos, quat)[0]
+        self.home: Floats = self.action_at(pos, quat)[0]
         self._of = env.arrays.of
-        self._kept: F64 = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
+        self._kept: Floats = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
 
-    def action_at(self, pos: F64, quat: F64) -> F64:
+    def action_at(self, pos: Floats, quat: Floats) -> Floats:
         """(n, A) the action for a pose (n, 3), (n, 4) in `frame`."""
         turned = {"quat": quat, "rpy": quat_to_rpy(quat)}.get(self._rotation, quat[:, :0])
         action = np.concatenate([pos, turned], axis=1)
-        within: F64 = np.minimum(np.maximum(action, self.low), self.high)
-        return within
+        return np.minimum(np.maximum(action, self.low), self.high)
 
-    def asked(self, action: torch.Tensor, orientation: Callable[[], F64]) -> tuple[F64, F64 | None]:
+    def asked(
+        self, action: torch.Tensor, orientation: Callable[[], Floats]
+    ) -> tuple[Floats, Floats | None]:
         """The poses in `frame` that actions (N, A) ask for.
 
         Args:
@@ -135,7 +136,7 @@ class AbsolutePose:
         """
         given = np.minimum(np.maximum(self._of(action), self.low), self.high).astype(np.float64)
         pos, turned = contiguous(given[:, :3]), contiguous(given[:, 3:])
-        quat: F64 | None = None
+        quat: Floats | None = None
         if self._rotation == "keep":
             quat = self._kept
         elif self._rotation == "rpy":
@@ -144,7 +145,7 @@ class AbsolutePose:
             quat = _normalized(turned, orientation)
         return pos, quat
 
-    def action_for(self, pos: F64, quat: F64, shift: F64, turn: F64) -> F64:
+    def action_for(self, pos: Floats, quat: Floats, shift: Floats, turn: Floats) -> Floats:
         """(n, A) the actions for poses of the environment's frame after motions in its axes.
 
         Args:
@@ -154,7 +155,7 @@ class AbsolutePose:
         moved = self.in_frame(pos + shift, quat_multiply(rotvec_to_quat(turn), quat))
         return self.action_at(*moved)
 
-    def in_world(self, pos: F64, quat: F64 | None) -> tuple[F64, F64 | None]:
+    def in_world(self, pos: Floats, quat: Floats | None) -> tuple[Floats, Floats | None]:
         """Poses (N, 3), (N, 4) of `frame` in the environment's frame."""
         if self._world:
             return pos, quat
@@ -162,7 +163,7 @@ class AbsolutePose:
         turned = None if quat is None else quat_multiply(root_quat, quat)
         return root_pos + quat_rotate(root_quat, pos), turned
 
-    def in_frame(self, pos: F64, quat: F64) -> tuple[F64, F64]:
+    def in_frame(self, pos: Floats, quat: Floats) -> tuple[Floats, Floats]:
         """Poses (N, 3), (N, 4) of the environment's frame in `frame`."""
         if self._world:
             return pos, quat
@@ -171,12 +172,12 @@ class AbsolutePose:
         return quat_rotate(back, pos - root_pos), quat_multiply(back, quat)
 
 
-def _normalized(quat: F64, orientation: Callable[[], F64]) -> F64:
+def _normalized(quat: Floats, orientation: Callable[[], Floats]) -> Floats:
     """(N, 4) unit quaternions; those of `orientation` where one is 0."""
     squares = quat * quat
     norm = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
     void = norm < 1e-6
-    unit: F64 = quat / np.where(void, 1.0, norm)[:, None]
+    unit: Floats = quat / np.where(void, 1.0, norm)[:, None]
     if may_be_set(void):
         unit = np.where(void[:, None], orientation(), unit)
     return unit
@@ -185,10 +186,10 @@ def _normalized(quat: F64, orientation: Callable[[], F64]) -> F64:
 def in_axes(
     solver: ArmSolver,
     frame: Literal["base", "world", "tool"],
-    quat: F64,
-    shift: F64,
-    turn: F64,
-) -> tuple[F64, F64]:
+    quat: Floats,
+    shift: Floats,
+    turn: Floats,
+) -> tuple[Floats, Floats]:
     """Motions (n, 3), (n, 3) along the environment's axes in those of a frame.
 
     Args:
@@ -203,7 +204,9 @@ def in_axes(
     return quat_rotate(back, shift), quat_rotate(back, turn)
 
 
-def motion_between(start: tuple[F64, F64], pos: F64, quat: F64) -> tuple[F64, F64]:
+def motion_between(
+    start: tuple[Floats, Floats], pos: Floats, quat: Floats
+) -> tuple[Floats, Floats]:
     """Translation (n, 3) and rotation vector (n, 3) from a pose to another, in their frame."""
     return pos - start[0], quat_to_rotvec(quat_multiply(quat, quat_conjugate(start[1])))
 
@@ -245,7 +248,7 @@ class MotionColumns:
         """The longest translation and rotation along each column, m and rad, times a rate."""
         return float(self._largest[0]) * rate, float(self._largest[1]) * rate
 
-    def action_for(self, shift: F64, turn: F64) -> F64:
+    def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(n, A) the actions nearest to motions, (n, 3) metres and (n, 3) rotation vectors."""
         return self._action_for(np.concatenate([shift, turn], axis=1)[:, : len(self.names)])
 
@@ -274,7 +277,7 @@ class RelativePose(MotionColumns):
         super().__init__(env, rotation, scale, clip)
         self._solver, self._frame, self._rotation = solver, frame, rotation
 
-    def motion_for(self, quat: F64, shift: F64, turn: F64) -> F64:
+    def motion_for(self, quat: Floats, shift: Floats, turn: Floats) -> Floats:
         """(n, A) the actions nearest to motions in the environment's axes.
 
         Args:
@@ -284,7 +287,9 @@ class RelativePose(MotionColumns):
         shift, turn = in_axes(self._solver, self._frame, quat, shift, turn)
         return self.action_for(shift, turn)
 
-    def asked(self, action: torch.Tensor, pos: F64, quat: F64) -> tuple[F64, F64 | None]:
+    def asked(
+        self, action: torch.Tensor, pos: Floats, quat: Floats
+    ) -> tuple[Floats, Floats | None]:
         """The poses that actions (N, A) ask for, from poses (N, 3), (N, 4).
 
         Returns:

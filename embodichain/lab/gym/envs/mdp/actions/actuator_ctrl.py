@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["ActuatorCtrl", "picked_controls"]
 
@@ -87,11 +87,11 @@ class ActuatorCtrl(ActionTerm):
         self.named_by, self._affine = named_by, affine
         self.low, self.high = affine.low, affine.high
         self._value, self._action_for = affine.value, affine.action_for
-        self._initial: F64 = parsed.init_ctrl[self._which]
+        self._initial: Floats = parsed.init_ctrl[self._which]
 
-    def _ranges(self, parsed: Any) -> tuple[F64, F64]:
+    def _ranges(self, parsed: Any) -> tuple[Floats, Floats]:
         """Low and high of the controls, (A,) each; infinite where nothing bounds them."""
-        limits: F64 = parsed.ctrl_limits.copy()
+        limits: Floats = parsed.ctrl_limits.copy()
         index = self._asset.entity
         joints = np.flatnonzero((index.ctrl_ids >= 0) & (parsed.stiffness > 0))
         low, high = finite_limits(parsed.qpos_limits, joints)
@@ -125,11 +125,11 @@ class ActuatorCtrl(ActionTerm):
         """Controls, whose units the actuators of the file define."""
         return ActionMeaning(quantity="control", mode="absolute")
 
-    def home(self) -> F64:
+    def home(self) -> Floats:
         """(A,) the action for the initial controls, within the bounds."""
         return self._action_for(self._initial)
 
-    def hold(self) -> F64:
+    def hold(self) -> Floats:
         """(N, A) the action that keeps the present controls, within the bounds."""
         return self._action_for(self._asset.read_ctrl()[:, self._which])
 

@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
     from embodichain.lab.sim.solvers.chain import Frames
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["EefDeltaPose", "EefPose", "EefTerm"]
 
@@ -82,11 +82,11 @@ class EefTerm(JointTerm):
         self._solver = arm_solver(entity)
         super().__init__(env, moving_joints(entity, self._solver))
         self._count = env.num_envs
-        self._largest: F64 = self._speeds(max_velocity) * env.step_dt
+        self._largest: Floats = self._speeds(max_velocity) * env.step_dt
         self._gain = posture_gain
-        self._measures: dict[str, F64] = {}
+        self._measures: dict[str, Floats] = {}
 
-    def _speeds(self, given: PerJoint | None) -> F64:
+    def _speeds(self, given: PerJoint | None) -> Floats:
         """(k,) largest speeds of the joints."""
         if given is not None:
             speeds = per_joint(given, self.names, "max_velocity", named_by=self._named_by)
@@ -95,13 +95,13 @@ class EefTerm(JointTerm):
             return speeds
         return usual_speeds(self._asset, self._ids, self._solver)
 
-    def _commanded(self) -> F64:
+    def _commanded(self) -> Floats:
         """(N, D) joint positions with the moving joints at their targets."""
-        whole: F64 = precise(self._asset.read_qpos().copy())
+        whole: Floats = precise(self._asset.read_qpos().copy())
         whole[:, self._ids] = self._targets()
         return whole
 
-    def _follow(self, commanded: F64, frames: Frames, error: F64) -> None:
+    def _follow(self, commanded: Floats, frames: Frames, error: Floats) -> None:
         """Move targets by an error of the pose, (6, N) or (3, N), in the axes of the root."""
         posture = self._default if self._gain else None
         step = self._solver.approach(commanded, frames, error, self._largest, posture, self._gain)
@@ -115,11 +115,11 @@ class EefTerm(JointTerm):
         if len(error) == 3:
             del self._measures["rotation_error"]
 
-    def tool_pose(self) -> tuple[F64, F64]:
+    def tool_pose(self) -> tuple[Floats, Floats]:
         """Measured position (N, 3) and orientation (N, 4) of the tool, in the environment."""
         return self._solver.forward(self._asset.read_qpos())
 
-    def target_pose(self) -> tuple[F64, F64]:
+    def target_pose(self) -> tuple[Floats, Floats]:
         """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
         return self._solver.forward(self._commanded())
 
@@ -129,12 +129,11 @@ class EefTerm(JointTerm):
         return self._solver
 
     @property
-    def joint_speeds(self) -> F64:
+    def joint_speeds(self) -> Floats:
         """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
-        speeds: F64 = self._largest / self._period
-        return speeds
+        return self._largest / self._period
 
-    def action_for(self, shift: F64, turn: F64) -> F64:
+    def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(N, A) the actions that move the tool, as far as their bounds allow.
 
         Args:
@@ -143,11 +142,11 @@ class EefTerm(JointTerm):
         """
         raise NotImplementedError
 
-    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+    def action_towards(self, pos: Floats, quat: Floats, qpos: Floats) -> Floats:
         """(N, A) the action that moves the tool to a pose; see `MovesTool`."""
         return self.action_for(*motion_between(self.target_pose(), pos, quat))
 
-    def metrics(self) -> Mapping[str, F64]:
+    def metrics(self) -> Mapping[str, Floats]:
         """Errors in m and rad that the last step leaves, and whether the pose is out of reach."""
         return self._measures
 
@@ -206,11 +205,11 @@ class EefPose(EefTerm):
         frames = self._solver.frames(commanded)
         self._follow(commanded, frames, pose_error(frames, target))
 
-    def action_for(self, shift: F64, turn: F64) -> F64:
+    def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(N, A) the actions that move the tool; arguments as of `EefTerm.action_for`."""
         return self._poses.action_for(*self.target_pose(), shift, turn)
 
-    def _pose(self, qpos: F64) -> tuple[F64, F64]:
+    def _pose(self, qpos: Floats) -> tuple[Floats, Floats]:
         """The tool's pose in `frame`."""
         return self._solver.forward(qpos) if self._world else self._solver.forward_in_root(qpos)
 
@@ -222,11 +221,11 @@ class EefPose(EefTerm):
         """Poses of the tool in `frame`."""
         return meaning_of_poses(self.names, "world" if self._world else "base")
 
-    def home(self) -> F64:
+    def home(self) -> Floats:
         """(A,) the action that goes to the tool's initial pose."""
         return self._poses.home
 
-    def hold(self) -> F64:
+    def hold(self) -> Floats:
         """(N, A) the action that keeps the present targets."""
         return self._poses.action_at(*self._pose(self._commanded()))
 
@@ -280,11 +279,11 @@ class EefDeltaPose(EefTerm):
         self._columns, self.orientation = columns, tool_orientation(rotation)
         self.tool_speeds = columns.largest(1.0 / env.step_dt)
 
-    def target_pose(self) -> tuple[F64, F64]:
+    def target_pose(self) -> tuple[Floats, Floats]:
         """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
         return self.tool_pose() if self._measured else super().target_pose()
 
-    def action_for(self, shift: F64, turn: F64) -> F64:
+    def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(N, A) the actions that move the tool; see `EefTerm.action_for`."""
         quat = self.target_pose()[1]
         shift, turn = in_axes(self._solver, self._frame, quat, shift, turn)
@@ -315,7 +314,7 @@ class EefDeltaPose(EefTerm):
             error = motion.reshape(-1, self._count)
         self._follow(commanded, frames, error)
 
-    def _in_root(self, vectors: F64, start: Frames) -> F64:
+    def _in_root(self, vectors: Floats, start: Frames) -> Floats:
         """Vectors (v, 3, N) of `frame` in the axes of the root."""
         if self._frame == "base":
             return vectors
@@ -326,7 +325,7 @@ class EefDeltaPose(EefTerm):
         return np.stack([matmul(axes, vector) for vector in vectors])
 
 
-def _moved(start: Frames, motion: F64) -> Target:
+def _moved(start: Frames, motion: Floats) -> Target:
     """The pose of the tool, translated and, if there is one, rotated by a rotation vector."""
     if len(motion) == 1:
         return Target(start.position + motion[0], None)

@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.mdp._tools import Orientation
     from embodichain.lab.sim.compiler.names import NamedBy
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
     from embodichain.lab.sim.objects.articulation import Articulation
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "Affine",
@@ -79,7 +79,7 @@ class Affine:
         scale: Any,
         offset: Any,
         clip: Any,
-        centre: F64 | float = 0.0,
+        centre: Floats | float = 0.0,
         limits: tuple[Any, Any] | None = None,
         what: str = "joint",
         named_by: Sequence[NamedBy] = (),
@@ -87,12 +87,12 @@ class Affine:
     ) -> None:
         count, put = env.num_envs, env.arrays.put
         self._of = env.arrays.of
-        self._scale: F64 = per_joint(scale, names, "scale", what, named_by)
+        self._scale: Floats = per_joint(scale, names, "scale", what, named_by)
         if (self._scale == 0).any():
             raise ConfigError([Problem("scale", "must not be 0")])
-        self._centre: F64 = per_joint(offset, names, "offset", what, named_by) + centre
+        self._centre: Floats = per_joint(offset, names, "offset", what, named_by) + centre
         self._clips = clip is not None
-        rest: tuple[F64, F64] | None = None
+        rest: tuple[Floats, Floats] | None = None
         if limits is not None:
             ends = (np.asarray(limits, np.float64) - self._centre) / self._scale
             rest = np.minimum(*ends), np.maximum(*ends)
@@ -114,32 +114,31 @@ class Affine:
         self._line = [put(np.tile(part, (count, 1))) for part in (self._centre, self._scale)]
 
     @property
-    def centre(self) -> F64:
+    def centre(self) -> Floats:
         """(A,) the value of the action 0."""
         return self._centre
 
     @property
-    def scale(self) -> F64:
+    def scale(self) -> Floats:
         """(A,) change of the value per unit of action."""
         return self._scale
 
-    def value(self, action: torch.Tensor) -> F64:
+    def value(self, action: torch.Tensor) -> Floats:
         """(N, A) the value of an action."""
-        given: F64 = self._of(action)
+        given: Floats = self._of(action)
         if self._clips:
             low, high = self._bounds
             given = np.minimum(np.maximum(given, low), high)  # float32: no conversion
         centre, scale = self._line
         return given if self._plain else centre + scale * given.astype(np.float64)
 
-    def value_of(self, action: NDArray[np.float32]) -> F64:
+    def value_of(self, action: NDArray[np.float32]) -> Floats:
         """(A,) the value of one action within the bounds."""
         return self._centre + self._scale * action
 
-    def action_for(self, value: F64 | float) -> F64:
+    def action_for(self, value: Floats | float) -> Floats:
         """(A,) or (N, A) the action for a value, clamped to the bounds."""
-        found: F64 = np.clip((value - self._centre) / self._scale, self._least, self._most)
-        return found
+        return np.clip((value - self._centre) / self._scale, self._least, self._most)
 
 
 logger = logging.getLogger(__name__)
@@ -194,15 +193,14 @@ class JointTerm(ActionTerm):
             names = ", ".join(map(repr, fast))
             message = f"joints {names} take velocity targets only: use joint_velocity"
             raise ConfigError([Problem("entity_cfg", message)])
-        self._default: F64 = np.asarray(asset.parsed.init_qpos, np.float64)[self._ids]
+        self._default: Floats = np.asarray(asset.parsed.init_qpos, np.float64)[self._ids]
 
     @property
     def asset(self) -> Articulation:
         """The robot."""
-        asset: Articulation = self._asset
-        return asset
+        return self._asset
 
-    def _write_targets(self, target: F64) -> None:
+    def _write_targets(self, target: Floats) -> None:
         """Set the drives' position targets (N, A), clamped to the joints' limits.
 
         In a control step they move by at most the drives' `max_velocity` times its period.
@@ -213,17 +211,15 @@ class JointTerm(ActionTerm):
     @property
     def robot_uid(self) -> str:
         """Uid of the robot that it moves."""
-        uid: str = self._asset.uid
-        return uid
+        return self._asset.uid
 
-    def _targets(self) -> F64:
+    def _targets(self) -> Floats:
         """(N, A) current position targets of the drives."""
-        targets: F64 = self._asset.drives.read_target_qpos()[:, self._ids]
-        return targets
+        return self._asset.drives.read_target_qpos()[:, self._ids]
 
-    def _qpos(self) -> F64:
+    def _qpos(self) -> Floats:
         """(N, A) measured positions; do not write to it or store it."""
-        qpos: F64 = self._asset.read_qpos()
+        qpos: Floats = self._asset.read_qpos()
         return qpos if self._joints is None else qpos[:, self._ids]
 
 
@@ -251,7 +247,7 @@ class VelocityTargets:
         self._stiff: NDArray[np.int64] = np.flatnonzero(stiff)
         self._free: NDArray[np.int64] = np.flatnonzero(~stiff)
 
-    def write(self, velocity: F64) -> None:
+    def write(self, velocity: Floats) -> None:
         """Set velocities (N, A), rad/s or m/s, within the drives' `max_velocity`."""
         most = self._asset.drives.max_velocity[:, self._joints]
         target = np.minimum(np.maximum(velocity.astype(np.float64), -most), most)
@@ -261,7 +257,7 @@ class VelocityTargets:
             joints = self._joints[self._free]
             self._asset.drives.write_target_qvel(target[:, self._free], joints, None)
 
-    def _move(self, velocity: F64) -> None:
+    def _move(self, velocity: Floats) -> None:
         """Move the position targets of stiff drives, only as far ahead as the drives can pull."""
         joints, asset = self._joints[self._stiff], self._asset
         drives = asset.drives
@@ -293,7 +289,7 @@ class Efforts:
                 ", ".join(asset.parsed.joint_names[j] for j in stiff),
             )
 
-    def write(self, effort: F64) -> F64:
+    def write(self, effort: Floats) -> Floats:
         """Apply (N, A) efforts, N m or N, within `max_effort`, times the drives' strength.
 
         Returns:
@@ -301,7 +297,7 @@ class Efforts:
         """
         drives = self._asset.drives
         most = drives.max_effort[:, self._joints]
-        within: F64 = np.minimum(np.maximum(effort, -most), most)
+        within: Floats = np.minimum(np.maximum(effort, -most), most)
         strength = drives.strength[:, self._joints]
         applied = within * strength
         drives.cut_effort[:, self._joints] = (effort - within) * strength
@@ -375,7 +371,7 @@ class JointAction(JointTerm):
             raise ConfigError([Problem("clip", message)])
         low, high = finite_limits(self._asset.parsed.qpos_limits, entity_cfg.joint_ids)
         ends = tuple(np.full(len(self._ids), float(end)) for end in range)
-        limits: tuple[F64, F64] | None = None
+        limits: tuple[Floats, Floats] | None = None
         if centre == "limits":
             limits = ends[0], ends[1]
         elif control == "position" and centre == "zero":
@@ -394,10 +390,10 @@ class JointAction(JointTerm):
         self._value, self._action_for = affine.value, affine.action_for
         self._value_of = affine.value_of
         self._start, self._end, self._joint_low = *ends, low
-        self._slope: F64 = (high - low) / (ends[1] - ends[0])
+        self._slope: Floats = (high - low) / (ends[1] - ends[0])
         self._moves = control != "position" or centre in ("qpos", "target")
         self._maps = centre == "limits"
-        self._write: Callable[[F64], Any] = self._write_read
+        self._write: Callable[[Floats], Any] = self._write_read
         self._reference = self._qpos if centre == "qpos" else self._targets
         if control == "velocity":
             self._write = VelocityTargets(self._asset, self._ids, env.step_dt).write
@@ -423,7 +419,7 @@ class JointAction(JointTerm):
             return words, scales.tolist()
         return centres.tolist(), scales.tolist()
 
-    def _write_read(self, value: F64) -> None:
+    def _write_read(self, value: Floats) -> None:
         """Write targets for what encoders read; the joints go there less their `encoder_bias`."""
         self._write_targets(value - self._asset.drives.encoder_bias[:, self._ids])
 
@@ -437,24 +433,24 @@ class JointAction(JointTerm):
             units=joint_units(self._asset, self._ids, self._control),
         )
 
-    def _write_relative(self, value: F64) -> None:
+    def _write_relative(self, value: Floats) -> None:
         self._write_targets(self._reference() + value)
 
-    def _write_mapped(self, value: F64) -> None:
+    def _write_mapped(self, value: Floats) -> None:
         within = np.minimum(np.maximum(value, self._start), self._end)
         self._write_read(self._joint_low + (within - self._start) * self._slope)
 
-    def _action_at(self, position: F64) -> F64:
+    def _action_at(self, position: Floats) -> Floats:
         """The action for position targets, clamped to the bounds."""
         if self._maps:
             position = self._start + (position - self._joint_low) / self._slope
         return self._action_for(position)
 
-    def home(self) -> F64:
+    def home(self) -> Floats:
         """(A,) the action that goes to the initial position, or that causes no motion."""
         return self._action_for(0.0) if self._moves else self._action_at(self._default)
 
-    def hold(self) -> F64:
+    def hold(self) -> Floats:
         """(N, A) or (A,) the action that keeps the present targets, or that causes no motion."""
         return self.home() if self._moves else self._action_at(self._targets())
 
@@ -482,7 +478,7 @@ class JointAction(JointTerm):
         return [self._ids.tolist().index(int(joint)) for joint in joints], joints
 
     @property
-    def joint_speeds(self) -> F64:
+    def joint_speeds(self) -> Floats:
         """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
         columns, joints = self._moving
         speeds = usual_speeds(self._asset, joints, self.solver)
@@ -491,7 +487,7 @@ class JointAction(JointTerm):
             speeds = np.minimum(speeds, ends[columns] / self._period)
         return speeds
 
-    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+    def action_towards(self, pos: Floats, quat: Floats, qpos: Floats) -> Floats:
         """(N, A) the action for joint positions; see `MovesTool`."""
         now = self._reference() if self._moves else self._targets()
         target = now.copy()

@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.objects.arms.arm_solver import ArmSolver
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["OperationalSpace"]
 
@@ -153,17 +154,17 @@ class OperationalSpace(JointTerm):
         self._impedance = Impedance(self._dynamics, *gains, most, decoupling, target, pull)
         self._efforts = Efforts(self._asset, self._ids)
         full = env.arrays.full
-        self._pos: F64 = full((count, 3), 0.0)
-        self._quat: F64 = env.arrays.put(np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)))
+        self._pos: Floats = full((count, 3), 0.0)
+        self._quat: Floats = env.arrays.put(np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)))
         self._begins = full(count, True, np.bool_)  # no pose was asked for in this episode
         self._free = rotation == "free"
         self.orientation = tool_orientation(rotation)
         self.tool_speeds = self._largest_speeds(most, *gains, decoupling)
-        self._error: F64 = full((len(axes), count), 0.0)
+        self._error: Floats = full((len(axes), count), 0.0)
         self._saturated = full(count, False, np.bool_)
 
     def _largest_speeds(
-        self, most: tuple[float, float], stiffness: F64, ratio: F64, decoupling: bool
+        self, most: tuple[float, float], stiffness: Floats, ratio: Floats, decoupling: bool
     ) -> tuple[float, float]:
         """Speeds in m/s and rad/s at which the spring pulls the tool behind a target."""
         if not decoupling:  # then the rate depends on the mass: that of the default is taken
@@ -181,11 +182,11 @@ class OperationalSpace(JointTerm):
         return self._solver
 
     @property
-    def joint_speeds(self) -> F64:
+    def joint_speeds(self) -> Floats:
         """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
         return usual_speeds(self._asset, self._ids, self._solver)
 
-    def action_towards(self, pos: F64, quat: F64, qpos: F64) -> F64:
+    def action_towards(self, pos: Floats, quat: Floats, qpos: Floats) -> Floats:
         """(N, A) the action that moves the tool to a pose; see `MovesTool`."""
         return self.action_for(*motion_between(self.target_pose(), pos, quat))
 
@@ -224,23 +225,23 @@ class OperationalSpace(JointTerm):
         self._begins[:] = False
         self._saturated[:] = False
 
-    def _poses_now(self) -> tuple[tuple[F64, F64], tuple[F64, F64]]:
+    def _poses_now(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
         """Position (N, 3) and orientation (N, 4) measured, and asked for; the same at first."""
         pose, new = self._dynamics.pose(), self._begins[:, None]
         pos, quat = pose[:, :3], pose[:, 3:]
         return (pos, quat), (np.where(new, pos, self._pos), np.where(new, quat, self._quat))
 
-    def tool_pose(self) -> tuple[F64, F64]:
+    def tool_pose(self) -> tuple[Floats, Floats]:
         """Measured position (N, 3) and orientation (N, 4) of the tool, in the environment."""
         return self._poses_now()[0]
 
-    def target_pose(self) -> tuple[F64, F64]:
+    def target_pose(self) -> tuple[Floats, Floats]:
         """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
         now, asked = self._poses_now()
         measured = self._measured and not isinstance(self._poses, AbsolutePose)
         return now if measured else asked
 
-    def action_for(self, shift: F64, turn: F64) -> F64:
+    def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(N, A) the actions that move the tool; arguments as of `EefTerm.action_for`."""
         poses, (pos, quat) = self._poses, self.target_pose()
         if isinstance(poses, AbsolutePose):
@@ -251,7 +252,7 @@ class OperationalSpace(JointTerm):
         """Apply the efforts for the current state."""
         quat = None if self._free else self._quat
         self._error = self._impedance.error(self._pos, quat)
-        axes: F64 | None = None
+        axes: Floats | None = None
         if self._frame == "base":
             axes = self._solver.root_pose()[1]
         elif self._frame == "tool":
@@ -259,7 +260,7 @@ class OperationalSpace(JointTerm):
         wanted = contiguous(self._impedance.efforts(self._error, axes).T)
         self._saturated |= (self._efforts.write(wanted) != wanted).any(axis=1)
 
-    def metrics(self) -> Mapping[str, F64]:
+    def metrics(self) -> Mapping[str, Floats]:
         """Errors in m and rad before the last physics step; whether an effort limit was reached."""
         squares = self._error * self._error
         found = {
@@ -283,12 +284,12 @@ class OperationalSpace(JointTerm):
             return meaning_of_poses(self.names, self._frame)
         return meaning_of_motions(self.names, self._frame, "qpos" if self._measured else "target")
 
-    def home(self) -> F64:
+    def home(self) -> Floats:
         """(A,) the action for the tool's initial pose; of ``delta``, no motion."""
         poses = self._poses
         return poses.home if isinstance(poses, AbsolutePose) else super().home()
 
-    def hold(self) -> F64:
+    def hold(self) -> Floats:
         """(N, A) the action for the pose that was asked for; of ``delta``, (A,), no motion."""
         poses = self._poses
         if not isinstance(poses, AbsolutePose):
@@ -303,7 +304,7 @@ def _refuse(given: Mapping[str, object], names: tuple[str, ...], command: str) -
         raise ConfigError([Problem(n, f"has no meaning with command: {command}") for n in strange])
 
 
-def _gains(value: PerJoint, axes: tuple[str, ...], name: str) -> F64:
+def _gains(value: PerJoint, axes: tuple[str, ...], name: str) -> Floats:
     """(6 or 3,) gains of the axes."""
     if name == "damping_ratio" and isinstance(value, dict):
         value = {".*": 1.0, **value}

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 else:
     mujoco = lazy_loader.load("mujoco")
 
@@ -112,20 +112,20 @@ class ParallelGripper(JointTerm):
             self._low, self._high = self._limits(wanted)
         else:
             self._low, self._high = self._commands(wanted)
-        self._span: F64 = self._high - self._low
+        self._span: Floats = self._high - self._low
         if not self._span.any():
             raise ConfigError([Problem(next(iter(wanted)), "both ends are the same")])
         self._ends = (-1.0, 1.0) if width is None else (float(width[0]), float(width[1]))
         if self._ends[0] == self._ends[1]:
             raise ConfigError([Problem("width", "both ends are the same")])
         self._force = force
-        self.finger_axis: F64 | None = _direction(finger_axis)
+        self.finger_axis: Floats | None = _direction(finger_axis)
         self._step: float | None = None if speed is None else speed * env.step_dt
         self.low: NDArray[np.float32] = np.full(1, self._ends[0], np.float32)
         self.high: NDArray[np.float32] = np.full(1, self._ends[1], np.float32)
         self._names, self.names = self.names, ("gripper",)
 
-    def _limits(self, commands: dict[str, Any]) -> tuple[F64, F64]:
+    def _limits(self, commands: dict[str, Any]) -> tuple[Floats, Floats]:
         given = [name for name, value in commands.items() if value is not None]
         if given:
             raise ConfigError([Problem(n, "contradicts use_joint_limits: true") for n in given])
@@ -138,7 +138,7 @@ class ParallelGripper(JointTerm):
             raise ConfigError([Problem("use_joint_limits", message)])
         return finite_limits(limits, np.arange(len(limits)))
 
-    def _commands(self, commands: dict[str, Any]) -> tuple[F64, F64]:
+    def _commands(self, commands: dict[str, Any]) -> tuple[Floats, Floats]:
         missing = [name for name, value in commands.items() if value is None]
         if missing:
             raise ConfigError([Problem(name, "missing; this mode needs it") for name in missing])
@@ -171,28 +171,27 @@ class ParallelGripper(JointTerm):
         else:
             self._asset.write_ctrl(target, self._controls.which)
 
-    def _current(self) -> F64:
+    def _current(self) -> Floats:
         """(N, A) present targets or controls."""
         if self._controls is None:
             return self._targets()
-        ctrl: F64 = self._asset.read_ctrl()[:, self._controls.which]
-        return ctrl
+        return self._asset.read_ctrl()[:, self._controls.which]
 
-    def _reach(self, force: float) -> tuple[F64, F64]:
+    def _reach(self, force: float) -> tuple[Floats, Floats]:
         """(N, A) targets at which servos have no force, and how far ahead they have `force`."""
         if self._controls is not None:
             return self._controls.reach(self._asset.read_qpos(), force)
         stiffness = self._asset.drives.stiffness[:, self._ids]
         return self._qpos(), force / np.where(stiffness > 0.0, stiffness, np.inf)
 
-    def _action_at(self, position: F64) -> F64:
+    def _action_at(self, position: Floats) -> Floats:
         """(..., 1) the action nearest to positions (..., A): the mean over the joints that move."""
         start, end = self._ends
-        value: F64 = start + (end - start) * self._share(position)
+        value: Floats = start + (end - start) * self._share(position)
         value = np.clip(value, start, end)
         return np.where(value < 0.0, -1.0, 1.0)[..., None] if self._binary else value[..., None]
 
-    def opening(self) -> F64 | None:
+    def opening(self) -> Floats | None:
         """(N,) measured share of the way from closed (0) to open (1); None if it is unknown.
 
         It is that of joints, or of an actuator that is a position servo.
@@ -202,7 +201,7 @@ class ParallelGripper(JointTerm):
             return None
         return self._share(position)
 
-    def opening_force(self, data: mujoco.MjData) -> F64:
+    def opening_force(self, data: mujoco.MjData) -> Floats:
         """(nv,) generalized forces that open the gripper, of any size.
 
         Args:
@@ -215,13 +214,12 @@ class ParallelGripper(JointTerm):
         found[np.asarray(self._asset.entity.dof_adr)[self._ids]] = np.sign(self._span)
         return found
 
-    def _share(self, position: F64) -> F64:
+    def _share(self, position: Floats) -> Floats:
         """Share of the way from low to high of positions (..., A): the mean of those that move."""
         moving = np.flatnonzero(self._span)
         shares = ((position - self._low)[..., moving] / self._span[moving]).T
-        total: F64 = reduce(np.add, shares)
-        found: F64 = total / len(moving)
-        return found
+        total: Floats = reduce(np.add, shares)
+        return total / len(moving)
 
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """Of the fingers' commands: a number, or one for each finger where they differ."""
@@ -244,11 +242,11 @@ class ParallelGripper(JointTerm):
             units=units.pop() if len(units) == 1 else "",
         )
 
-    def home(self) -> F64:
+    def home(self) -> Floats:
         """(1,) the action nearest to the initial state."""
         return self._action_at(self._default)
 
-    def hold(self) -> F64:
+    def hold(self) -> Floats:
         """(N, 1) the action nearest to the present targets."""
         return self._action_at(self._current())
 
@@ -273,8 +271,8 @@ class _Controls:
         parsed = asset.parsed
         self.which, self.named_by = picked_controls(patterns, parsed.control_names)
         self.names = tuple(parsed.control_names[i] for i in self.which)
-        self.limits: F64 = np.asarray(parsed.ctrl_limits, np.float64)[self.which]
-        self.initial: F64 = np.asarray(parsed.init_ctrl, np.float64)[self.which]
+        self.limits: Floats = np.asarray(parsed.ctrl_limits, np.float64)[self.which]
+        self.initial: Floats = np.asarray(parsed.init_ctrl, np.float64)[self.which]
         self._servos = True
         try:
             rows = [_servo(parsed, name) for name in self.names]
@@ -283,16 +281,18 @@ class _Controls:
                 raise
             self._servos = False
             return
-        self._gain: F64 = np.array([gain for gain, *_ in rows])
-        self._bias: F64 = np.array([bias for _, bias, _ in rows])
+        self._gain: Floats = np.array([gain for gain, *_ in rows])
+        self._bias: Floats = np.array([bias for _, bias, _ in rows])
         levers = np.array([lever for *_, lever in rows])
         moving = np.flatnonzero(levers.any(axis=0)).tolist()
         self._levers = [(joint, levers[:, joint]) for joint in moving]
 
-    def force(self, asset: Any, model: mujoco.MjModel, data: mujoco.MjData, signs: F64) -> F64:
+    def force(
+        self, asset: Any, model: mujoco.MjModel, data: mujoco.MjData, signs: Floats
+    ) -> Floats:
         """(nv,) generalized forces of controls that are raised (1) or lowered (-1), (A,)."""
         columns = np.asarray(asset.entity.own_ctrl_ids)[self.which]
-        found: F64 = np.zeros(model.nv)
+        found: Floats = np.zeros(model.nv)
         for actuator in range(model.nu):
             first = model.actuator_ctrladr[actuator]
             mine = (columns >= first) & (columns < first + model.actuator_ctrlnum[actuator])
@@ -308,41 +308,41 @@ class _Controls:
                 found[data.moment_colind[there]] += sign * data.actuator_moment[there]
         return found
 
-    def at_rest(self, asset: Any) -> F64 | None:
+    def at_rest(self, asset: Any) -> Floats | None:
         """Controls (N, A) at which servos have no force; None if they are no servos."""
         return self.reach(asset.read_qpos(), 0.0)[0] if self._servos else None
 
-    def reach(self, qpos: F64, force: float) -> tuple[F64, F64]:
+    def reach(self, qpos: Floats, force: float) -> tuple[Floats, Floats]:
         """Controls (N, A) without force at positions (N, D), and the distance (A,) to `force`."""
         length = 0.0 * qpos[:, :1] * np.ones(len(self.names))
         for joint, lever in self._levers:  # in a fixed order
             length += qpos[:, joint, None] * lever
-        free: F64 = -(self._bias[:, 0] + self._bias[:, 1] * length) / self._gain
+        free: Floats = -(self._bias[:, 0] + self._bias[:, 1] * length) / self._gain
         return free, force / np.abs(self._gain)
 
 
-def _in_words(values: F64) -> str:
+def _in_words(values: Floats) -> str:
     """One number if all are the same, else all."""
     shown = values[:1] if (values == values[0]).all() else values
     return ", ".join(f"{value:g}" for value in shown)
 
 
-def _direction(axis: str | Sequence[float] | None) -> F64 | None:
+def _direction(axis: str | Sequence[float] | None) -> Floats | None:
     """(3,) a direction in the tool's frame."""
     if axis is None:
         return None
     named = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
-    found: F64 = np.asarray(named[axis] if isinstance(axis, str) else axis, np.float64)
+    found: Floats = np.asarray(named[axis] if isinstance(axis, str) else axis, np.float64)
     if np.hypot(found[0], found[1]) <= 0.1 * np.abs(found[2]):
         message = "must be across the tool's z axis, which points out of a gripper"
         raise ConfigError([Problem("finger_axis", f"{message}, got {found.tolist()}")])
     return found
 
 
-def _servo(parsed: Any, name: str) -> tuple[float, F64, F64]:
+def _servo(parsed: Any, name: str) -> tuple[float, Floats, Floats]:
     """Gain, bias (2,) and length per joint position (D,) of an actuator's servo."""
     model: mujoco.MjModel = parsed.model
-    lever: F64 = np.zeros(len(parsed.joint_names))
+    lever: Floats = np.zeros(len(parsed.joint_names))
     numbers = {model.joint(joint).id: i for i, joint in enumerate(parsed.joint_names)}
     actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
     kind, target = -1, -1

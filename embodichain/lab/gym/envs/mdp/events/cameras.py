@@ -15,7 +15,8 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import EventDraws, TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["RandomizeCameraFovy", "RandomizeCameraIntrinsics", "RandomizeCameraPose"]
 
@@ -58,8 +59,8 @@ class RandomizeCameraPose(Term):
         sensor = env.sensors.get(camera)
         self._pair: Any = sensor if len(getattr(sensor, "eyes", ())) > 1 else None
         model = self._engine.model
-        self._pos0: F64 = np.array(model.cam_pos[self._id], np.float64)
-        self._quat0: F64 = np.tile(model.cam_quat[self._id], (env.num_envs, 1))
+        self._pos0: Floats = np.array(model.cam_pos[self._id], np.float64)
+        self._quat0: Floats = np.tile(model.cam_quat[self._id], (env.num_envs, 1))
         if self._pair is not None:
             pos, self._quat0 = self._pair.read_local_pose()
             self._pos0 = pos[0]

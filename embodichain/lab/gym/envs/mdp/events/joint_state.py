@@ -16,7 +16,8 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["ResetJoints"]
 
@@ -56,9 +57,9 @@ class ResetJoints(Term):
         count = len(self._joints)
         self._dofs = np.asarray(asset.entity.dof_adr, np.int64)[self._joints]
         self._home = entity_cfg.initial_qpos
-        start: F64 = np.asarray(asset.parsed.init_qvel, np.float64)[self._joints]
+        start: Floats = np.asarray(asset.parsed.init_qvel, np.float64)[self._joints]
         self._start: Any = start if start.any() else 0.0
-        self._limits: F64 = np.asarray(asset.parsed.qpos_limits, np.float64)[self._joints]
+        self._limits: Floats = np.asarray(asset.parsed.qpos_limits, np.float64)[self._joints]
         driven = np.asarray(asset.entity.actuator_ids)[self._joints] >= 0
         self._driven: NDArray[np.int64] = np.flatnonzero(driven)
         self._operation = operation

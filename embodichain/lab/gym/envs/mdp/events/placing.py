@@ -30,7 +30,8 @@ from embodichain.utils.math import (
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "AXES",
@@ -73,7 +74,7 @@ def need_free_root(entity: ResolvedEntity) -> None:
         raise ConfigError([Problem("entity_cfg.uid", message)])
 
 
-def read_root_velocity(asset: Any) -> F64:
+def read_root_velocity(asset: Any) -> Floats:
     """(N, 6) linear velocity of the root's origin in m/s, then angular in rad/s; a copy."""
     start = asset.entity.free_qvel_adr
     qvel = asset.engine.state("qvel")[:, start : start + 6]
@@ -81,7 +82,7 @@ def read_root_velocity(asset: Any) -> F64:
     return np.concatenate([qvel[:, :3], turned], axis=1)
 
 
-def write_root_velocity(asset: Any, velocity: F64, env_ids: EnvIndex | None) -> None:
+def write_root_velocity(asset: Any, velocity: Floats, env_ids: EnvIndex | None) -> None:
     """Set the root's velocity.
 
     Args:
@@ -148,8 +149,8 @@ class ResetRootStateUniform(Term):
         index = asset.entity
         self._floats = index.free_qvel_adr >= 0
         count, put = env.num_envs, env.arrays.put
-        self._pos0: F64 = put(np.tile(np.asarray(index.pos0, np.float64), (count, 1)))
-        self._quat0: F64 = put(np.tile(np.asarray(index.quat0, np.float64), (count, 1)))
+        self._pos0: Floats = put(np.tile(np.asarray(index.pos0, np.float64), (count, 1)))
+        self._quat0: Floats = put(np.tile(np.asarray(index.quat0, np.float64), (count, 1)))
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the root states of these environments."""
@@ -217,9 +218,9 @@ class RandomizePose(Term):
             raise ConfigError([Problem("relative_position", message)])
         base = np.asarray(asset.entity.pos0, np.float64)
         count, put = env.num_envs, env.arrays.put
-        self._pos0: F64 = put(np.tile(base, (count, 1)))
+        self._pos0: Floats = put(np.tile(base, (count, 1)))
         quat0 = np.asarray(asset.entity.quat0, np.float64)
-        self._quat0: F64 = put(np.tile(quat0, (count, 1)))
+        self._quat0: Floats = put(np.tile(quat0, (count, 1)))
         self._near = relative_to
         self._ground = ground_of(env) if relative_to is None else None
         self._position: Uniform | None = None
@@ -232,7 +233,7 @@ class RandomizePose(Term):
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the poses of these environments."""
         quat0 = self._quat0 if env_ids is None else self._quat0[: len(env_ids)]
-        quat: F64 | None = quat0
+        quat: Floats | None = quat0
         if self._rotation is None and self._is_turned_so(quat0, env_ids):
             quat = None
         pos = self._pos0[: len(quat0)]
@@ -251,7 +252,7 @@ class RandomizePose(Term):
         if self._steps > 0:
             self._asset.engine.step(self._steps, env_ids)
 
-    def _is_turned_so(self, wanted: F64, env_ids: EnvIndex | None) -> bool:
+    def _is_turned_so(self, wanted: Floats, env_ids: EnvIndex | None) -> bool:
         """Whether the orientations are already set: a write would only enlarge the log."""
         if self._stop is not None or not self._asset.engine.listeners or not is_host(wanted):
             return False
@@ -309,7 +310,7 @@ class RandomizeObjectPositionInShell(Term):
         ]
         self._shell = Uniform("shell", *bounds)
         quat = np.asarray(self._asset.entity.quat0, np.float64)
-        self._quat: F64 = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
+        self._quat: Floats = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
         self._stop = None if self._asset.is_non_dynamic else self._asset.stop
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:

@@ -22,7 +22,8 @@ from embodichain.utils.math import cross
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["ApplyBodyImpulse", "ApplyExternalForceTorque", "EpisodeTimer", "PushBySettingVelocity"]
 
@@ -48,8 +49,7 @@ class EpisodeTimer:
     def stopped(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Return those environments whose timer has not been started in this episode."""
         ids: EnvIndex = self._arrays.every(len(self._seen)) if env_ids is None else env_ids
-        stopped: EnvIndex = ids[self._timer.left[ids] == 0]
-        return stopped
+        return ids[self._timer.left[ids] == 0]
 
     def advance(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Count the control steps since the last call; return environments that are due."""
@@ -168,7 +168,7 @@ class ApplyExternalForceTorque(Term):
             drawn = drawn + self._moments(drawn, env_ids)
         self._engine.write("xfrc_applied", drawn, env_ids, self._columns)
 
-    def _moments(self, wrenches: F64, env_ids: EnvIndex | None) -> F64:
+    def _moments(self, wrenches: Floats, env_ids: EnvIndex | None) -> Floats:
         """(n, 6 k) no forces, and the moments of the drawn forces about the centres of mass."""
         engine, frames = self._engine, self._frames
         rows: Any = slice(None) if env_ids is None else env_ids
@@ -176,8 +176,7 @@ class ApplyExternalForceTorque(Term):
         forces = wrenches.reshape(len(wrenches), -1, 6)[..., :3]
         moments = cross(arm, forces)
         both = np.concatenate([np.zeros_like(moments), moments], axis=2)
-        found: F64 = both.reshape(len(wrenches), -1)
-        return found
+        return both.reshape(len(wrenches), -1)
 
 
 @register_term("event", name="apply_body_impulse")

@@ -33,7 +33,8 @@ from embodichain.utils.random import constant
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["Randomize"]
 
@@ -286,7 +287,7 @@ class DrawnField:
         low, high = _by_name(param, ranges, names)
         self.ids: NDArray[np.int64] = np.flatnonzero(~np.isnan(low))
         self.factors = low[self.ids], high[self.ids]
-        self.default: F64 = np.array(values.default, np.float64)[self.ids]
+        self.default: Floats = np.array(values.default, np.float64)[self.ids]
         endless = [names[int(i)] for i in self.ids if not np.isfinite(values.default[i])]
         if endless and (operation != "abs" or values.needs_default):
             message = f"{values.unlimited}: {', '.join(endless)}"
@@ -300,14 +301,14 @@ class DrawnField:
             message = f"would give {names[int(self.ids[worst])]} {least[worst]:g}, below {lowest:g}"
             raise ConfigError([Problem(param, message)])
 
-    def apply(self, drawn: F64) -> F64:
+    def apply(self, drawn: Floats) -> Floats:
         """Values (..., m) of drawn numbers (..., m)."""
         if self.operation == "add":
             return self.default + drawn
         return self.default * drawn if self.operation == "scale" else drawn
 
 
-def _by_name(param: str, ranges: Any, names: Sequence[str]) -> tuple[F64, F64]:
+def _by_name(param: str, ranges: Any, names: Sequence[str]) -> tuple[Floats, Floats]:
     """Lower and upper bounds (k,) each; NaN for names that no key matches. Later keys win."""
     low, high = np.full(len(names), np.nan), np.full(len(names), np.nan)
     if not isinstance(ranges, Mapping):
@@ -356,7 +357,7 @@ class Draw:
         self._bounds = [np.concatenate([q.factors[i] for q in self._quantities]) for i in (0, 1)]
         self._low, self._high = (constant(np.log(bound)) for bound in self._bounds)
 
-    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> list[F64]:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> list[Floats]:
         """Values (n, m) of every quantity; do not write into them."""
         manager, slices = env.event_manager, self._columns.values()
         drawn = manager.draw_columns(self._columns, self._low, self._high, env_ids, self._normal)

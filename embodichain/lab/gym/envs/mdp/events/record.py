@@ -14,13 +14,14 @@ from embodichain.lab.gym.envs.managers.param_types import Finite, Positive, Vec3
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.managers.terms.registry import register_term
 from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver
+from embodichain.utils.array_types import host_ids
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.system.video import VideoFile, need_encoder
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.drawing.views import View
-    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import EnvIds, EnvIndex
 
 __all__ = ["RecordCameraData", "filmed_from"]
 
@@ -96,7 +97,7 @@ class RecordCameraData(Term):
         self._videos: dict[int, VideoFile] = {}
         _finish_at_close(env, self)
 
-    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIds | None) -> None:
         """Render one image of each recorded environment."""
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         ids = ids[ids < self._count]
@@ -118,7 +119,7 @@ class RecordCameraData(Term):
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Finish the files of these environments' episodes."""
-        ids = list(self._videos) if env_ids is None else env_ids.tolist()
+        ids = list(self._videos) if env_ids is None else host_ids(env_ids).tolist()
         for i in ids:
             video = self._videos.pop(i, None)
             if video is not None:

@@ -19,7 +19,7 @@ from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.utils.array_types import EnvIds, Floats
 
 __all__ = ["NotAtRestError", "WaitForDynamicObjectsToSettle", "set_detached_uids_for_env_reset"]
 
@@ -34,7 +34,7 @@ class NotAtRestError(EmbodichainError, TimeoutError):
 
 @register_term("event")
 def set_detached_uids_for_env_reset(
-    env: TermContext, env_ids: EnvIndex | None, uids: list[str]
+    env: TermContext, env_ids: EnvIds | None, uids: list[str]
 ) -> None:
     """Excludes entities from later resets: EmbodiChain's event of the same name.
 
@@ -108,10 +108,10 @@ class WaitForDynamicObjectsToSettle(Term):
         self._needed = required_stable_checks
         self._raises = timeout_behavior == "raise"
 
-    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIds | None) -> None:
         """Step these environments until they are at rest."""
         engine = env.sim.engine
-        ids: EnvIndex = np.arange(env.num_envs) if env_ids is None else env_ids
+        ids: EnvIds = np.arange(env.num_envs) if env_ids is None else env_ids
         stable: NDArray[np.int64] = np.zeros(len(ids), np.int64)
         steps = self._min
         if steps:
@@ -128,7 +128,7 @@ class WaitForDynamicObjectsToSettle(Term):
         if len(ids):
             self._complain(ids)
 
-    def _complain(self, ids: EnvIndex) -> None:
+    def _complain(self, ids: EnvIds) -> None:
         names = ", ".join(asset.uid for asset in self._assets)
         message = (
             f"{names} did not come to rest within {self._max} physics steps in environments "
@@ -159,7 +159,7 @@ def _settling(entity: ResolvedEntity, number: int) -> Any:
     return entity.asset
 
 
-def _velocities(asset: Any) -> list[F64]:
+def _velocities(asset: Any) -> list[Floats]:
     """(N, 6) linear and angular velocities, of the object or of each link."""
     if not hasattr(asset, "parsed"):
         return [read_root_velocity(asset)]

@@ -20,7 +20,8 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "RandomizeLight",
@@ -57,7 +58,7 @@ class _Surface:
         ids = self._materials if self.is_object else geoms
         self._columns: NDArray[np.int64] = np.concatenate([4 * i + np.arange(3) for i in ids])
 
-    def paint(self, rgb: F64, env_ids: EnvIndex | None) -> None:
+    def paint(self, rgb: Floats, env_ids: EnvIndex | None) -> None:
         """Set the colours (n, 3) of all shapes; opacity does not change."""
         count = len(self._columns) // 3
         self._engine.write_model(self._field, np.tile(rgb, (1, count)), env_ids, self._columns)
@@ -67,7 +68,10 @@ class _Surface:
         self._write("mat_rgba", alpha, env_ids, 4, 3)
 
     def finish(
-        self, metallic: F64 | float | None, roughness: F64 | float | None, env_ids: EnvIndex | None
+        self,
+        metallic: Floats | float | None,
+        roughness: Floats | float | None,
+        env_ids: EnvIndex | None,
     ) -> None:
         """Set an object's metallic value and roughness, (n, 1) or one for all.
 
@@ -269,9 +273,9 @@ class RandomizeLight(Term):
             raise ConfigError([Problem("color_range", f"RGB in [0, 1], got {color_range}")])
         self._light = lights[uid]
         cfg, model = self._light.cfg, env.sim.engine.model
-        self._pos0: F64 = np.array(model.light(uid).pos, np.float64)
-        self._dir0: F64 = np.asarray(cfg.direction, np.float64)
-        self._color0: F64 = np.asarray(cfg.color, np.float64)
+        self._pos0: Floats = np.array(model.light(uid).pos, np.float64)
+        self._dir0: Floats = np.asarray(cfg.direction, np.float64)
+        self._color0: Floats = np.asarray(cfg.color, np.float64)
         self._intensity0 = float(cfg.intensity)
         self._move = Uniform.within("position", position_range)
         self._turn = Uniform.within("direction", direction_range)
@@ -289,10 +293,10 @@ class RandomizeLight(Term):
             self._light.write("light_dir", turned / norm(turned)[:, None], env_ids)
         if self._color is None and self._intensity is None:
             return
-        color: F64 = self._color0[None, :]
+        color: Floats = self._color0[None, :]
         if self._color is not None:
             color = self._color(draws, env_ids)
-        strength: F64 = np.full((1, 1), self._intensity0)
+        strength: Floats = np.full((1, 1), self._intensity0)
         if self._intensity is not None:
             strength = self._intensity0 + self._intensity(draws, env_ids)
         self._light.write_emission(color, np.maximum(strength, 0.0), env_ids)

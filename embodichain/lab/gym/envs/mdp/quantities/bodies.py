@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "Heading",
@@ -57,12 +58,12 @@ Rotation = Literal["quat", "matrix", "rot6d"]
 Heading = Literal["yaw", "sin_cos"]
 
 
-def unique_quat(quat: F64) -> F64:
+def unique_quat(quat: Floats) -> Floats:
     """The one of q and -q (the same rotation) with w >= 0, (..., 4)."""
     return np.where(quat[..., :1] < 0.0, -quat, quat)
 
 
-def as_rotation(quat: F64, kind: Rotation) -> F64:
+def as_rotation(quat: Floats, kind: Rotation) -> Floats:
     """Orientations as quaternions with w >= 0, matrices, or six numbers.
 
     Six numbers are the first column of the matrix, then the second: a form without jumps (Zhou et
@@ -83,7 +84,7 @@ def as_rotation(quat: F64, kind: Rotation) -> F64:
     return np.concatenate([matrix[..., 0], matrix[..., 1]], axis=-1)
 
 
-def heading(quat: F64, kind: Heading) -> F64:
+def heading(quat: Floats, kind: Heading) -> Floats:
     """Direction of the x axis in the horizontal plane, about z from the world's x axis.
 
     Args:
@@ -96,15 +97,14 @@ def heading(quat: F64, kind: Heading) -> F64:
     w, x, y, z = (quat[:, i] for i in range(4))
     ahead, left = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
     if kind == "yaw":
-        found: F64 = np.arctan2(left, ahead)[:, None]
-        return found
+        return np.arctan2(left, ahead)[:, None]
     length = np.sqrt(ahead * ahead + left * left)
     vertical = length == 0.0
     length = np.where(vertical, 1.0, length)
     return np.stack([left / length, np.where(vertical, 1.0, ahead / length)], axis=1)
 
 
-def pose_matrix(position: F64, quat: F64) -> F64:
+def pose_matrix(position: Floats, quat: Floats) -> Floats:
     """(..., 4, 4) of positions (..., 3) and unit wxyz quaternions (..., 4)."""
     out = zeros((*position.shape[:-1], 4, 4), position)
     out[..., :3, :3] = quat_to_matrix(quat)
@@ -119,14 +119,14 @@ Axes = Annotated[
 ]
 
 
-def _of_axes(vectors: F64, axes: Axes) -> F64:
+def _of_axes(vectors: Floats, axes: Axes) -> Floats:
     """Columns of (N, 3) vectors, picked by their letters: a view."""
     first, last = "xyz".index(axes[0]), "xyz".index(axes[-1])
     return vectors[:, first : last + 1 : 2 if axes == "xz" else 1]
 
 
 @quantity()
-def position(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
+def position(env: TermContext, of: Body, axes: Axes = "xyz") -> Floats:
     """(N, 3) position of an entity's origin in the environment's frame, m.
 
     Example:
@@ -136,7 +136,7 @@ def position(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
 
 
 @quantity()
-def height(env: TermContext, of: Body, above: float = 0.0) -> F64:
+def height(env: TermContext, of: Body, above: float = 0.0) -> Floats:
     """(N,) height of an entity's origin above a level, m.
 
     Args:
@@ -149,7 +149,7 @@ def height(env: TermContext, of: Body, above: float = 0.0) -> F64:
 
 
 @quantity()
-def shape_index(env: TermContext, entity_cfg: Whole, one_hot: bool = False) -> F64:
+def shape_index(env: TermContext, entity_cfg: Whole, one_hot: bool = False) -> Floats:
     """(N,) number of the shape that an object has, in the order of its `any_of`, from 0.
 
     Args:
@@ -171,7 +171,7 @@ def shape_index(env: TermContext, entity_cfg: Whole, one_hot: bool = False) -> F
 
 
 @quantity("observation")
-def orientation(env: TermContext, of: Body, representation: Rotation = "rot6d") -> F64:
+def orientation(env: TermContext, of: Body, representation: Rotation = "rot6d") -> Floats:
     """Orientation of an entity in the environment's frame, in a chosen representation.
 
     Args:
@@ -185,7 +185,7 @@ def orientation(env: TermContext, of: Body, representation: Rotation = "rot6d") 
 
 
 @quantity("observation")
-def root_quat_w(env: TermContext, of: Body, make_quat_unique: bool = False) -> F64:
+def root_quat_w(env: TermContext, of: Body, make_quat_unique: bool = False) -> Floats:
     """(N, 4) orientation of the root in the environment's frame, wxyz.
 
     Isaac Lab's and mjlab's observation of the same name.
@@ -202,7 +202,7 @@ def root_quat_w(env: TermContext, of: Body, make_quat_unique: bool = False) -> F
 
 
 @quantity()
-def yaw(env: TermContext, of: Body, representation: Heading = "yaw") -> F64:
+def yaw(env: TermContext, of: Body, representation: Heading = "yaw") -> Floats:
     """Heading of an entity: the direction of its x axis in the horizontal plane.
 
     Args:
@@ -216,7 +216,7 @@ def yaw(env: TermContext, of: Body, representation: Heading = "yaw") -> F64:
 
 
 @quantity()
-def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
+def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> Floats:
     """(N, 3) the unit vector of gravity in a body's axes: (0, 0, -1) when upright.
 
     It measures roll and pitch, and not yaw. It follows the scene's gravity, also where an event
@@ -229,7 +229,9 @@ def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
 
 
 @quantity()
-def tilt(env: TermContext, of: Body, upwards: Literal["world", "against_gravity"] = "world") -> F64:
+def tilt(
+    env: TermContext, of: Body, upwards: Literal["world", "against_gravity"] = "world"
+) -> Floats:
     """(N,) angle of a body's z axis from the vertical, rad: 0 when upright, pi upside down.
 
     Args:
@@ -241,16 +243,14 @@ def tilt(env: TermContext, of: Body, upwards: Literal["world", "against_gravity"
     """
     if upwards == "against_gravity":
         down = projected_gravity(env, of)[:, 2]
-        angle: F64 = np.arccos(contiguous(np.minimum(np.maximum(-down, -1.0), 1.0)))
-        return angle
+        return np.arccos(contiguous(np.minimum(np.maximum(-down, -1.0), 1.0)))
     up = of.axes()[:, 2]
     # Exact at both ends, unlike an arc cosine. With the copy, rounding does not depend on N.
-    found: F64 = np.arctan2(norm(up[:, :2]), contiguous(up[:, 2]))
-    return found
+    return np.arctan2(norm(up[:, :2]), contiguous(up[:, 2]))
 
 
 @quantity()
-def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
+def upright(env: TermContext, of: Body, std: Positive | None = None) -> Floats:
     """(N,) uprightness of a body's z axis: (1 + cos(tilt)) / 2, or exp(-sin^2(tilt) / std^2).
 
     The second is mjlab's of the same name; it is the same upright and upside down.
@@ -267,7 +267,9 @@ def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
 
 
 @quantity()
-def linear_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Axes = "xyz") -> F64:
+def linear_velocity(
+    env: TermContext, of: Body, frame: Frame = "world", axes: Axes = "xyz"
+) -> Floats:
     """(N, 3) linear velocity of an entity's origin, m/s.
 
     Isaac Lab's is that of the root link's centre of mass; mjlab's ``link`` velocities are the same.
@@ -283,7 +285,9 @@ def linear_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Ax
 
 
 @quantity()
-def angular_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Axes = "xyz") -> F64:
+def angular_velocity(
+    env: TermContext, of: Body, frame: Frame = "world", axes: Axes = "xyz"
+) -> Floats:
     """(N, 3) angular velocity of an entity, rad/s; with ``frame: body`` that of a gyroscope.
 
     Args:
@@ -315,13 +319,12 @@ class LinkAcceleration(Term):
         self._engine, self._frames = env.sim.engine, of.frames
         self._rate = Rate(env)
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N, L) m/s^2."""
         linear = self._frames.velocities(self._engine)[0]
         change = self._rate(linear.reshape(len(linear), -1)).reshape(linear.shape)
         x, y, z = change[..., 0], change[..., 1], change[..., 2]
-        found: F64 = np.sqrt(x * x + y * y + z * z)
-        return found
+        return np.sqrt(x * x + y * y + z * z)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Forget the velocities of these environments."""
@@ -337,7 +340,7 @@ class LinkAcceleration(Term):
 
 
 @quantity()
-def velocity(env: TermContext, of: Body) -> F64:
+def velocity(env: TermContext, of: Body) -> Floats:
     """(N, 6) linear velocity of an entity's origin in m/s, then angular in rad/s, world axes.
 
     Example:
@@ -352,7 +355,7 @@ def speed(
     of: Body,
     direction: Vec3 | None = None,
     frame: Literal["world", "body"] = "world",
-) -> F64:
+) -> Floats:
     """(N,) length of an entity's linear velocity, or its component along a direction, m/s.
 
     Args:
@@ -406,7 +409,7 @@ def at_rest(
     return slow & (norm(of.angular_velocity()) < angular)
 
 
-def _one_or_all(values: F64) -> F64:
+def _one_or_all(values: Floats) -> Floats:
     """(N, L, ...), without L if that is 1."""
     return values[:, 0] if values.shape[1] == 1 else values
 
@@ -414,7 +417,7 @@ def _one_or_all(values: F64) -> F64:
 @quantity("observation")
 def link_pose(
     env: TermContext, of: Frames, to_matrix: bool = False, in_root_frame: bool = False
-) -> F64:
+) -> Floats:
     """Poses of the picked links, sites or geoms, x, y, z, qw, qx, qy, qz: metres, wxyz.
 
     (N, 7) of one link, (N, L, 7) of L; as matrices (N, 4, 4) or (N, L, 4, 4). Isaac Lab's
@@ -436,7 +439,7 @@ def link_pose(
 
 
 @quantity("observation")
-def link_velocity(env: TermContext, of: Frames, in_root_frame: bool = False) -> F64:
+def link_velocity(env: TermContext, of: Frames, in_root_frame: bool = False) -> Floats:
     """Linear velocity of picked links', sites' or geoms' origins in m/s, then angular in rad/s.
 
     (N, 6) of one link, (N, L, 6) of L. Isaac Lab's ``body_link_vel_w``.

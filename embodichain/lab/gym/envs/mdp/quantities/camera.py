@@ -21,8 +21,8 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sensors.camera import Camera
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["CameraImage", "CameraMask", "CameraPoints", "camera_intrinsics", "camera_pose"]
 
@@ -146,7 +146,7 @@ class CameraPoints(Term):
 
 
 @quantity("observation")
-def camera_pose(env: TermContext, sensor: CameraOf) -> F64:
+def camera_pose(env: TermContext, sensor: CameraOf) -> Floats:
     """(N, 7) pose of a camera in the environment's frame: x, y, z in m, wxyz with OpenGL's axes.
 
     Args:
@@ -159,7 +159,7 @@ def camera_pose(env: TermContext, sensor: CameraOf) -> F64:
 
 
 @quantity("observation")
-def camera_intrinsics(env: TermContext, sensor: CameraOf, side: Side = "left") -> F64:
+def camera_intrinsics(env: TermContext, sensor: CameraOf, side: Side = "left") -> Floats:
     """(N, 4) fx, fy, cx, cy of a camera, pixels from the picture's top left corner.
 
     Args:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "angular_velocity_error",
@@ -41,7 +41,7 @@ __all__ = [
 
 
 @quantity()
-def command(env: TermContext, command_name: Command) -> F64:
+def command(env: TermContext, command_name: Command) -> Floats:
     """(N, K) the command in force, in the units of the command.
 
     Example:
@@ -53,7 +53,7 @@ def command(env: TermContext, command_name: Command) -> F64:
 @quantity()
 def linear_velocity_error(
     env: TermContext, of: Body, command_name: PlanarCommand, frame: Frame = "body"
-) -> F64:
+) -> Floats:
     """(N, 2) velocity in the plane minus a commanded one, m/s.
 
     Args:
@@ -72,7 +72,7 @@ def angular_velocity_error(
     of: Body,
     command_name: VelocityCommand,
     frame: Literal["body", "world"] = "body",
-) -> F64:
+) -> Floats:
     """(N,) turning rate about z minus a commanded one, rad/s.
 
     Args:
@@ -111,7 +111,7 @@ def follows_velocity(
 
 
 @quantity()
-def position_command_error(env: TermContext, of: Body, command_name: PositionCommand) -> F64:
+def position_command_error(env: TermContext, of: Body, command_name: PositionCommand) -> Floats:
     """(N,) distance between a link and a commanded position, m. Isaac Lab's of the same name.
 
     Args:
@@ -127,7 +127,7 @@ def position_command_error(env: TermContext, of: Body, command_name: PositionCom
 
 
 @quantity()
-def orientation_command_error(env: TermContext, of: Body, command_name: PoseCommand) -> F64:
+def orientation_command_error(env: TermContext, of: Body, command_name: PoseCommand) -> Floats:
     """(N,) angle between a link and a commanded orientation, rad in [0, pi].
 
     Isaac Lab's of the same name.

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
     Mask = NDArray[np.bool_]
 
@@ -47,7 +48,7 @@ Info = dict[str, Any]
 
 
 @quantity(name="action")
-def action_(env: TermContext, action: Any) -> F64:
+def action_(env: TermContext, action: Any) -> Floats:
     """(N, A) the action as given to `step` (after `_preprocess_action`), in the action's units.
 
     The corresponding observation is `last_action`.
@@ -59,7 +60,7 @@ def action_(env: TermContext, action: Any) -> F64:
 
 
 @quantity("reward", "metric")
-def constant(env: TermContext, value: float = 1.0) -> F64:
+def constant(env: TermContext, value: float = 1.0) -> Floats:
     """(N,) the same number in every step: a cost of time, or an offset.
 
     Args:
@@ -68,12 +69,11 @@ def constant(env: TermContext, value: float = 1.0) -> F64:
     Example:
         ``{func: constant, weight: -0.01}``
     """
-    found: F64 = env.arrays.full(env.num_envs, float(value))
-    return found
+    return env.arrays.full(env.num_envs, float(value))
 
 
 @quantity("reward", "metric")
-def success_reward(env: TermContext, info: Info) -> F64:
+def success_reward(env: TermContext, info: Info) -> Floats:
     """(N,) 1 where the task succeeds in this step, else 0. EmbodiChain's reward of the same name.
 
     Success is the metric `success` above 0; in a task without one, a termination of kind success or
@@ -82,12 +82,11 @@ def success_reward(env: TermContext, info: Info) -> F64:
     Example:
         ``{func: success_reward, weight: 10.0}``
     """
-    found: F64 = env.arrays.of(info["success"]).astype(np.float64)
-    return found
+    return env.arrays.of(info["success"]).astype(np.float64)
 
 
 @quantity("reward", "metric")
-def is_terminated(env: TermContext, info: Info) -> F64:
+def is_terminated(env: TermContext, info: Info) -> Floats:
     """(N,) 1 where a termination of kind success or fail ends the episode, else 0.
 
     A time-out is a truncation, not a termination. The reward of an environment that diverges is 0.
@@ -100,7 +99,7 @@ def is_terminated(env: TermContext, info: Info) -> F64:
 
 
 @quantity("reward", "metric")
-def is_alive(env: TermContext, info: Info) -> F64:
+def is_alive(env: TermContext, info: Info) -> Floats:
     """(N,) 1 where `is_terminated` is 0, and 0 where it is 1. Isaac Lab's reward of the same name.
 
     Example:
@@ -111,10 +110,8 @@ def is_alive(env: TermContext, info: Info) -> F64:
 
 def _terminated(env: TermContext, info: Info) -> Mask:
     if env.cfg.ignore_terminations:
-        none: Mask = env.arrays.full(env.num_envs, False, np.bool_)
-        return none
-    ended: Mask = env.arrays.of(info["success_terminated"] | info["fail"])
-    return ended
+        return env.arrays.full(env.num_envs, False, np.bool_)
+    return env.arrays.of(info["success_terminated"] | info["fail"])
 
 
 @quantity("termination", "metric")
@@ -130,8 +127,7 @@ def time_out(env: TermContext, time_limit_s: Positive) -> Mask:
         ``{func: time_out, params: {time_limit_s: 5.0}}``
     """
     steps = max(1, round(time_limit_s / env.step_dt))
-    over: Mask = env.arrays.of(env.elapsed_steps) >= steps
-    return over
+    return env.arrays.of(env.elapsed_steps) >= steps
 
 
 class _Clock(Term):
@@ -141,10 +137,10 @@ class _Clock(Term):
 
     def __init__(self, env: TermContext) -> None:
         self._env = env
-        self._start: F64 = env.arrays.full(env.num_envs, 0.0)
+        self._start: Floats = env.arrays.full(env.num_envs, 0.0)
         self._fresh: Mask = env.arrays.full(env.num_envs, True, np.bool_)
 
-    def seconds(self) -> F64:
+    def seconds(self) -> Floats:
         """(N,) s."""
         now = self._env.sim.engine.state("time")[:, 0]
         if may_be_set(self._fresh):
@@ -176,7 +172,7 @@ class CurrentTime(_Clock):
         ``{func: current_time_s}``
     """
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,)."""
         return self.seconds()
 
@@ -193,7 +189,7 @@ class RemainingTime(_Clock):
         super().__init__(env)
         self.limit()
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,)."""
         return self.limit() - self.seconds()
 
@@ -209,7 +205,7 @@ class ElapsedFraction(RemainingTime):
         ``{func: elapsed_fraction}``
     """
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,)."""
         return self.seconds() / self.limit()
 
@@ -237,7 +233,7 @@ class Phase(_Clock):
         super().__init__(env)
         self._period, self._offsets = float(period_s), [float(offset) for offset in offsets]
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N, 2 K)."""
         cycles = self.seconds() / self._period
         columns = []
@@ -276,7 +272,7 @@ class LastAction(Term):
         names: tuple[str, ...] = manager.names
         return names if self._name is None else names[manager.slices[self._name]]
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N, A)."""
         action = self._env.read_last_action()
         return (

@@ -22,7 +22,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["feet_gait"]
 
@@ -42,7 +42,7 @@ def feet_gait(
     command_name: VelocityCommand | None = None,
     min_command: NonNegative = 0.1,
     force_threshold: NonNegative = 1.0,
-) -> F64:
+) -> Floats:
     """(N,) mean over feet, 0 to 1, of how well each keeps to its phase of a gait.
 
     With s = sin(2 pi (t / period + offset)), t the episode's time as in `phase`: while s > 0 a foot

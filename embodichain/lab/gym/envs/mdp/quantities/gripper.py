@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = ["grasped", "gripper_opening"]
 
@@ -24,7 +24,7 @@ _OPPOSED = -0.5
 
 
 @quantity()
-def gripper_opening(env: TermContext, from_: Body, to: Body, closed: float = 0.0) -> F64:
+def gripper_opening(env: TermContext, from_: Body, to: Body, closed: float = 0.0) -> Floats:
     """(N,) opening between two fingers, m: the distance of their links less that when closed.
 
     Args:
@@ -59,5 +59,4 @@ def grasped(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0) -
     forces = sensor.read_force()
     (one, other), (force, back) = forces.swapaxes(0, 1), norm(forces).T
     pressed = (force > threshold) & (back > threshold)
-    found: NDArray[np.bool_] = pressed & (total(one * other) < _OPPOSED * force * back)
-    return found
+    return pressed & (total(one * other) < _OPPOSED * force * back)

@@ -24,7 +24,7 @@ from embodichain.utils.math import wrapped
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "joint_effort",
@@ -49,7 +49,7 @@ def joint_position(
     relative: bool = False,
     periodic: bool = False,
     biased: bool = False,
-) -> F64:
+) -> Floats:
     """(N, K) positions of the picked joints, rad or m.
 
     Args:
@@ -67,7 +67,7 @@ def joint_position(
 
 
 @quantity()
-def joint_velocity(env: TermContext, of: Joints) -> F64:
+def joint_velocity(env: TermContext, of: Joints) -> Floats:
     """(N, K) velocities of the picked joints, rad/s or m/s.
 
     Example:
@@ -77,7 +77,7 @@ def joint_velocity(env: TermContext, of: Joints) -> F64:
 
 
 @quantity()
-def joint_speed(env: TermContext, of: Joints) -> F64:
+def joint_speed(env: TermContext, of: Joints) -> Floats:
     """(N, K) absolute velocities of the picked joints, rad/s or m/s.
 
     Example:
@@ -87,7 +87,7 @@ def joint_speed(env: TermContext, of: Joints) -> F64:
 
 
 @quantity()
-def joint_effort(env: TermContext, of: Joints) -> F64:
+def joint_effort(env: TermContext, of: Joints) -> Floats:
     """(N, K) efforts of the picked joints in the last physics step, N m or N.
 
     The sum of the efforts of drives, their damping and effort actions: Isaac Lab's applied torque.
@@ -100,7 +100,7 @@ def joint_effort(env: TermContext, of: Joints) -> F64:
 
 
 @quantity()
-def joint_power(env: TermContext, of: Joints, positive_only: bool = False) -> F64:
+def joint_power(env: TermContext, of: Joints, positive_only: bool = False) -> Floats:
     """(N,) sum of |effort x qvel| over the picked joints, W: times the time step, energy.
 
     Efforts as in `joint_effort`, of the last physics step; velocities after it. mjlab's
@@ -117,7 +117,7 @@ def joint_power(env: TermContext, of: Joints, positive_only: bool = False) -> F6
 
 
 @quantity()
-def joint_target_error(env: TermContext, of: Joints) -> F64:
+def joint_target_error(env: TermContext, of: Joints) -> Floats:
     """(N,) mean of |target - qpos| over the picked joints, rad or m; 0 for joints without a drive.
 
     Example:
@@ -127,7 +127,7 @@ def joint_target_error(env: TermContext, of: Joints) -> F64:
 
 
 @quantity()
-def joint_position_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0) -> F64:
+def joint_position_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0) -> Floats:
     """(N, K) how far joints are beyond the nearer position limit, rad or m; negative within.
 
     Limits in MuJoCo are soft: positive values under load are possible with a `soft_ratio` of 1.
@@ -146,7 +146,7 @@ def joint_position_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1
 @quantity()
 def joint_velocity_excess(
     env: TermContext, of: Joints, soft_ratio: Fraction = 1.0, max_velocity: Positive | None = None
-) -> F64:
+) -> Floats:
     """(N, K) excess of joint speeds over a limit, rad/s or m/s; negative where they are slower.
 
     The limit is the smaller of the drive's `max_velocity` and the file's; physics enforces neither.
@@ -163,7 +163,7 @@ def joint_velocity_excess(
 
 
 @quantity()
-def joint_effort_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0) -> F64:
+def joint_effort_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0) -> Floats:
     """(N, K) excess of asked efforts over a limit, N m or N; negative where they are smaller.
 
     The effort is that which a drive, servo, motor or effort action asks for in the last physics
@@ -182,7 +182,7 @@ def joint_effort_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0
 @quantity("reward", "metric")
 def stand_still(
     env: TermContext, of: Joints, command_name: Command, command_threshold: NonNegative = 0.06
-) -> F64:
+) -> Floats:
     """(N,) sum of |qpos - initial qpos| where the command is nearly zero, else 0; rad or m.
 
     Isaac Lab's `stand_still_joint_deviation_l1`, over all columns of the command.
@@ -199,7 +199,7 @@ def stand_still(
 
 
 @quantity("observation")
-def joint_sin_cos(env: TermContext, of: Joints) -> F64:
+def joint_sin_cos(env: TermContext, of: Joints) -> Floats:
     """(N, 2 K) sines of the picked joints' positions, then their cosines.
 
     Example:
@@ -211,7 +211,7 @@ def joint_sin_cos(env: TermContext, of: Joints) -> F64:
 
 
 @quantity()
-def joint_pos_limit_normalized(env: TermContext, of: Joints) -> F64:
+def joint_pos_limit_normalized(env: TermContext, of: Joints) -> Floats:
     """(N, K) normalized positions of the picked joints: -1 at the lower limit, 1 at the upper.
 
     2 (q - low) / (high - low) - 1, with the limits in force, not clipped. Isaac Lab's observation
@@ -224,5 +224,4 @@ def joint_pos_limit_normalized(env: TermContext, of: Joints) -> F64:
         ConfigError: If a joint has no limits.
     """
     low, high = of.qpos_ranges()
-    found: F64 = 2.0 * (of.qpos() - low) / (high - low) - 1.0
-    return found
+    return 2.0 * (of.qpos() - low) / (high - low) - 1.0

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.engine.api import F64
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "angle",
@@ -30,7 +30,7 @@ __all__ = [
 
 
 @quantity()
-def distance(env: TermContext, from_: Body, to: Body, use_xy_only: bool = False) -> F64:
+def distance(env: TermContext, from_: Body, to: Body, use_xy_only: bool = False) -> Floats:
     """(N,) distance between the origins of two entities, m.
 
     Args:
@@ -44,7 +44,7 @@ def distance(env: TermContext, from_: Body, to: Body, use_xy_only: bool = False)
 
 
 @quantity()
-def angle(env: TermContext, from_: Body, to: Body | None = None) -> F64:
+def angle(env: TermContext, from_: Body, to: Body | None = None) -> Floats:
     """(N,) angle of the rotation from one orientation to another, rad in [0, pi].
 
     Args:
@@ -83,7 +83,7 @@ def within_pose(
 @quantity()
 def relative_position(
     env: TermContext, from_: Body, to: Body, in_source_frame: bool = False
-) -> F64:
+) -> Floats:
     """(N, 3) position of `to` minus that of `from`, m.
 
     Args:
@@ -100,7 +100,7 @@ def relative_position(
 @quantity("observation")
 def relative_orientation(
     env: TermContext, from_: Body, to: Body, representation: Rotation = "quat"
-) -> F64:
+) -> Floats:
     """Orientation of `to` in the frame of `from`: conj(q_from) q_to.
 
     Args:
@@ -117,7 +117,7 @@ def relative_orientation(
 @quantity("observation")
 def relative_pose(
     env: TermContext, from_: Body, to: Body, representation: Rotation = "quat"
-) -> F64:
+) -> Floats:
     """Pose of `to` in the frame of `from`: position in m, then orientation.
 
     Args:
@@ -138,7 +138,7 @@ def relative_pose(
 @quantity()
 def relative_velocity(
     env: TermContext, from_: Body, to: Body, in_source_frame: bool = False
-) -> F64:
+) -> Floats:
     """(N, 6) velocity of `to` minus that of `from`: linear m/s, then angular rad/s.
 
     The difference of the velocities of the two origins; the rotation of `from` is not subtracted.

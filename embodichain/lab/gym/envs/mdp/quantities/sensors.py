@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.managers.context import TermContext
     from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
-    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.utils.array_types import Floats
 
 __all__ = [
     "FeetAirTime",
@@ -52,17 +53,16 @@ __all__ = [
 ]
 
 
-def _lengths(forces: F64) -> F64:
+def _lengths(forces: Floats) -> Floats:
     """(N, n) N: lengths of forces (N, n, 3)."""
     x, y, z = forces[..., 0], forces[..., 1], forces[..., 2]
-    found: F64 = np.sqrt(x * x + y * y + z * z)
-    return found
+    return np.sqrt(x * x + y * y + z * z)
 
 
 @quantity()
 def contact_found(
     env: TermContext, sensor: ContactHistoryOf, threshold: NonNegative | None = None
-) -> F64:
+) -> Floats:
     """(N, n) 1 where a link of a contact sensor was touched in a physics step, else 0.
 
     The physics steps are those of the control step (``history_length`` of the sensor).
@@ -79,7 +79,7 @@ def contact_found(
 
 
 @quantity()
-def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> F64:
+def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> Floats:
     """(N, n, 3) net contact force on each link of a contact sensor, N, world axes.
 
     Args:
@@ -93,7 +93,7 @@ def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> F6
 
 
 @quantity()
-def largest_contact_force(env: TermContext, sensor: ContactHistoryOf) -> F64:
+def largest_contact_force(env: TermContext, sensor: ContactHistoryOf) -> Floats:
     """(N, n) N: largest net contact force on each link in the physics steps of a control step.
 
     The physics steps are those of ``history_length`` of the sensor.
@@ -138,9 +138,9 @@ class FeetAirTime(Term):
     ) -> None:
         self._sensor, self._command, self._force = sensor, command_name, force_threshold
         self._least, self._min_command, self._dt = threshold, min_command, env.step_dt
-        self._air: F64 = env.arrays.full((env.num_envs, len(sensor.names)), 0.0)
+        self._air: Floats = env.arrays.full((env.num_envs, len(sensor.names)), 0.0)
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N,) s; the clocks of the feet advance by one control step."""
         touched = self._sensor.read_largest_force() > self._force
         lasted = self._air + self._dt
@@ -157,7 +157,7 @@ class FeetAirTime(Term):
 
 
 @quantity("reward", "metric")
-def feet_slide(env: TermContext, sensor: ContactHistoryOf, threshold: NonNegative = 1.0) -> F64:
+def feet_slide(env: TermContext, sensor: ContactHistoryOf, threshold: NonNegative = 1.0) -> Floats:
     """(N,) sum over touched feet of their speed in the plane, m/s. Isaac Lab's reward of the name.
 
     The speed is that of the origin of each link or geom after the last physics step. A foot is
@@ -177,7 +177,7 @@ def feet_slide(env: TermContext, sensor: ContactHistoryOf, threshold: NonNegativ
 
 
 @quantity()
-def imu_acceleration(env: TermContext, sensor: ImuOf) -> F64:
+def imu_acceleration(env: TermContext, sensor: ImuOf) -> Floats:
     """(N, 3) specific force that an IMU measures, m/s^2, in its axes: 9.81 upwards at rest.
 
     Isaac Lab's `imu_lin_acc`.
@@ -189,7 +189,7 @@ def imu_acceleration(env: TermContext, sensor: ImuOf) -> F64:
 
 
 @quantity()
-def imu_angular_velocity(env: TermContext, sensor: ImuOf) -> F64:
+def imu_angular_velocity(env: TermContext, sensor: ImuOf) -> Floats:
     """(N, 3) angular velocity that an IMU measures, rad/s, in its axes. Isaac Lab's `imu_ang_vel`.
 
     Example:
@@ -199,7 +199,7 @@ def imu_angular_velocity(env: TermContext, sensor: ImuOf) -> F64:
 
 
 @quantity("observation")
-def imu_orientation(env: TermContext, sensor: ImuOf) -> F64:
+def imu_orientation(env: TermContext, sensor: ImuOf) -> Floats:
     """(N, 4) orientation of an IMU in the world, wxyz. Isaac Lab's observation of the same name.
 
     Example:
@@ -209,7 +209,7 @@ def imu_orientation(env: TermContext, sensor: ImuOf) -> F64:
 
 
 @quantity()
-def imu_projected_gravity(env: TermContext, sensor: ImuOf) -> F64:
+def imu_projected_gravity(env: TermContext, sensor: ImuOf) -> Floats:
     """(N, 3) the unit vector of gravity in an IMU's axes: (0, 0, -1) when upright.
 
     It follows the scene's gravity, as `projected_gravity` does. Isaac Lab's observation of the same
@@ -222,7 +222,7 @@ def imu_projected_gravity(env: TermContext, sensor: ImuOf) -> F64:
 
 
 @quantity()
-def body_incoming_wrench(env: TermContext, sensor: ForceTorqueOf) -> F64:
+def body_incoming_wrench(env: TermContext, sensor: ForceTorqueOf) -> Floats:
     """(N, 6 n) force in N, then torque in N m, of each link of a force-torque sensor, in its axes.
 
     Isaac Lab's observation of the same name; the sign is the sensor's.
@@ -231,12 +231,11 @@ def body_incoming_wrench(env: TermContext, sensor: ForceTorqueOf) -> F64:
         ``{func: body_incoming_wrench, params: {sensor: wrench}}``
     """
     force = sensor.read_force()
-    wrench: F64 = np.concatenate([force, sensor.read_torque()], axis=2).reshape(len(force), -1)
-    return wrench
+    return np.concatenate([force, sensor.read_torque()], axis=2).reshape(len(force), -1)
 
 
 @quantity()
-def height_scan(env: TermContext, sensor: HeightScanOf, offset: float = 0.5) -> F64:
+def height_scan(env: TermContext, sensor: HeightScanOf, offset: float = 0.5) -> Floats:
     """(N, R) m: heights of a height scan's origin above the surface, minus an offset.
 
     Isaac Lab's observation of the same name.
@@ -278,9 +277,9 @@ class SensorReading(Term):
             return []  # added in Python, or reported as missing
         return _check_reading(params["sensor"], cfg, params.get("reading"))
 
-    def __call__(self) -> F64:
+    def __call__(self) -> Floats:
         """(N, K) the reading; its dimensions after the first are flattened."""
-        values: F64 = self._env.arrays.of(self._read()).astype(np.float64, copy=False)
+        values: Floats = self._env.arrays.of(self._read()).astype(np.float64, copy=False)
         return values.reshape(len(values), -1)
 
 
