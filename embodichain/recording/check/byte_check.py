@@ -166,7 +166,8 @@ class _File:
     """
 
     def __init__(self, path: Path, report: ByteReport) -> None:
-        self._path, self._report = path, report
+        self._path = path
+        self._report = report
         self._damage: list[Damage] = []
         self._crc = 0
         self._chunks = 0
@@ -289,7 +290,8 @@ class _File:
                 self._add("attachment", repr(name), 0, 0, "the metadata list it, it is not there")
 
     def _metadata(self, at: int, data: bytes) -> None:
-        nbytes, name = _HEAD.size + len(data), _name_in(data, 0)
+        nbytes = _HEAD.size + len(data)
+        name = _name_in(data, 0)
         self.looks_like_a_log = True
         try:
             found: Metadata = parse(Opcode.METADATA, data)
@@ -311,7 +313,8 @@ class _File:
             self._unsealed_bytes += len(data)
 
     def _chunk(self, at: int, data: bytes) -> None:
-        number, self._chunk_at = str(self._chunks), at
+        number = str(self._chunks)
+        self._chunk_at = at
         self._chunks += 1
         try:
             _, content = chunk_content(data)
@@ -334,7 +337,9 @@ class _File:
             channel, length = _INDEX_HEAD.unpack_from(data)
             entries = list(_INDEX_ENTRY.iter_unpack(data[_INDEX_HEAD.size :]))
         except struct.error:
-            channel, length, entries = -1, 0, []
+            channel = -1
+            length = 0
+            entries = []
         same = length == len(data) - _INDEX_HEAD.size
         if not same or self._index.pop(channel, None) != entries:
             self._add("message index", "", at, nbytes, "it is not that of the chunk before it")
@@ -379,7 +384,8 @@ class _File:
 
     def _summary(self, stream: BinaryIO, size: int, closed: bool) -> None:
         """Check the index at the end, the footer, and that nothing follows."""
-        begin, crc = stream.tell(), 0
+        begin = stream.tell()
+        crc = 0
         while True:
             at = stream.tell()
             head = stream.read(_HEAD.size)
@@ -433,7 +439,8 @@ def _index_of(content: bytes) -> _Index:
         DamageError: If the chunk contains what no log has in chunks.
     """
     found: _Index = defaultdict(list)
-    at, size = 0, len(content)
+    at = 0
+    size = len(content)
     while at < size:
         opcode, length = _HEAD.unpack_from(content, at)
         if length > size - at - _HEAD.size:

@@ -93,7 +93,8 @@ def diff(a: str | Path, b: str | Path) -> DiffReport:
     with Log(a) as first, Log(b) as second:
         for log in (first, second):
             log.header.require_states(log.path)
-        steps, difference = 0, _of_headers(first, second)
+        steps = 0
+        difference = _of_headers(first, second)
         if difference is None:
             steps, difference = _of_steps(first, second)
         if difference is None and first.header.model != second.header.model:
@@ -105,7 +106,8 @@ def diff(a: str | Path, b: str | Path) -> DiffReport:
 
 def _of_headers(a: Log, b: Log) -> LogDifference | None:
     for name in _HEADER:
-        left, right = getattr(a.header, name), getattr(b.header, name)
+        left = getattr(a.header, name)
+        right = getattr(b.header, name)
         if left != right:
             return LogDifference(None, None, name, "", left, right)
     return None
@@ -114,7 +116,8 @@ def _of_headers(a: Log, b: Log) -> LogDifference | None:
 def _notes(a: Log, b: Log) -> list[str]:
     notes = [f"{log.path}: {warning}" for log in (a, b) for warning in log.warnings]
     for name in ("seed", "mujoco_version", "model"):
-        left, right = getattr(a.header, name), getattr(b.header, name)
+        left = getattr(a.header, name)
+        right = getattr(b.header, name)
         if left != right:
             notes.append(f"{name}: {left} and {right}")
     return notes
@@ -143,14 +146,18 @@ class _Cursor:
             if run is not None and run.of_kind("start"):
                 self.start = self.start or run
                 continue
-            self.run, self.at = run, 0
+            self.run = run
+            self.at = 0
             if run is None:
                 return
 
 
 def _of_steps(a: Log, b: Log) -> tuple[int, LogDifference | None]:
     """Number of equal steps, and the first difference."""
-    steps, left, right, compare = 0, _Cursor(a), _Cursor(b), _Comparison(a)
+    steps = 0
+    left = _Cursor(a)
+    right = _Cursor(b)
+    compare = _Comparison(a)
     if left.start is not None and right.start is not None:
         found = compare.calls(left.start, 0, right.start, 0)
         if found is not None:
@@ -220,12 +227,14 @@ class _Comparison:
         name = _named(a.kind)
         left = {array: values[at] for array, values in a.arrays.items()}
         right = {array: values[bt] for array, values in b.arrays.items()}
-        ids, others = left.pop("env_ids", None), right.pop("env_ids", None)
+        ids = left.pop("env_ids", None)
+        others = right.pop("env_ids", None)
         if (ids is None) != (others is None) or not np.array_equal(ids, others):
             says = ("all" if x is None else x.tolist() for x in (ids, others))
             return LogDifference(step, None, name, "environments", *says)
         for what in ("mode", "nstep", "columns"):
-            mine, other = getattr(a.kind, what), getattr(b.kind, what)
+            mine = getattr(a.kind, what)
+            other = getattr(b.kind, what)
             if mine != other:
                 return LogDifference(step, None, name, what, mine, other)
         if "hashes" in left or "hashes" in right:  # recorded with keyframes

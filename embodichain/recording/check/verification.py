@@ -207,7 +207,8 @@ def _compare_pictures(
     try:
         equal, problems = compare(reader, model, env)
     except LogError as error:
-        equal, problems = 0, [str(error).removeprefix(f"{reader.path}: ")]
+        equal = 0
+        problems = [str(error).removeprefix(f"{reader.path}: ")]
     note = f"the first pictures of episodes: {equal} are identical to the byte"
     return replace(
         report, ok=not problems, problems=problems, notes=[*report.notes, *([note] * (equal > 0))]
@@ -291,8 +292,11 @@ def _follow(
     progress: Progress | None,
 ) -> VerifyReport:
     """Simulate and compare up to the first difference or the end; `how`: `Simulation`'s args."""
-    steps, last_step = 0, reader.require_header().first_step - 1
-    difference, error, active = None, "", how[2]
+    steps = 0
+    last_step = reader.require_header().first_step - 1
+    difference = None
+    error = ""
+    active = how[2]
     largest: dict[str, float] = {}
     simulation = None
     try:

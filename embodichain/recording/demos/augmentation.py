@@ -66,7 +66,9 @@ class Augmented:
     """
 
     def __init__(self, demonstrations: str, most: Count = 20, nearest: Count = 3) -> None:
-        self._path, self._most, self._nearest = demonstrations, most, nearest
+        self._path = demonstrations
+        self._most = most
+        self._nearest = nearest
         self._player: _Player | None = None
 
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
@@ -129,7 +131,8 @@ class _Motions:
         for e, source in enumerate(sources):
             for a, segments in enumerate(source.segments):
                 for s, segment in enumerate(segments):
-                    self.starts[e, a, s], self.of[e, a, s] = segment.start, segment.target
+                    self.starts[e, a, s] = segment.start
+                    self.of[e, a, s] = segment.target
                     self.follows[e, a, s] = segment.follows
 
 
@@ -143,18 +146,21 @@ class _Player:
     """
 
     def __init__(self, env: BaseEnv, path: str, most: int, nearest: int) -> None:
-        self.env, count = env, env.num_envs
+        self.env = env
+        count = env.num_envs
         self._arms: list[Arm] = [arm for _, arm in arms_of(env)]
         self._names, poses = target_poses(env)
         if not self._arms:
             raise ConfigError("augmentation needs a task with an action that moves a tool")
         self._poses: TargetPoses = poses
         names, sources = read_sources(path, most)
-        width, tools = sources[0].actions.shape[1], len(sources[0].tools)
+        width = sources[0].actions.shape[1]
+        tools = len(sources[0].tools)
         if names != self._names or tools != len(self._arms) or self._width != width:
             there = f"its entities are {', '.join(names)}, here {', '.join(self._names)}"
             raise ConfigError(f"{path} is of another task: {there}; {width} actions")
-        self._motions, self._nearest = _Motions(sources), min(nearest, len(sources))
+        self._motions = _Motions(sources)
+        self._nearest = min(nearest, len(sources))
         speeds = [arm.term.tool_speeds for arm in self._arms]
         limits = np.minimum(np.array(speeds), _FASTEST)
         self._behind: F64 = np.maximum(_LAG * limits * env.step_dt, _SLOWEST)  # (arms, 2)
@@ -177,24 +183,28 @@ class _Player:
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin anew in these environments, at the next action."""
         rows = np.arange(self.env.num_envs) if env_ids is None else np.asarray(env_ids)
-        self._fresh[rows], self.done[rows] = True, False
+        self._fresh[rows] = True
+        self.done[rows] = False
         for row in rows.tolist():
             self.failures[row] = None
 
     def act(self) -> F64:
         """(N, A) the next actions."""
-        tools, targets = read_tools(self._arms), self._targets()
+        tools = read_tools(self._arms)
+        targets = self._targets()
         fresh = np.flatnonzero(self._fresh)
         self._advance(tools)
         if len(fresh):
             self._begin(fresh, tools, targets)
-        motions, rows = self._motions, np.arange(self.env.num_envs)
+        motions = self._motions
+        rows = np.arange(self.env.num_envs)
         action: F64 = motions.actions[self._motion, self._clock].copy()
         for a, arm in enumerate(self._arms):
             self._enter(a, targets)
             self._sent[a] = self._asked(a, np.minimum(self._clock + 1, self._last))
             pos, quat = (np.ascontiguousarray(self._sent[a][:, part]) for part in (_POS, _QUAT))
-            solver, free = arm.term.solver, arm.term.orientation == "free"
+            solver = arm.term.solver
+            free = arm.term.orientation == "free"
             here = arm.asset.read_qpos()
             qpos, _ = solver.inverse(here, pos, None if free else quat, rows, restarts=False)
             action[:, arm.columns] = arm.term.action_towards(pos, quat, qpos[:, solver.moving])
@@ -218,7 +228,8 @@ class _Player:
         drawn = self.env.streams.uniform(STREAM, (), 0.0, float(self._nearest), rows)
         chosen = np.minimum(drawn.astype(np.int64), self._nearest - 1)
         self._motion[rows] = order[np.arange(len(rows)), chosen]
-        self._clock[rows], self._late[rows] = 0, 0
+        self._clock[rows] = 0
+        self._late[rows] = 0
         self._segment[:, rows] = -1
         self._sent[:, rows] = tools[:, rows]
 
@@ -260,7 +271,8 @@ class _Player:
         if not (rows := np.flatnonzero(begins)).size:
             return
         self._missing[a, rows] = 0.0
-        wanted, sent = self._asked(a, self._clock)[rows], self._sent[a, rows]
+        wanted = self._asked(a, self._clock)[rows]
+        sent = self._sent[a, rows]
         left = quat_multiply(sent[:, _QUAT], quat_conjugate(wanted[:, _QUAT]))
         missing = [sent[:, _POS] - wanted[:, _POS], quat_to_rotvec(left)]
         self._missing[a, rows] = np.concatenate(missing, axis=1)
@@ -269,15 +281,19 @@ class _Player:
         """Find how the target of an arm has moved since it was recorded, at this clock."""
         motion = self._motion[rows]
         target = self._motions.of[motion, a, self._segment[a, rows]]
-        now, then = targets[target, rows], self._motions.targets[motion, target, self._clock[rows]]
+        now = targets[target, rows]
+        then = self._motions.targets[motion, target, self._clock[rows]]
         turn = quat_multiply(now[:, _QUAT], quat_conjugate(then[:, _QUAT]))
         shift = now[:, _POS] - quat_rotate(turn, np.ascontiguousarray(then[:, _POS]))
         self._moved[a, rows] = np.concatenate([shift, turn], axis=1)
 
     def _asked(self, a: int, clock: Rows) -> F64:
         """(N, 7) pose of a tool at a time of its motion, in the present segment."""
-        motions, motion, segment = self._motions, self._motion, self._segment[a]
-        pose, moved = motions.tools[motion, a, clock], self._moved[a]
+        motions = self._motions
+        motion = self._motion
+        segment = self._segment[a]
+        pose = motions.tools[motion, a, clock]
+        moved = self._moved[a]
         start, stop = (motions.starts[motion, a, segment + i] for i in (0, 1))
         share = np.clip((clock - start) / (_FADES * np.maximum(stop - start, 1)), 0.0, 1.0)
         left = (1.0 - share * share * (3.0 - 2.0 * share))[:, None] * self._missing[a]
@@ -288,4 +304,5 @@ class _Player:
         return np.concatenate([pos + left[:, :3], quat], axis=1)
 
 
-_POS, _QUAT = slice(0, 3), slice(3, 7)
+_POS = slice(0, 3)
+_QUAT = slice(3, 7)

@@ -120,9 +120,13 @@ class Collector:
             message = "collect needs a task that says what success is: the metric `success`"
             raise ConfigError([Problem("task.metrics", message)])
         self.collected = collected
-        self._env, self._policy, self._rules = env, policy, rules
+        self._env = env
+        self._policy = policy
+        self._rules = rules
         self._planned = policy if isinstance(policy, PlannedPolicy) else None
-        self._recorder, self._writer, self._attempts = recorder, writer, attempts
+        self._recorder = recorder
+        self._writer = writer
+        self._attempts = attempts
         self._log = recorder.stats.path.name
         count = env.num_envs
         self._numbers = np.zeros(count, np.int64)
@@ -144,7 +148,8 @@ class Collector:
 
         Call `write` when it ends, or is left.
         """
-        env, policy = self._env, self._policy
+        env = self._env
+        policy = self._policy
         obs = self._begin(np.arange(env.num_envs))
         policy.reset(None)
         while not self._attempts.complete:
@@ -168,7 +173,8 @@ class Collector:
         Raises:
             OSError: The log or a list could not be written.
         """
-        episodes, self._unwritten = self._unwritten, []
+        episodes = self._unwritten
+        self._unwritten = []
         if self._recorder.lists_counted:
             self._recorder.count([e.env for e in episodes], [e.episode for e in episodes])
         self._recorder.flush()
@@ -205,7 +211,8 @@ class Collector:
     ) -> None:
         """Note episodes that ended in the last control step."""
         env = self._env
-        elapsed, episodes = env.episodes.elapsed, env.episodes.ids
+        elapsed = env.episodes.elapsed
+        episodes = env.episodes.ids
         discarded = self._planned.failures if self._planned is not None else ()
         for i in ids.tolist():
             succeeded = bool(success[i]) and not (discarded and discarded[i] == DISCARDED)
@@ -224,7 +231,8 @@ class Collector:
             )
             self._attempts.end(episode.attempt, episode.success)
             self._undecided.append(episode)
-        undecided, self._undecided = self._undecided, []
+        undecided = self._undecided
+        self._undecided = []
         for episode in undecided:
             needed = self._attempts.is_needed(episode.attempt)
             if needed is None:

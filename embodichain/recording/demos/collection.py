@@ -130,7 +130,8 @@ def new_log(folder: Path, first: str) -> str:
         folder: The collection.
         first: The first log's name, such as ``rollout.mcap``.
     """
-    name, number = Path(first), 1
+    name = Path(first)
+    number = 1
     while (folder / first).exists():
         number += 1
         first = f"{name.stem}-{number}{name.suffix}"

@@ -124,7 +124,8 @@ class Reenactment:
     ) -> None:
         from embodichain.config.environments.factory import make_env
 
-        self._log, self._numbers = log, numbers
+        self._log = log
+        self._numbers = numbers
         self.corrected = 0
         log.header.require_states(log.path)
         _require_beginning(log)
@@ -178,7 +179,9 @@ class Reenactment:
             self._warn(number)
 
     def _step(self, number: int, recorded: dict[str, NDArray[Any]]) -> Step:
-        env, terminated, truncated = self.env, recorded["terminated"], recorded["truncated"]
+        env = self.env
+        terminated = recorded["terminated"]
+        truncated = recorded["truncated"]
         if truncated.any():
             env.truncate(np.flatnonzero(truncated))
         episodes = env.episodes.ids.copy()
@@ -205,7 +208,8 @@ class Reenactment:
 
     def _reset(self, ids: NDArray[np.int64]) -> Observation:
         """Begin the next episodes of environments (n,); return the observation of all."""
-        env, numbers = self.env, self._numbers
+        env = self.env
+        numbers = self._numbers
         if numbers is not None:
             coming = zip(ids.tolist(), (env.episodes.ids[ids] + 1).tolist(), strict=True)
             found = {key[0]: numbers[key] for key in coming if key in numbers}
@@ -240,7 +244,8 @@ class Reenactment:
         return Rows(log.reader)
 
     def _check_scene(self) -> None:
-        log, model = self._log, self.env.sim.engine.model
+        log = self._log
+        model = self.env.sim.engine.model
         layout = {name: (part.start, part.stop) for name, part in row_layout(model).items()}
         if layout != dict(log.header.layout):
             raise ConfigError(f"{log.path}: its scene has other joints or bodies: {_CHANGED}")
@@ -306,7 +311,8 @@ class _Comparison(StepObserver):
     """
 
     def __init__(self, log: RecordedLog, rows: Rows) -> None:
-        self._path, self._rows = log.path, rows
+        self._path = log.path
+        self._rows = rows
         places = ("qpos", "mocap_pos", "mocap_quat")
         found = [np.arange(*log.header.layout[p]) for p in places if p in log.header.layout]
         self._positions = np.concatenate(found)
@@ -329,8 +335,10 @@ class _Comparison(StepObserver):
         """Compare, once a control step."""
         if event.phase != "before" or self._expected is None:
             return
-        (number, known, begins), self._expected = self._expected, None
-        here, there = event.rows, self._rows.rows
+        (number, known, begins) = self._expected
+        self._expected = None
+        here = event.rows
+        there = self._rows.rows
         differs = (here.view(np.uint64) != there.view(np.uint64)).any(axis=1)
         if not differs.any():
             return

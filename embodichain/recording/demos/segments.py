@@ -69,7 +69,8 @@ class Source:
 
 def target_poses(env: BaseEnv) -> tuple[list[str], TargetPoses]:
     """The names of all possible targets in an environment, the first the world; their poses."""
-    poses, names = TargetPoses(env), []
+    poses = TargetPoses(env)
+    names = []
     links = [f"{uid}/{link}" for uid, a in env.sim.articulations.items() for link in a.link_names]
     for name in (WORLD, *env.sim.rigid_objects, *links, *env.command_manager.terms):
         try:
@@ -160,7 +161,8 @@ def _read(
 
 def _source(parts: Sequence[tuple[F64, F64, F64]], arms: Sequence[Arm]) -> Source:
     actions, tools, targets = (np.array(column) for column in zip(*parts, strict=True))
-    tools, targets = np.moveaxis(tools, 1, 0), np.moveaxis(targets, 1, 0)
+    tools = np.moveaxis(tools, 1, 0)
+    targets = np.moveaxis(targets, 1, 0)
     split = [
         _segments(tool, targets, _closed(arm, actions))
         for arm, tool in zip(arms, tools, strict=True)
@@ -194,7 +196,8 @@ def _segments(
     distances = np.linalg.norm(targets[1:, :, :3] - tool[:, :3], axis=-1)  # without the world
     found: list[Segment] = []
     holds: list[Segment] = []
-    start, held = 0, -1
+    start = 0
+    held = -1
 
     def nearest(first: int, last: int) -> int:
         """The target that the tool comes nearest to; 0 if there is only what it holds."""

@@ -145,7 +145,8 @@ def _count(
     log: Log, env: int, span: Span, every: int, most: float, stopped: Callable[[], bool]
 ) -> int:
     """How many pictures the steps of a log give, up to `most`; fewer if it is stopped."""
-    steps, end = 0, None if span.last is None else span.last + 1
+    steps = 0
+    end = None if span.last is None else span.last + 1
     for part in log.parts("rewards", env, None, span.first, end):
         steps += len(part)
         if steps >= most * every or stopped():
@@ -163,7 +164,8 @@ def _look(log: Log, camera: str | None) -> str | Viewpoint | View:
     if camera is None and _CAMERA in [model.camera(i).name for i in range(model.ncam)]:
         return _CAMERA
     if camera is None:
-        middle, extent = np.asarray(model.stat.center), float(model.stat.extent)
+        middle = np.asarray(model.stat.center)
+        extent = float(model.stat.extent)
         eye = middle + 1.2 * extent * np.asarray(_FRONT)
         return Viewpoint.look_at(eye.tolist(), middle.tolist())
     return cameras_of(log, [camera])[camera].camera

@@ -96,7 +96,8 @@ def frames(
         ValueError: If there is no such camera, or it is no pinhole camera.
     """
     most = max(1, _PIXELS // sum(math.prod(camera.size) for camera in cameras))
-    states, steps = StoredStates(playback.engine.model), list[int]()
+    states = StoredStates(playback.engine.model)
+    steps = list[int]()
 
     def drawn() -> Iterator[Frame]:
         views = [_view(states, camera) for camera in cameras]
@@ -141,7 +142,8 @@ def cameras_of(
     Raises:
         ConfigError: If there is no such camera.
     """
-    sensors, model = _camera_sensors(log), log.model
+    sensors = _camera_sensors(log)
+    model = log.model
     scene = {model.camera(i).name: camera_size(model, i) for i in range(model.ncam)}
     known = {**scene, **sensors}
     found = {}

@@ -193,7 +193,8 @@ def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
         model = load_mjz(mjz, _stated(header, SCENE))
     except ValueError as error:
         raise LogError(f"the attachment scene.mjz cannot be loaded: {error}") from error
-    here, there = row_layout(model), header.slices()
+    here = row_layout(model)
+    there = header.slices()
     for name in here.keys() & there.keys() & _DRAWN:
         mine, recorded = (s.stop - s.start for s in (here[name], there[name]))
         if mine != recorded:

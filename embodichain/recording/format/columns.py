@@ -187,7 +187,8 @@ def _bodies(model: mujoco.MjModel, parts: Parts, mocap: bool) -> Iterator[Column
 
 def _activations(model: mujoco.MjModel) -> Iterator[Column]:
     for actuator in range(model.nactuator):
-        name, count = model.actuator(actuator).name, int(model.actuator_actnum[actuator])
+        name = model.actuator(actuator).name
+        count = int(model.actuator_actnum[actuator])
         name = name or f"actuator_{actuator}"
         yield from (Column(name if count == 1 else f"{name}.{i}", "") for i in range(count))
 

@@ -42,7 +42,9 @@ def chunk_content(data: bytes) -> tuple[str, bytes]:
         DamageError: If it cannot be decompressed, or exceeds `LARGEST_CHUNK`.
     """
     chunk: Chunk = parse(Opcode.CHUNK, data)
-    name, size, packed = chunk.compression, chunk.uncompressed_size, chunk.data
+    name = chunk.compression
+    size = chunk.uncompressed_size
+    packed = chunk.data
     if size > LARGEST_CHUNK:
         raise DamageError(f"a chunk announces {size} bytes; more than {LARGEST_CHUNK} are no log")
     if len(data) != 40 + len(name.encode()) + len(packed):

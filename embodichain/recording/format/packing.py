@@ -19,7 +19,8 @@ from embodichain.recording.format.log_error import LARGEST_CHUNK, DamageError
 __all__ = ["DTYPES", "Place", "load", "store"]
 
 DTYPES = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8", "<u8", "|b1")}
-_F4, _F8 = DTYPES["<f4"], DTYPES["<f8"]
+_F4 = DTYPES["<f4"]
+_F8 = DTYPES["<f8"]
 _SMALLEST = 64
 """Bytes; smaller arrays are stored as they are."""
 _MANTISSA_REST = 2**29 - 1
@@ -71,9 +72,11 @@ def store(arrays: Sequence[tuple[str, Sequence[Any]]]) -> tuple[list[Place], lis
     end = 0
     for number in sorted(compared, key=lambda k: compared[k][2] is None):
         dtype, data, single = compared[number]
-        place, written = Place(end), data
+        place = Place(end)
+        written = data
         if single is not None:
-            place, written = Place(end, single=True), single
+            place = Place(end, single=True)
+            written = single
         elif dtype == "<f8":
             for other, base in places.items():
                 if base.base is None and compared[other][0] == dtype and sizes[other] == len(data):
@@ -140,7 +143,8 @@ def load(name: str, dtype: str, shape: tuple[int, ...], place: Place, data: memo
 def _load(
     name: str, dtype: str, shape: tuple[int, ...], offset: int, single: bool, data: memoryview
 ) -> NDArray[Any]:
-    kind, size = _F4 if single else DTYPES[dtype], 1
+    kind = _F4 if single else DTYPES[dtype]
+    size = 1
     for length in shape:  # Python integers do not overflow
         size *= length
     if offset + size * kind.itemsize > min(len(data), LARGEST_CHUNK):

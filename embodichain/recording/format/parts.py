@@ -100,7 +100,9 @@ class Manifest:
     """
 
     def __init__(self, folder: int, first: str, log_id: str, period_s: float) -> None:
-        self._folder, self._id, self._period = folder, log_id, period_s
+        self._folder = folder
+        self._id = log_id
+        self._period = period_s
         self._name = Path(first).stem + MANIFEST_SUFFIX
         self.files = [PartEntry(first, 0, 0.0)]
 
@@ -109,7 +111,8 @@ class Manifest:
         entry = self.files[-1]
         entry.steps = last_step - entry.first_step
         entry.stop_s = last_step * self._period
-        entry.nbytes, entry.complete = nbytes, True
+        entry.nbytes = nbytes
+        entry.complete = True
 
     def begun(self, name: str, first_step: int) -> None:
         """Note that a new file was begun."""
@@ -192,7 +195,8 @@ def missing_part(first: Path, name: str) -> tuple[str, bool]:
 
 
 def _steps(entry: Mapping[str, Any]) -> str:
-    first, count = entry.get("first_step"), entry.get("steps")
+    first = entry.get("first_step")
+    count = entry.get("steps")
     if type(first) is not int or type(count) is not int or not count:
         return ""
     return f" (steps {first} to {first + count - 1})"

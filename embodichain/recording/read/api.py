@@ -88,7 +88,8 @@ def _moment(
                 f"no step {step} in episode {episode} of environment {env}: there are 0 to {most}"
             )
         return found, at
-    first, last = mine[0].first_step, mine[-1].last_step
+    first = mine[0].first_step
+    last = mine[-1].last_step
     at = first if step is None else step
     if not first <= at <= last + 1:
         raise ConfigError(f"no control step {step} in the log: there are {first} to {last + 1}")
@@ -168,7 +169,8 @@ def _history(log: RecordedLog, env: int, step: int) -> tuple[tuple[Drawn, ...], 
             continue
         kind = call.kind
         if kind.kind == "write" and kind.mode == "reset":
-            found, begins = {}, begins or number <= first
+            found = {}
+            begins = begins or number <= first
         elif kind.kind == "event" and (
             len(call.arrays) > (ids is not None) or kind.mode == "reset"
         ):

@@ -136,7 +136,8 @@ def gather(
     Raises:
         LogError: If the log is inconsistent.
     """
-    header, ids = reader.require_header(), rows.env_ids
+    header = reader.require_header()
+    ids = rows.env_ids
     slices = {name: slice(*header.layout[name]) for name in names if name in header.layout}
     steps: list[NDArray[np.int64]] = []
     pieces: dict[str, list[NDArray[Any]]] = {name: [] for name in names}

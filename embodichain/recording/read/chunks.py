@@ -150,7 +150,8 @@ class LogReader:
 
     def _go_on(self) -> bool:
         """Open the file that continues the log, if the log is read as a whole."""
-        name, self._next = Path(self._next).name, ""
+        name = Path(self._next).name
+        self._next = ""
         if self.require_header().part:
             self.alone = f"it continues in {name}"
             return False
@@ -161,7 +162,8 @@ class LogReader:
             self._open(path)
             return True
         says, lost = missing_part(self.path, name)
-        self.complete, self.finished = not lost, not lost
+        self.complete = not lost
+        self.finished = not lost
         self.damage, self.alone = (says, "") if lost else ("", says)
         return False
 
@@ -187,8 +189,10 @@ class LogReader:
 
     def _note_all(self, part: int) -> None:
         """Go from record to record, up to the footer."""
-        stream, begins = self._streams[part], len(self.chunks)
-        at, summary_at = len(MAGIC), 0
+        stream = self._streams[part]
+        begins = len(self.chunks)
+        at = len(MAGIC)
+        summary_at = 0
         size = os.fstat(stream.fileno()).st_size
         while True:
             self.good_bytes = self._begins[part] + at
@@ -203,7 +207,8 @@ class LogReader:
                 raise DamageError(CUT)
             if opcode == Opcode.FOOTER:
                 _check_end(stream, length, summary_at)
-                self.complete, self.good_bytes = True, self._begins[part] + stream.tell()
+                self.complete = True
+                self.good_bytes = self._begins[part] + stream.tell()
                 return
             self._note(opcode, at, length, part, len(self.chunks) == begins)
             at += length
@@ -270,7 +275,8 @@ class LogReader:
     def _damaged(self, part: int, why: str) -> None:
         """Note that reading ends here, and why."""
         where = f"{self.files[part].name}: " if part else ""
-        self.complete, self.damage = False, f"{where}{why}"
+        self.complete = False
+        self.damage = f"{where}{why}"
 
     def require_header(self) -> Header:
         """The metadata of the recording.
@@ -374,7 +380,8 @@ class LogReader:
 
     def _records(self, data: memoryview) -> list[Found]:
         found: list[Found] = []
-        at, size = 0, len(data)
+        at = 0
+        size = len(data)
         topics = {i: channel.topic for i, channel in self.channels.items()}
         while at < size:
             opcode, length = _HEAD.unpack_from(data, at)
@@ -391,7 +398,8 @@ class LogReader:
             elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
                 record = parse(opcode, bytes(data[at : at + length]))
                 if isinstance(record, Channel):
-                    self.channels[record.id], topics[record.id] = record, record.topic
+                    self.channels[record.id] = record
+                    topics[record.id] = record.topic
                 else:
                     self.schemas[record.id] = record
             else:  # skipping a chunk of zeros nine bytes at a time would take minutes
@@ -408,15 +416,18 @@ def _check_end(stream: BinaryIO, length: int, summary_at: int) -> None:
         raise DamageError(CUT)
     if len(footer) != _FOOTER.size:
         raise DamageError("the index at its end is damaged")
-    announced, end = _FOOTER.unpack(footer)[2], stream.tell()
+    announced = _FOOTER.unpack(footer)[2]
+    end = stream.tell()
     if announced:
         stream.seek(summary_at)
-        crc, left = 0, footer_at + _FOOTER.size - 4 - summary_at
+        crc = 0
+        left = footer_at + _FOOTER.size - 4 - summary_at
         while left:
             piece = stream.read(min(left, 2**20))
             if not piece:
                 raise DamageError(CUT)
-            crc, left = zlib.crc32(piece, crc), left - len(piece)
+            crc = zlib.crc32(piece, crc)
+            left = left - len(piece)
         if crc != announced:
             raise DamageError("the index at its end is damaged: its checksum is wrong")
     stream.seek(end)

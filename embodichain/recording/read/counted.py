@@ -41,7 +41,8 @@ class Counting:
     """
 
     def __init__(self, header: Header) -> None:
-        self._quota, self._lists = header.quota, header.lists_counted
+        self._quota = header.quota
+        self._lists = header.lists_counted
         self._listed: set[tuple[int, int]] = set()
 
     def add(self, data: bytes | memoryview) -> None:

@@ -73,7 +73,8 @@ class Ends:
         # Searching the bytes is 10 times faster than `any`, and this runs in every step.
         if 1 not in step.terminated.tobytes() and 1 not in step.truncated.tobytes():
             return None
-        ids, info = np.flatnonzero(step.terminated | step.truncated), step.info
+        ids = np.flatnonzero(step.terminated | step.truncated)
+        info = step.info
         success = info.get("success") if judged else None
         reasons = {**terms, **{name: info[key] for name, key in _OUTCOMES.items() if key in info}}
         return cls(
@@ -118,8 +119,10 @@ class EpisodeSums:
         self, episodes: NDArray[np.int64], returns: NDArray[Any], lengths: NDArray[np.int64]
     ) -> None:
         """Continue with these episodes, sums and numbers, (N,) each."""
-        self._episodes, self._known = episodes.copy(), episodes.tobytes()
-        self.returns[:], self.lengths[:] = returns, lengths
+        self._episodes = episodes.copy()
+        self._known = episodes.tobytes()
+        self.returns[:] = returns
+        self.lengths[:] = lengths
 
     def add(self, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
         """Add a control step: (N,) rewards, and the episodes it belongs to."""
@@ -216,7 +219,8 @@ def decode_ends(data: bytes | memoryview) -> list[LogEpisode]:
         message.ParseFromString(bytes(data))
     except DecodeError as error:
         raise DamageError(f"an end of episodes is damaged: {error}") from error
-    n, last = len(message.env_ids), message.step
+    n = len(message.env_ids)
+    last = message.step
     success: list[bool | None] = [*_flags(message.success)] or [None] * n
     fired = _rows(message.reason, _flags(message.reasons), n)
     metrics = _rows(message.metric, message.metrics, n)

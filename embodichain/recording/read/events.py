@@ -80,7 +80,9 @@ def read_writes(reader: LogReader) -> Iterator[LogWrite]:
         LogError: If a message is damaged.
     """
     for step, kind, arrays in _calls(reader, "write"):
-        ids, columns, values = arrays.get("env_ids"), columns_of(kind.columns), arrays.get("values")
+        ids = arrays.get("env_ids")
+        columns = columns_of(kind.columns)
+        values = arrays.get("values")
         yield LogWrite(step, kind.mode, kind.name, ids, columns, values)
 
 
@@ -102,7 +104,8 @@ def read_metrics(
     Raises:
         LogError: If a message or the schema is damaged.
     """
-    header, topic = reader.require_header(), f"/env_{env}/metrics"
+    header = reader.require_header()
+    topic = f"/env_{env}/metrics"
     found = [(time_ns, data) for this, time_ns, data in reader.messages() if this == topic]
     try:
         names = _names(reader, topic)

@@ -39,7 +39,8 @@ def span_of(
         ConfigError: If the environment or the episode does not exist, or the range is empty.
     """
     log.header.check_env(env)
-    start, end = first or 0, last
+    start = first or 0
+    end = last
     if episode is not None:
         found = episode_of(log.episodes, env, episode)
         start = max(start, found.first_step)

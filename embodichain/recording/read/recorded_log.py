@@ -205,7 +205,8 @@ class RecordedLog:
 
     def _action_columns(self) -> list[Column]:
         """Names of an action's numbers, which are without unit; else their indices."""
-        width, known = self._action_width(), self.header.action
+        width = self._action_width()
+        known = self.header.action
         if len(known) == width:
             return [Column(column["name"], "") for column in known]
         return [Column(str(i), "") for i in range(width)]
@@ -249,7 +250,8 @@ class RecordedLog:
             LogError: If the log has no states, or is inconsistent.
         """
         self.header.require_states(self.path)
-        names, ids = self._fields(fields), self._envs(env)
+        names = self._fields(fields)
+        ids = self._envs(env)
         if start < 0 or (stop is not None and stop < start):
             raise ConfigError(f"steps from {start} to {stop}: give 0 <= from <= to")
         span = Span(start, None if stop is None else stop - 1)
@@ -289,7 +291,8 @@ class RecordedLog:
         if episode is not None:
             span = Span(start, None if stop is None else stop - 1)
             span = self._span_of(self._envs(env), episode, span)
-            start, stop = span.first, None if span.last is None else span.last + 1
+            start = span.first
+            stop = None if span.last is None else span.last + 1
         at: int | None = start
         while at is not None and (stop is None or at < stop):
             end = at + steps if stop is None else min(at + steps, stop)
@@ -337,7 +340,8 @@ class RecordedLog:
         With `record.state=none`, only episodes that ended are listed. With `record.every`,
         episodes that were not recorded are listed too, without their steps.
         """
-        counting, data = Counting(self.header), None
+        counting = Counting(self.header)
+        data = None
         ended = self._ended(counting)
         if self.header.state != "none":
             data = self.read(["episodes", "rewards", "terminated", "truncated"])

@@ -65,7 +65,8 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         LogError: If the metadata of `source` cannot be read.
         OSError: If the new file cannot be written; the partial file is removed.
     """
-    source, target = first_file(source), Path(target)
+    source = first_file(source)
+    target = Path(target)
     with LogReader(source) as reader:
         taken = f"{target} exists; recover writes a new file"
         if os.path.lexists(target):
@@ -88,7 +89,8 @@ class _Copy:
     """Copies what a reader finds to a new file."""
 
     def __init__(self, reader: LogReader, writer: McapWriter) -> None:
-        self._reader, self._writer = reader, writer
+        self._reader = reader
+        self._writer = writer
         self._schemas: dict[int, int] = {}
         self._channels: dict[str, int] = {}
         self.attachments: list[str] = []
@@ -101,7 +103,8 @@ class _Copy:
         Raises:
             LogError: If there is no metadata, or a channel does not belong to a log.
         """
-        reader, writer = self._reader, self._writer
+        reader = self._reader
+        writer = self._writer
         header = reader.require_header()
         sizes = header.num_envs, header.moved_width, header.nstate
         damaged = [name for name in reader.attachments if not self._attach(name)]

@@ -130,7 +130,8 @@ class Simulation(Rows):
         self._rows = self.engine.rows
         self._layout = header.slices()
         self._active = active or always(n)
-        self._exact, self._repeats = exact, exact and repeats
+        self._exact = exact
+        self._repeats = exact and repeats
 
     def begin(self, run: Run) -> None:
         """Continue from a start of the log; compare it if the preceding steps were simulated.
@@ -153,7 +154,8 @@ class Simulation(Rows):
             raise LogError(
                 f"{self.path}: step {run.first}: a start does not fit the model: {error}"
             ) from error
-        self.known, self.next_step = True, run.first
+        self.known = True
+        self.next_step = run.first
 
     def _put_fields(self, fields: dict[str, F64]) -> None:
         for again in range(2 if DERIVED_FIELDS & fields.keys() else bool(fields)):
@@ -169,7 +171,8 @@ class Simulation(Rows):
         Raises:
             DifferenceFound: If a reset gives other rows than recorded.
         """
-        engine, mode = self.engine, call.kind.mode
+        engine = self.engine
+        mode = call.kind.mode
         if mode == "set_const":
             engine.set_const(local)
         elif mode == "reset":
@@ -191,7 +194,8 @@ class Simulation(Rows):
         Raises:
             DifferenceFound: If it differs from the recorded one.
         """
-        engine, nstep = self.engine, call.kind.nstep
+        engine = self.engine
+        nstep = call.kind.nstep
         if "hashes" in call.arrays:
             engine.step(nstep, local)
             if self._repeats:

@@ -94,7 +94,8 @@ def inspect(path: str | Path) -> LogSummary:
         LogError: If it is not an embodichain log.
     """
     counts: Counter[str] = Counter()
-    steps, last_step = 0, -1
+    steps = 0
+    last_step = -1
     episodes: list[LogEpisode] = []
     with LogReader(path) as reader:
         header = reader.require_header()
@@ -106,20 +107,23 @@ def inspect(path: str | Path) -> LogSummary:
                 if topic == STEPS_TOPIC:
                     for run in unpack_steps(data, *sizes, outcomes):
                         if run.steps:
-                            steps, last_step = steps + run.steps, run.first + run.count - 1
+                            steps = steps + run.steps
+                            last_step = run.first + run.count - 1
                 elif topic == EPISODE_TOPIC:
                     episodes += decode_ends(data)
                 elif topic == COUNTED_TOPIC:
                     counting.add(data)
         except DamageError as error:
-            reader.complete, reader.damage = False, f"a message is damaged: {error}"
+            reader.complete = False
+            reader.damage = f"a message is damaged: {error}"
         # A log that ends early may list an episode although its last steps are missing.
         cut = not reader.complete and header.state != "none" and header.every == 1
         attachments, warnings = _attachments(reader)
         channels = []
         for channel in sorted(reader.channels.values(), key=lambda c: c.topic):
             schema = reader.schemas.get(channel.schema_id)
-            name, encoding = schema.name if schema is not None else "", channel.message_encoding
+            name = schema.name if schema is not None else ""
+            encoding = channel.message_encoding
             channels.append(ChannelInfo(channel.topic, name, encoding, counts[channel.topic]))
         return LogSummary(
             path=reader.path,
@@ -138,7 +142,9 @@ def inspect(path: str | Path) -> LogSummary:
 
 def _attachments(reader: LogReader) -> tuple[dict[str, int], list[str]]:
     """Sizes of the attachments, and warnings about damaged ones."""
-    sizes, warnings, model = {}, [], b""
+    sizes = {}
+    warnings = []
+    model = b""
     for name in reader.attachments:
         try:
             data = reader.attachment(name)

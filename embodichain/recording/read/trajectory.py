@@ -121,7 +121,8 @@ def _wrong(run: Run, is_start: bool, header: Header) -> str:
 
 def _needed(reader: LogReader, span: Span) -> list[ChunkPlace] | None:
     """The chunks from that of the last start before the steps; None for all chunks."""
-    header, chunks = reader.require_header(), reader.chunks
+    header = reader.require_header()
+    chunks = reader.chunks
     time_ns = header.start_ns + span.first * header.period_ns
     at = max((i for i, c in enumerate(chunks) if c.start_ns <= time_ns), default=0)
     while at > 0:
@@ -211,7 +212,8 @@ class Rows:
         """
         _, take = self.chosen(None)
         self._rows[:] = run.calls[0].arrays["row"][0][take]
-        self.known, self.next_step = True, run.first
+        self.known = True
+        self.next_step = run.first
 
     def apply(self, step: int, call: Call, t: int) -> None:
         """Apply a call.
@@ -280,7 +282,8 @@ class Rows:
         if "rows" not in call.arrays:
             self.known = False
             return
-        returned, rows = call.arrays["rows"][t], self._rows
+        returned = call.arrays["rows"][t]
+        rows = self._rows
         whole = isinstance(take, slice)
         for here, there in self.moved.spans:
             found = returned[:, there]

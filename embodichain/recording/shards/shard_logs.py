@@ -124,7 +124,8 @@ class ShardLogs:
         policy: str = "",
         quota: Sequence[int] | None = None,
     ) -> None:
-        self._path, self._env = path, env
+        self._path = path
+        self._env = env
         pool = env.pool
         self.entries = [
             ShardEntry(shard_log(path.name, k), first, count)
@@ -175,7 +176,8 @@ class ShardLogs:
 
 def _local_options(options: RecordOptions, entry: ShardEntry) -> RecordOptions:
     """The options with the shard's own numbers of environments."""
-    span, images = (entry.first_env, entry.num_envs), options.images
+    span = (entry.first_env, entry.num_envs)
+    images = options.images
     if images is not None:
         mine = numbers_in_shard(images.envs, *span)
         images = replace(images, envs=mine) if mine else None

@@ -99,7 +99,8 @@ class ShardedLog(Log):
         stop: int | None = None,
     ) -> LogArrays:
         """See `RecordedLog.read`."""
-        names, ids = self._fields(fields), self._envs(env)
+        names = self._fields(fields)
+        ids = self._envs(env)
         parts = []
         for log, first in zip(self.shards, self.firsts, strict=True):
             mine = ids[(ids >= first) & (ids < first + log.num_envs)] - first
@@ -158,7 +159,8 @@ def _joined_header(logs: Sequence[Log], firsts: Sequence[int]) -> Header:
     first = logs[0].header
     for log in logs[1:]:
         for name in _SAME:
-            mine, other = getattr(log.header, name), getattr(first, name)
+            mine = getattr(log.header, name)
+            other = getattr(first, name)
             if mine != other:
                 found = f"{name} is {mine}, not {other}"
                 raise LogError(f"{log.path} is not of the batch of {logs[0].path}: {found}")

@@ -81,7 +81,9 @@ class Frames:
         for env_id, (x, y, z) in zip(env_ids, offsets.tolist(), strict=True):
             root, *names = frame_names(model, env_id)
             base = add(parent_frame_id="world", child_frame_id=root)
-            base.translation.x, base.translation.y, base.translation.z = x, y, z
+            base.translation.x = x
+            base.translation.y = y
+            base.translation.z = z
             base.rotation.w = 1.0
             frames = [add(parent_frame_id=root, child_frame_id=name) for name in names]
             self._bodies.append([(frame.translation, frame.rotation) for frame in frames])
@@ -89,7 +91,8 @@ class Frames:
 
     def place(self, index: int, data: mujoco.MjData) -> None:
         """Copy the body poses of the index-th environment from its kinematics."""
-        positions, rotations = data.xpos[1:].tolist(), data.xquat[1:].tolist()
+        positions = data.xpos[1:].tolist()
+        rotations = data.xquat[1:].tolist()
         for (p, q), xyz, wxyz in zip(self._bodies[index], positions, rotations, strict=True):
             p.x, p.y, p.z = xyz
             q.w, q.x, q.y, q.z = wxyz
@@ -98,7 +101,8 @@ class Frames:
         """Return the serialized message."""
         seconds, nanos = divmod(time_ns, 1_000_000_000)
         for timestamp in self._times:
-            timestamp.seconds, timestamp.nanos = seconds, nanos
+            timestamp.seconds = seconds
+            timestamp.nanos = nanos
         data: bytes = self._message.SerializeToString()
         return data
 
@@ -107,7 +111,8 @@ class Joints:
     """`/env_I/joint_states`: every hinge and slide joint, updated for each environment."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        joints, layout = scalar_joints(model), row_layout(model)
+        joints = scalar_joints(model)
+        layout = row_layout(model)
         ids = np.array(list(joints.values()), np.int64)
         self._qpos = layout["qpos"].start + model.jnt_qposadr[ids]
         self._qvel = layout["qvel"].start + model.jnt_dofadr[ids]
@@ -122,9 +127,11 @@ class Joints:
             row: (nstate,) state: positions (rad or m) and velocities (rad/s or m/s) are read.
         """
         self._message.timestamp.FromNanoseconds(time_ns)
-        positions, velocities = row[self._qpos].tolist(), row[self._qvel].tolist()
+        positions = row[self._qpos].tolist()
+        velocities = row[self._qvel].tolist()
         for joint, qpos, qvel in zip(self._joints, positions, velocities, strict=True):
-            joint.position, joint.velocity = qpos, qvel
+            joint.position = qpos
+            joint.velocity = qvel
         data: bytes = self._message.SerializeToString()
         return data
 

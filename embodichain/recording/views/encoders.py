@@ -89,9 +89,11 @@ class H264Encoder:
         per_second = max(_SLOWEST, Fraction(rate).limit_denominator(1000))
         self._av: Any = av
         self._codec: Any = av.CodecContext.create("libx264", "w")
-        self._codec.width, self._codec.height = width, height
+        self._codec.width = width
+        self._codec.height = height
         self._codec.pix_fmt = "yuv420p"
-        self._codec.time_base, self._codec.framerate = 1 / per_second, per_second
+        self._codec.time_base = 1 / per_second
+        self._codec.framerate = per_second
         self._codec.gop_size = max(1, round(rate))
         self._codec.thread_count = 1
         tuning = {"preset": "veryfast", "tune": "zerolatency", "crf": "20"}
@@ -101,5 +103,6 @@ class H264Encoder:
     def __call__(self, rgb: NDArray[np.uint8]) -> bytes:
         """Encode an (H, W, 3) picture: one access unit."""
         frame = self._av.VideoFrame.from_ndarray(rgb, format="rgb24")
-        frame.pts, self._count = self._count, self._count + 1
+        frame.pts = self._count
+        self._count = self._count + 1
         return b"".join(bytes(packet) for packet in self._codec.encode(frame))

@@ -83,7 +83,9 @@ class Images:
         now: Callable[[], int],
         wanted: Callable[[str], bool] | None = None,
     ) -> None:
-        self._options, self._sink, self._now = options, sink, now
+        self._options = options
+        self._sink = sink
+        self._now = now
         self._wanted = wanted or (lambda topic: True)
         self._env_ids = sorted(set(options.envs))
         cameras = camera_sensors(env)
@@ -134,7 +136,8 @@ class Images:
             step: The control step before its physics.
             rows: (N, nstate) rows.
         """
-        all_due, due = step % self._every == 0, self._due
+        all_due = step % self._every == 0
+        due = self._due
         self._due = set()
         self.send(rows, [i for i in self._env_ids if all_due or i in due])
 
@@ -228,8 +231,10 @@ def _shots(env: ObservedEnv, cameras: list[Camera], options: ImageOptions) -> di
 def _scene_shot(model: mujoco.MjModel, camera: int) -> Shot:
     """How a camera of the scene that is no sensor is drawn: in full look."""
     width, height = camera_size(model, camera)
-    extent, planes = float(model.stat.extent), model.vis.map
-    near, far = float(planes.znear) * extent, float(planes.zfar) * extent
+    extent = float(model.stat.extent)
+    planes = model.vis.map
+    near = float(planes.znear) * extent
+    far = float(planes.zfar) * extent
     return Shot(model.camera(camera).name, width, height, near, far, "full", ("color",))
 
 
@@ -266,7 +271,9 @@ def _transform(feed: _Feed, view: View, time_ns: int) -> Any:
     frame.timestamp.FromNanoseconds(time_ns)
     x, y, z = view.position[0].tolist()
     quat = matrix_to_quat(np.asarray(view.axes, np.float64)[:1] * _ROS_AXES)[0]
-    frame.translation.x, frame.translation.y, frame.translation.z = x, y, z
+    frame.translation.x = x
+    frame.translation.y = y
+    frame.translation.z = z
     rotation = frame.rotation
     rotation.w, rotation.x, rotation.y, rotation.z = quat.tolist()
     return message

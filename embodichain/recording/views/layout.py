@@ -53,7 +53,8 @@ def foxglove_layout(
     """
     text = resources.files(__package__).joinpath("layout.json").read_text("utf-8")
     layout: dict[str, Any] = json.loads(text)
-    panels, model = layout["configById"], env.sim.engine.model
+    panels = layout["configById"]
+    model = env.sim.engine.model
     drawn = ("scene", "markers") if Commands(env).drawn else ("scene",)
     topics = [f"/env_{i}/{name}" for i in view_envs for name in drawn]
     panels["3D!scene"]["topics"] = {topic: {"visible": True} for topic in topics}

@@ -81,7 +81,9 @@ def camera_sensors(env: ObservedEnv) -> list[Camera]:
 
 def shots_of(sensor: Camera) -> dict[str, Shot]:
     """How a camera sensor is drawn, by the name of the picture: one shot, or left and right."""
-    cfg, model, index = sensor.cfg, sensor.engine.model, sensor.index
+    cfg = sensor.cfg
+    model = sensor.engine.model
+    index = sensor.index
     how = cfg.width, cfg.height, cfg.near, cfg.far, cfg.look, sensor.outputs
     return {
         name: Shot(model.camera(camera).name, *how)
@@ -196,8 +198,10 @@ class FirstPictures:
     """
 
     def __init__(self, env: ObservedEnv, sink: Sink, now: Callable[[], int]) -> None:
-        self._engine, self._cameras = env.sim.engine, camera_sensors(env)
-        self._sink, self._now = sink, now
+        self._engine = env.sim.engine
+        self._cameras = camera_sensors(env)
+        self._sink = sink
+        self._now = now
         self._begun: set[int] = set()
         self._renderer: RowRenderer | None = None
         self._is_off = False
@@ -217,7 +221,8 @@ class FirstPictures:
             step: The control step.
             rows: (N, nstate) rows before its physics.
         """
-        ids, self._begun = sorted(self._begun), set()
+        ids = sorted(self._begun)
+        self._begun = set()
         shots = [
             s for camera in self._cameras if camera.was_drawn for s in shots_of(camera).values()
         ]
@@ -266,7 +271,8 @@ def _decoded(data: bytes) -> _Hashed:
         message = message_class("Pictures").FromString(data)
     except DecodeError as error:
         raise DamageError(f"hashes of pictures are damaged: {error}") from error
-    size, planes = (message.width, message.height), (message.near, message.far)
+    size = (message.width, message.height)
+    planes = (message.near, message.far)
     shot = Shot(message.camera, *size, *planes, message.look, tuple(message.outputs))
     sizes = 0 < shot.width <= LARGEST_SIDE and 0 < shot.height <= LARGEST_SIDE
     known = shot.look in _LOOKS and shot.outputs and not set(shot.outputs) - set(_OUTPUTS)

@@ -61,7 +61,8 @@ class Scenes:
             model: The environment's model; its meshes must be the same in every call.
             env_id: The environment.
         """
-        names, update = frame_names(model, env_id), SceneUpdate()
+        names = frame_names(model, env_id)
+        update = SceneUpdate()
         entities: dict[int, Any] = {}
         for shape in shapes(model):
             entity = entities.get(shape.body)
@@ -86,7 +87,8 @@ class Scenes:
         elif shape.kind == "ellipsoid":
             entity.spheres.add(size=_xyz(size), **common)
         elif shape.kind == "mesh":
-            unit, data = Vector3(x=1.0, y=1.0, z=1.0), self._mesh(model, shape.geom)
+            unit = Vector3(x=1.0, y=1.0, z=1.0)
+            data = self._mesh(model, shape.geom)
             kind = {"media_type": MEDIA_TYPE, "override_color": True}
             entity.models.add(scale=unit, data=data, **kind, **common)
         else:  # a cylinder; a capsule is drawn as a cylinder with two spheres
@@ -158,7 +160,8 @@ class Commands:
         """
         update = SceneUpdate()
         for (name, command), row in zip(self._drawn.items(), values, strict=True):
-            is_pose, body = command.marker.kind == "pose", int(command.marker.body)
+            is_pose = command.marker.kind == "pose"
+            body = int(command.marker.body)
             entity = update.entities.add(id=f"env_{env_id}/commands/{name}")
             entity.timestamp.FromNanoseconds(time_ns)
             entity.frame_locked = is_pose  # it moves with the body
@@ -187,7 +190,8 @@ def _add_velocity(arrows: Any, command: F64, data: mujoco.MjData, body: int) -> 
         body: The body that moves.
     """
     forward, left, turn = command.tolist()
-    origin, matrix = data.xpos[body] + (0.0, 0.0, ABOVE), data.xmat[body]
+    origin = data.xpos[body] + (0.0, 0.0, ABOVE)
+    matrix = data.xmat[body]
     speed = math.hypot(forward, left)
     if speed:
         half = 0.5 * (math.atan2(matrix[3], matrix[0]) + math.atan2(left, forward))
@@ -202,6 +206,7 @@ def _add_arrow(arrows: Any, origin: F64, quat: F64, length: float, color: Color)
     head = min(0.3 * length, 0.06)
     size = {"shaft_length": length - head, "head_length": head}
     arrow = arrows.add(**size, shaft_diameter=0.015, head_diameter=0.035, color=color)
-    position, orientation = arrow.pose.position, arrow.pose.orientation
+    position = arrow.pose.position
+    orientation = arrow.pose.orientation
     position.x, position.y, position.z = origin.tolist()
     orientation.w, orientation.x, orientation.y, orientation.z = quat.tolist()

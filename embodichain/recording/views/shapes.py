@@ -108,7 +108,8 @@ def shapes(model: mujoco.MjModel) -> Iterator[Shape]:
 
 def _shape(model: mujoco.MjModel, geom: int, rgba: F64) -> Shape:
     kind = int(model.geom_type[geom])
-    pos, quat = model.geom_pos[geom].copy(), model.geom_quat[geom].copy()
+    pos = model.geom_pos[geom].copy()
+    quat = model.geom_quat[geom].copy()
     half = model.geom_size[geom].copy()
     if kind == _T.mjGEOM_SPHERE:
         half[:] = half[0]
@@ -130,7 +131,8 @@ def _rgba(model: mujoco.MjModel, geom: int) -> F64:
 
     A texture is replaced by its mean, since viewers' primitives have one colour.
     """
-    own, material = model.geom_rgba[geom], int(model.geom_matid[geom])
+    own = model.geom_rgba[geom]
+    material = int(model.geom_matid[geom])
     rgba = np.asarray(own, np.float64)
     if material < 0 or not np.array_equal(own, _GREY):
         return rgba
@@ -153,15 +155,18 @@ def mesh_of(model: mujoco.MjModel, geom: int) -> Mesh:
     index = int(model.geom_dataid[geom])
     if int(model.geom_type[geom]) == _T.mjGEOM_HFIELD:
         return _height_field(model, index)
-    start, count = int(model.mesh_vertadr[index]), int(model.mesh_vertnum[index])
+    start = int(model.mesh_vertadr[index])
+    count = int(model.mesh_vertnum[index])
     vertices = model.mesh_vert[start : start + count]
-    start, count = int(model.mesh_faceadr[index]), int(model.mesh_facenum[index])
+    start = int(model.mesh_faceadr[index])
+    count = int(model.mesh_facenum[index])
     return Mesh(vertices, model.mesh_face[start : start + count])
 
 
 def _height_field(model: mujoco.MjModel, index: int) -> Mesh:
     """The surface of a height field: two triangles for each run of cells along x in one plane."""
-    rows, columns = int(model.hfield_nrow[index]), int(model.hfield_ncol[index])
+    rows = int(model.hfield_nrow[index])
+    columns = int(model.hfield_ncol[index])
     half_x, half_y, height, _ = model.hfield_size[index]
     start = int(model.hfield_adr[index])
     x, y = np.meshgrid(np.linspace(-half_x, half_x, columns), np.linspace(-half_y, half_y, rows))
@@ -174,7 +179,10 @@ def _height_field(model: mujoco.MjModel, index: int) -> Mesh:
     first[:, 1:] = np.ptp(along, axis=0) > _PLANE
     last = np.roll(first, -1, axis=1)
     last[:, -1] = True
-    a, b, c, d = ids[:-1, :-1][first], ids[:-1, 1:][last], ids[1:, 1:][last], ids[1:, :-1][first]
+    a = ids[:-1, :-1][first]
+    b = ids[:-1, 1:][last]
+    c = ids[1:, 1:][last]
+    d = ids[1:, :-1][first]
     faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=1)
     return Mesh(vertices, faces.reshape(-1, 3))
 
@@ -191,14 +199,16 @@ def corner_normals(mesh: Mesh) -> F64:
     units = _normalized(areas, up)
     # All pairs of corners (3 x face + index) that share a vertex, including pairs of equal corners.
     vertex = mesh.faces.reshape(-1)
-    order, count = np.argsort(vertex, kind="stable"), np.bincount(vertex)
+    order = np.argsort(vertex, kind="stable")
+    count = np.bincount(vertex)
     start = np.cumsum(count) - count
     repeat = np.where(count[vertex] > _MOST_FACES, 0, count[vertex])
     one = np.repeat(np.arange(len(vertex)), repeat)
     within = np.arange(len(one)) - np.repeat(np.cumsum(repeat) - repeat, repeat)
     other = order[start[vertex[one]] + within]
     near = (units[one // 3] * units[other // 3]).sum(axis=1) >= _SHARP
-    one, weights = one[near], areas[other[near] // 3]
+    one = one[near]
+    weights = areas[other[near] // 3]
     sums = [np.bincount(one, weights[:, axis], len(vertex)) for axis in range(3)]
     return _normalized(np.stack(sums, axis=1), np.repeat(units, 3, axis=0))
 
@@ -218,7 +228,8 @@ def glb(mesh: Mesh) -> bytes:
     """
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     rows, index = _unique(np.concatenate([corners, corner_normals(mesh)], axis=1).astype("<f4"))
-    points, normals = rows[:, :3], rows[:, 3:]
+    points = rows[:, :3]
+    normals = rows[:, 3:]
     buffers = [points.tobytes(), normals.tobytes(), index.astype("<u4").tobytes()]
     ends = np.cumsum([len(buffer) for buffer in buffers]).tolist()  # multiples of four
     views = [

@@ -77,7 +77,8 @@ class Views:
         self._ids = np.array(sorted(set(options.view_envs)), np.int64)
         self._is_viewed = np.zeros(env.num_envs, np.bool_)
         self._is_viewed[self._ids] = True
-        self._sink, self._now = sink, now
+        self._sink = sink
+        self._now = now
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
         self._due: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
         """Environments with a scene to write; True: even if it is unchanged."""
@@ -141,7 +142,8 @@ class Views:
             return
         if step % self._every and not self._due and not last:
             return
-        self._sampled, time_ns = step, self._now()
+        self._sampled = step
+        time_ns = self._now()
         scenes = [
             (self._viewed[env_id].scene, scene)
             for env_id, anyway in self._due.items()
@@ -217,7 +219,8 @@ class Views:
         if ended:
             self._say_endings(step, record)
         if self._viewed and step % self._every == 0:
-            scalars, time_ns = self.declare(record), self._now()
+            scalars = self.declare(record)
+            time_ns = self._now()
             weights = {} if self._rewards is None else self._rewards.weights
             metrics = zip(self._viewed.values(), scalars.of(record, weights), strict=True)
             self._sink.send(time_ns, ((v.metrics, scalars.encode(values)) for v, values in metrics))
@@ -263,8 +266,12 @@ class _Viewed:
     """
 
     def __init__(self, engine: Engine, env_id: int, scenes: Scenes, changed: set[str]) -> None:
-        self._engine, self._env_id, self._scenes = engine, env_id, scenes
-        self._model, self.owns_model, self._stale = engine.model, False, True
+        self._engine = engine
+        self._env_id = env_id
+        self._scenes = scenes
+        self._model = engine.model
+        self.owns_model = False
+        self._stale = True
         self.changed = set(changed)
         names = "scene", "joint_states", "markers", "metrics"
         self.scene, self.joints, self.markers, self.metrics = (f"/env_{env_id}/{n}" for n in names)
@@ -274,7 +281,8 @@ class _Viewed:
         """The environment's model with the current values of the fields in `_SEEN`."""
         if self.changed:
             if not self.owns_model:
-                self._model, self.owns_model = copy.copy(self._model), True
+                self._model = copy.copy(self._model)
+                self.owns_model = True
             for field in self.changed:
                 values = self._engine.model_field(field)[self._env_id]
                 getattr(self._model, field).reshape(-1)[:] = values
