@@ -39,15 +39,16 @@ def span_of(
         ConfigError: If the environment or the episode does not exist, or the range is empty.
     """
     log.header.check_env(env)
-    start = first or 0
-    end = last
+    if first is None:
+        first = 0
     if episode is not None:
-        found = episode_of(log.episodes, env, episode)
-        start = max(start, found.first_step)
-        end = found.last_step if end is None else min(end, found.last_step)
-    if start < 0 or (end is not None and end < start):
-        raise ConfigError(f"no control steps from {start} to {end}")
-    return Span(start, end)
+        episode_steps = episode_of(log.episodes, env, episode)
+        first = max(first, episode_steps.first_step)
+        if last is None or last > episode_steps.last_step:
+            last = episode_steps.last_step
+    if first < 0 or (last is not None and last < first):
+        raise ConfigError(f"no control steps from {first} to {last}")
+    return Span(first, last)
 
 
 def follower_of(log: RecordedLog, env: int) -> Simulation:
@@ -60,10 +61,14 @@ def follower_of(log: RecordedLog, env: int) -> Simulation:
     log.header.check_env(env)
     log, env = log.part_of(env)
     log.header.require_states(log.path)
-    simulates = log.header.keyframe_every > 0
-    model = log.model_to_simulate if simulates else log.model
-    active = always(1) if simulates else never(1)
-    return Simulation(log.reader, model, np.array([env], np.int64), active, num_threads=1)
+    if log.header.keyframe_every > 0:
+        model = log.model_to_simulate
+        active = always(1)
+    else:
+        model = log.model
+        active = never(1)
+    env_ids = np.array([env], np.int64)
+    return Simulation(log.reader, model, env_ids=env_ids, active=active, num_threads=1)
 
 
 class Playback:
@@ -107,5 +112,5 @@ class Playback:
         """
         for run, t in follow(self.log.reader, self._simulation, span):
             step = run.first + t
-            if not (step - span.first) % every:
+            if (step - span.first) % every == 0:
                 yield step
