@@ -222,7 +222,7 @@ class RecordedLog:
         """Number of columns of an action; 0 if the log has no steps."""
         for run in runs(self.reader, is_read=outcomes):
             if run.steps:
-                return run.calls[-1].arrays["action"].shape[-1]
+                return int(run.calls[-1].arrays["action"].shape[-1])
         return 0
 
     @property
