@@ -226,8 +226,13 @@ def _verify(path: Path, options: SimpleNamespace) -> int:
             if display.due:
                 display.show(steps, {})
 
-        how = options.env, options.episode
-        report = verify(path, *how, progress=progress, images=options.images)
+        report = verify(
+            path,
+            env=options.env,
+            episode=options.episode,
+            progress=progress,
+            images=options.images,
+        )
     if options.json:
         print_json(asdict(report))
     elif not report.ok:
@@ -243,13 +248,23 @@ def _film(path: Path, options: SimpleNamespace) -> int:
     from embodichain.recording.shards import joining
 
     out = Path(options.video)
-    part = options.env or 0, options.episode, options.start, options.last
-    pixels = pair("--size", options.size or "640x480", "WIDTHxHEIGHT in pixels, such as 640x480")
-    how = options.speed or 1.0, pixels, options.camera
+    size = pair("--size", options.size or "640x480", "WIDTHxHEIGHT in pixels, such as 640x480")
     quiet = options.quiet or options.json
     display = ProgressDisplay("film", None, "pictures", quiet=quiet)
     with joining.open(path) as log, StopFlag() as stop, display:
-        filmed = film_log(log, out, *part, *how, film_progress(display), stop.is_stopped)
+        filmed = film_log(
+            log,
+            out,
+            env=options.env or 0,
+            episode=options.episode,
+            first=options.start,
+            last=options.last,
+            speed=options.speed or 1.0,
+            size=size,
+            camera=options.camera,
+            progress=film_progress(display),
+            stop=stop.is_stopped,
+        )
         say_warnings(log.path, log.warnings)
     if filmed.pictures:
         nbytes = out.stat().st_size
@@ -265,17 +280,25 @@ def _film(path: Path, options: SimpleNamespace) -> int:
 
 def _view(path: Path, options: SimpleNamespace) -> int:
     """Play until the window is closed or Ctrl-C is pressed."""
-    from embodichain.recording.read.playback import span_of
+    from embodichain.recording.read.playback import Stretch
     from embodichain.recording.shards import joining
     from embodichain.recording.viewers.log_player import play_log
 
-    part = options.episode, options.start, options.last
+    stretch = Stretch(options.env or 0, options.episode, options.start, options.last)
     with StopFlag() as stop, joining.open(path) as log:
-        span_of(log, options.env or 0, *part)  # a mistake is reported before a window opens
+        stretch.span_in(log)  # a mistake is reported before a window opens
         say_warnings(log.path, log.warnings)
         screen = _screen(log, options, stop)
         try:
-            play_log(log, screen, *part, options.speed or 1.0, stop.is_stopped)
+            play_log(
+                log,
+                screen,
+                episode=options.episode,
+                first=options.start,
+                last=options.last,
+                speed=options.speed or 1.0,
+                stopped=stop.is_stopped,
+            )
         finally:
             screen.close()
     return process.OK

@@ -6,6 +6,7 @@ The engine has the recorded rows and model fields; only states between keyframes
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +17,42 @@ from embodichain.recording.read.simulation import Simulation, always, never
 from embodichain.recording.read.trajectory import Span, follow
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["Playback", "Span", "follower_of", "span_of"]
+__all__ = ["Playback", "Span", "Stretch", "follower_of", "span_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Which part of a log is played.
+
+    Attributes:
+        env: The environment.
+        episode: One of its episodes; None is all.
+        first: First control step, counted from the start of the log; None is the first.
+        last: Last control step, included; None is the last.
+    """
+
+    env: int = 0
+    episode: int | None = None
+    first: int | None = None
+    last: int | None = None
+
+    def span_in(self, log: RecordedLog) -> Span:
+        """The control steps of this stretch in a log.
+
+        Raises:
+            ConfigError: If the environment or the episode does not exist, or the range is empty.
+        """
+        log.header.check_env(self.env)
+        first = 0 if self.first is None else self.first
+        last = self.last
+        if self.episode is not None:
+            episode = episode_of(log.episodes, self.env, self.episode)
+            first = max(first, episode.first_step)
+            if last is None or last > episode.last_step:
+                last = episode.last_step
+        if first < 0 or (last is not None and last < first):
+            raise ConfigError(f"no control steps from {first} to {last}")
+        return Span(first, last)
 
 
 def span_of(
@@ -26,29 +62,8 @@ def span_of(
     first: int | None = None,
     last: int | None = None,
 ) -> Span:
-    """The selected control steps.
-
-    Args:
-        log: The log.
-        env: The environment.
-        episode: One of its episodes; None is all.
-        first: First control step, counted from the start of the log; None is the first.
-        last: Last control step, included; None is the last.
-
-    Raises:
-        ConfigError: If the environment or the episode does not exist, or the range is empty.
-    """
-    log.header.check_env(env)
-    if first is None:
-        first = 0
-    if episode is not None:
-        episode_steps = episode_of(log.episodes, env, episode)
-        first = max(first, episode_steps.first_step)
-        if last is None or last > episode_steps.last_step:
-            last = episode_steps.last_step
-    if first < 0 or (last is not None and last < first):
-        raise ConfigError(f"no control steps from {first} to {last}")
-    return Span(first, last)
+    """The control steps of a `Stretch`, given by its attributes."""
+    return Stretch(env, episode, first, last).span_in(log)
 
 
 def follower_of(log: RecordedLog, env: int) -> Simulation:
