@@ -43,7 +43,9 @@ def encoder_of(name: str, width: int, height: int, rate: float) -> Encoder:
     """
     if name == "h264":
         return H264Encoder(width, height, rate)
-    return jpeg if name == "jpeg" else png
+    if name == "jpeg":
+        return jpeg
+    return png
 
 
 def jpeg(rgb: NDArray[np.uint8]) -> bytes:
@@ -96,13 +98,17 @@ class H264Encoder:
         self._codec.framerate = per_second
         self._codec.gop_size = max(1, round(rate))
         self._codec.thread_count = 1
-        tuning = {"preset": "veryfast", "tune": "zerolatency", "crf": "20"}
-        self._codec.options = {**tuning, "x264-params": _X264}
+        self._codec.options = {
+            "preset": "veryfast",
+            "tune": "zerolatency",
+            "crf": "20",
+            "x264-params": _X264,
+        }
         self._count = 0
 
     def __call__(self, rgb: NDArray[np.uint8]) -> bytes:
         """Encode an (H, W, 3) picture: one access unit."""
         frame = self._av.VideoFrame.from_ndarray(rgb, format="rgb24")
         frame.pts = self._count
-        self._count = self._count + 1
+        self._count += 1
         return b"".join(bytes(packet) for packet in self._codec.encode(frame))
