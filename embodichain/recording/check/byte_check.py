@@ -184,8 +184,7 @@ class _File:
         report: The damage is added to it.
 
     Attributes:
-        looks_like_a_log: Whether a metadata record, or the recorder's name at the beginning, was
-            found.
+        looks_like_a_log: Whether it has a metadata record, or the recorder's name at the beginning.
     """
 
     def __init__(self, path: Path, report: ByteReport) -> None:
@@ -223,7 +222,9 @@ class _File:
             if magic == MAGIC or closed:
                 self._crc = zlib.crc32(magic)
                 if magic != MAGIC:
-                    self._add("opening magic", "", 0, len(MAGIC), "it is not that of MCAP")
+                    self._add(
+                        "opening magic", offset=0, nbytes=len(MAGIC), why="it is not that of MCAP"
+                    )
                 self._records(stream, size, closed)
         self._compare_attachments()
         self._check_whole()
@@ -236,8 +237,16 @@ class _File:
         stream.seek(max(0, size - len(MAGIC)))
         return stream.read(len(MAGIC)) == MAGIC and size > len(MAGIC)
 
-    def _add(self, kind: str, name: str, offset: int, nbytes: int, why: str) -> None:
-        self._damage.append(Damage(self._path.name, kind, name, offset, nbytes, why))
+    def _add(self, kind: str, *, name: str = "", offset: int, nbytes: int, why: str) -> None:
+        damage = Damage(
+            file=self._path.name,
+            kind=kind,
+            name=name,
+            offset=offset,
+            nbytes=nbytes,
+            why=why,
+        )
+        self._damage.append(damage)
 
     def _records(self, stream: BinaryIO, size: int, closed: bool) -> None:
         """Check record after record up to the footer, or to where a broken file ends."""
@@ -247,7 +256,7 @@ class _File:
             head = stream.read(_HEAD.size)
             if len(head) < _HEAD.size:
                 if closed:
-                    self._add("record", "", at, len(head), "a footer should be here")
+                    self._add("record", offset=at, nbytes=len(head), why="a footer should be here")
                 return
             opcode, length = _HEAD.unpack(head)
             longest = _LONGEST.get(opcode, _LONGEST_OTHER)
@@ -255,13 +264,23 @@ class _File:
                 # Otherwise the file was cut here.
                 if closed or length > longest:
                     why = f"it says that its kind is {opcode} and that it has {length} bytes"
-                    self._add("head of a record", "", at, _HEAD.size, why)
+                    self._add("head of a record", offset=at, nbytes=_HEAD.size, why=why)
                 return
             if length > longest:
-                self._add("record", "", at, length, f"{length} bytes are more than a log has")
+                self._add(
+                    "record",
+                    offset=at,
+                    nbytes=length,
+                    why=f"{length} bytes are more than a log has",
+                )
                 return
             if first and opcode != Opcode.HEADER:
-                self._add("head of a record", "", at, _HEAD.size, "the first one is the header")
+                self._add(
+                    "head of a record",
+                    offset=at,
+                    nbytes=_HEAD.size,
+                    why="the first one is the header",
+                )
                 return
             data = stream.read(length)
             if opcode == Opcode.DATA_END:
@@ -288,7 +307,7 @@ class _File:
             self._chunk(at, data)
         else:
             why = f"a record of kind {opcode}, which no log has here"
-            self._add("record", "", at, _HEAD.size + len(data), why)
+            self._add("record", offset=at, nbytes=_HEAD.size + len(data), why=why)
 
     def _file_header(self, data: bytes) -> None:
         recorders_headers = [_encoded(FileHeader("", library)) for library in LIBRARIES]
@@ -298,12 +317,18 @@ class _File:
     def _attachment(self, at: int, data: bytes) -> None:
         nbytes = _HEAD.size + len(data)
         if zlib.crc32(memoryview(data)[:-4]) != int.from_bytes(data[-4:], "little"):
-            self._add("attachment", _name_in(data, 16), at, nbytes, "its checksum is wrong")
+            self._add(
+                "attachment",
+                name=_name_in(data, 16),
+                offset=at,
+                nbytes=nbytes,
+                why="its checksum is wrong",
+            )
             return
         try:
             record: Attachment = parse(Opcode.ATTACHMENT, data)
         except DamageError as error:
-            self._add("attachment", "", at, nbytes, str(error))
+            self._add("attachment", offset=at, nbytes=nbytes, why=str(error))
             return
         attached = _Attached(at, nbytes, digest_of(record.data))
         self._attached[record.name].append(attached)
@@ -316,10 +341,16 @@ class _File:
             for record in records:
                 if record.digest != digest:
                     why = "its digest is wrong"
-                    self._add("attachment", repr(name), record.offset, record.nbytes, why)
+                    self._add(
+                        "attachment",
+                        name=repr(name),
+                        offset=record.offset,
+                        nbytes=record.nbytes,
+                        why=why,
+                    )
             if not records and repr(name) not in damaged:
                 why = "the metadata list it, but it is missing"
-                self._add("attachment", repr(name), 0, 0, why)
+                self._add("attachment", name=repr(name), offset=0, nbytes=0, why=why)
 
     def _metadata(self, at: int, data: bytes) -> None:
         nbytes = _HEAD.size + len(data)
@@ -339,7 +370,7 @@ class _File:
                 if self._is_sealed and not has_seal and record.name in _SEALED:
                     raise DamageError(f"it has no {SEAL!r}")
         except DamageError as error:
-            self._add("metadata", name, at, nbytes, str(error))
+            self._add("metadata", name=name, offset=at, nbytes=nbytes, why=str(error))
             return
         if not has_seal:
             self._unsealed_bytes += len(data)
@@ -357,7 +388,9 @@ class _File:
             if _TIMES.unpack_from(data) != (min(times), max(times)):
                 raise DamageError("its times are not those of its messages")
         except (DamageError, struct.error) as error:
-            self._add("chunk", number, at, _HEAD.size + len(data), str(error))
+            self._add(
+                "chunk", name=number, offset=at, nbytes=_HEAD.size + len(data), why=str(error)
+            )
             self._index = None  # its message indexes cannot be checked
             return
         self._index = index
@@ -376,7 +409,12 @@ class _File:
             entries = []
         has_right_length = length == len(data) - _INDEX_HEAD.size
         if not has_right_length or self._index.pop(channel, None) != entries:
-            self._add("message index", "", at, nbytes, "it is not that of the chunk before it")
+            self._add(
+                "message index",
+                offset=at,
+                nbytes=nbytes,
+                why="it is not that of the chunk before it",
+            )
             self._index = None
 
     def _end_of_indexes(self) -> None:
@@ -384,7 +422,7 @@ class _File:
         if self._index:
             channels = ", ".join(map(str, self._index))
             why = f"there is none of channel {channels} of the chunk"
-            self._add("message index", "", self._chunk_at, 0, why)
+            self._add("message index", offset=self._chunk_at, nbytes=0, why=why)
         self._index = {}
 
     def _data_end(self, at: int, data: bytes) -> None:
@@ -393,7 +431,9 @@ class _File:
         if len(data) == _CRC.size:
             (self._stated_crc,) = _CRC.unpack(data)
         else:
-            self._add("DATA_END", "", at, _HEAD.size + len(data), "its length is wrong")
+            self._add(
+                "DATA_END", offset=at, nbytes=_HEAD.size + len(data), why="its length is wrong"
+            )
 
     def _check_whole(self) -> None:
         """Check the bytes that only the checksum of everything covers, and count uncovered ones.
@@ -409,13 +449,17 @@ class _File:
         at = self._data_end_at
         if not self._header_is_ours:
             nbytes = _HEAD.size + self._header_bytes
-            self._add("header", "", len(MAGIC), nbytes, "it is not that of a recorder")
+            self._add(
+                "header", offset=len(MAGIC), nbytes=nbytes, why="it is not that of a recorder"
+            )
         elif self._stated_crc == 0:
-            self._add("DATA_END", "", at, _HEAD.size + _CRC.size, "it has no checksum")
+            self._add(
+                "DATA_END", offset=at, nbytes=_HEAD.size + _CRC.size, why="it has no checksum"
+            )
         elif self._stated_crc is not None:
             nbytes = at + _HEAD.size + _CRC.size
             why = "its checksum is wrong, although that of each record in it is right"
-            self._add("data section", "", 0, nbytes, why)
+            self._add("data section", offset=0, nbytes=nbytes, why=why)
 
     def _summary(self, stream: BinaryIO, size: int, closed: bool) -> None:
         """Check the index at the end, the footer, and that nothing follows."""
@@ -430,26 +474,33 @@ class _File:
                 opcode, length = _HEAD.unpack(head)
             if not opcode or length > size - at - _HEAD.size or length > _LONGEST_OTHER:
                 if closed:
-                    self._add("index", "", begin, size - begin, "a record in it has a wrong head")
+                    self._add(
+                        "index",
+                        offset=begin,
+                        nbytes=size - begin,
+                        why="a record in it has a wrong head",
+                    )
                 return
             data = stream.read(length)
             if opcode == Opcode.FOOTER:
                 break
             crc = zlib.crc32(data, zlib.crc32(head, crc))
         if length != _FOOTER.size:
-            self._add("footer", "", at, _HEAD.size + length, "its length is wrong")
+            self._add("footer", offset=at, nbytes=_HEAD.size + length, why="its length is wrong")
             return
         crc = zlib.crc32(data[: -_CRC.size], zlib.crc32(head, crc))
         if crc != _FOOTER.unpack(data)[2]:
             nbytes = at + _HEAD.size + length - begin
-            self._add("index and footer", "", begin, nbytes, "their checksum is wrong")
+            self._add(
+                "index and footer", offset=begin, nbytes=nbytes, why="their checksum is wrong"
+            )
         end = stream.tell()
         magic = stream.read(len(MAGIC))
         if len(magic) == len(MAGIC) and magic != MAGIC:
-            self._add("closing magic", "", end, len(MAGIC), "it is not that of MCAP")
+            self._add("closing magic", offset=end, nbytes=len(MAGIC), why="it is not that of MCAP")
         remaining = size - stream.tell()
         if remaining and magic == MAGIC:
-            self._add("rest", "", stream.tell(), remaining, "the file ends before it")
+            self._add("rest", offset=stream.tell(), nbytes=remaining, why="the file ends before it")
 
 
 def _encoded(record: Metadata | FileHeader) -> bytes:

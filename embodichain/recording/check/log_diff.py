@@ -292,7 +292,14 @@ class _Comparison:
             name_a = a.call_name(index)
             name_b = b.call_name(index)
             if name_a != name_b:
-                return LogDifference(step, None, "what happened", "", a=name_a, b=name_b)
+                return LogDifference(
+                    step=step,
+                    env=None,
+                    field="what happened",
+                    column="",
+                    a=name_a,
+                    b=name_b,
+                )
             difference = self._of_calls(
                 step,
                 a.run.calls[index].kind,
@@ -329,13 +336,27 @@ class _Comparison:
             value_a = getattr(kind_a, attribute)
             value_b = getattr(kind_b, attribute)
             if value_a != value_b:
-                return LogDifference(step, None, name, attribute, a=value_a, b=value_b)
+                return LogDifference(
+                    step=step,
+                    env=None,
+                    field=name,
+                    column=attribute,
+                    a=value_a,
+                    b=value_b,
+                )
         if "hashes" in arrays_a or "hashes" in arrays_b:
             # One of them was recorded with keyframes: compare hashes of the other's rows.
             _hash_rows(arrays_a)
             _hash_rows(arrays_b)
         if arrays_a.keys() != arrays_b.keys():
-            return LogDifference(step, None, name, "values", a=sorted(arrays_a), b=sorted(arrays_b))
+            return LogDifference(
+                step=step,
+                env=None,
+                field=name,
+                column="values",
+                a=sorted(arrays_a),
+                b=sorted(arrays_b),
+            )
         for array, values in arrays_a.items():
             difference = self._of_values(step, kind_a, array, ids_a, values, arrays_b[array])
             if difference is not None:

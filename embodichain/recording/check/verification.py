@@ -155,7 +155,15 @@ def verify(
     checked = check_bytes(path)
     if checked.damage:
         return damaged(first_file(path), checked)
-    return simulate(path, checked, env, episode, num_threads, progress, images)
+    return simulate(
+        path,
+        checked,
+        env=env,
+        episode=episode,
+        num_threads=num_threads,
+        progress=progress,
+        images=images,
+    )
 
 
 def damaged(path: Path, checked: ByteReport) -> VerifyReport:

@@ -223,9 +223,10 @@ class _Player:
             or len(source.tools) != len(self._arms)
             or width != sum(self.env.single_action_space.shape or ())
         ):
-            there = f"its entities are {', '.join(target_names)}"
-            here = f"here {', '.join(self._target_names)}"
-            raise ConfigError(f"{path} is of another task: {there}, {here}; {width} actions")
+            raise ConfigError(
+                f"{path} is of another task: its entities are {', '.join(target_names)}, "
+                f"here {', '.join(self._target_names)}; {width} actions"
+            )
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin again in these environments, at the next action."""

@@ -1,6 +1,6 @@
 """The index of a collection: which episodes of its logs succeeded, and why the others failed.
 
-A folder of `embodichain collect` holds one log for each time it ran (``rollout.mcap``, after a
+A folder of `embodichain collect` has one log for each time it ran (``rollout.mcap``, after a
 resumption ``rollout-2.mcap``...), each perhaps in several files, and two lists with one JSON object
 a line: ``successes.jsonl`` and ``failures.jsonl``. A line is written when the episode is complete
 in the log on disk, so the lists are true after a kill. An episode of a log that neither list has

@@ -200,11 +200,11 @@ def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
         model = load_mjz(mjz, _stated(header, SCENE))
     except ValueError as error:
         raise LogError(f"the attachment scene.mjz cannot be loaded: {error}") from error
-    here = row_layout(model)
-    there = header.slices()
-    for name in here.keys() & there.keys() & _EXPORTED:
-        size = here[name].stop - here[name].start
-        recorded_size = there[name].stop - there[name].start
+    layout = row_layout(model)
+    recorded_layout = header.slices()
+    for name in layout.keys() & recorded_layout.keys() & _EXPORTED:
+        size = layout[name].stop - layout[name].start
+        recorded_size = recorded_layout[name].stop - recorded_layout[name].start
         if size != recorded_size:
             raise LogError(f"rows have {recorded_size} numbers of {name!r}, the model has {size}")
     return model
@@ -256,7 +256,7 @@ def what_differs(header: Header, versions: bytes | None) -> list[str]:
         return differences
     here = {"cpu": cpu_name(), "platform": platform.platform()}
     for key, label in _MACHINE.items():
-        there = recorded.get(key)
-        if isinstance(there, str) and there != here[key]:
-            differences.append(f"{label} {there} there, {here[key]} here")
+        value = recorded.get(key)
+        if isinstance(value, str) and value != here[key]:
+            differences.append(f"{label} {value} there, {here[key]} here")
     return differences

@@ -163,8 +163,8 @@ class RecordedLog:
     @cached_property
     def config(self) -> dict[str, Any]:
         """The resolved config as a tree, with ``<env NAME>`` for text of the environment."""
-        found: dict[str, Any] = shown(self.written_config)
-        return found
+        tree: dict[str, Any] = shown(self.written_config)
+        return tree
 
     @cached_property
     def model(self) -> mujoco.MjModel:

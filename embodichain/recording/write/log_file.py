@@ -204,7 +204,7 @@ class LogFile:
         """
         self._readable_step = self._last_step
 
-    def put_beside(self, name: str, text: str) -> None:
+    def write_beside(self, name: str, text: str) -> None:
         """Write a small file next to the log, unless a file of that name exists."""
         write_text_at(self.folder, name, text, new=True)
 

@@ -124,7 +124,7 @@ class LogWriter:
         self.file.channel(EPISODE_TOPIC, "embodichain.Episodes")
         if header.lists_counted:
             self.file.channel(COUNTED_TOPIC, "embodichain.Counted")
-        self.file.put_beside(LAYOUT_FILE, json.dumps(layout, indent=1))
+        self.file.write_beside(LAYOUT_FILE, json.dumps(layout, indent=1))
 
     def _write_head(self, part: int, first_step: int) -> None:
         for name, media_type, data in self._attachments:
