@@ -66,7 +66,7 @@ class DifferenceFound(LogError):
     """
 
     def __init__(self, path: Path, difference: Difference) -> None:
-        super().__init__(f"{path} does not simulate to what it says: {difference}")
+        super().__init__(f"{path} does not give the recorded states when simulated: {difference}")
         self.difference = difference
 
 
