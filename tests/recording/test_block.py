@@ -183,7 +183,7 @@ def with_arrays(kind, **shapes):
         (1, KINDS[1]._replace(nstep=2**31), "physics steps at once"),
         (2, KINDS[2]._replace(columns=(1,)), "a reset lacks whole rows"),
         (4, with_arrays(KINDS[4], **{"drawn.force": (2**31, 2**31)}), "is not in the message"),
-        (4, KINDS[4]._replace(arrays=(ArrayKind("force", "<f8", (N, 3)),)), "are no draws"),
+        (4, KINDS[4]._replace(arrays=(ArrayKind("force", "<f8", (N, 3)),)), "are not draws"),
         (4, KINDS[4]._replace(arrays=(ArrayKind("drawn.x", "<c8", (N, 3)),)), "unknown type"),
         (5, KINDS[5]._replace(arrays=KINDS[5].arrays[:-1]), "lacks actions, rewards or flags"),
     ],

@@ -58,7 +58,7 @@ def test_half_a_line_is_not_an_episode(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("nonsense", "is no episode of a collection"),
+        ("nonsense", "is not an episode of a collection"),
         ("[1, 2]", "it needs the keys attempt, env"),
         ('{"attempt": 1}', "it needs the keys attempt, env"),
     ],
@@ -83,7 +83,7 @@ def test_a_wrong_value_is_named(tmp_path: Path) -> None:
 
 
 def test_another_folder_is_no_collection(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="is no collection: it has no successes.jsonl"):
+    with pytest.raises(ConfigError, match="is not a collection: it has no successes.jsonl"):
         read_collection(tmp_path)
 
 

@@ -68,7 +68,7 @@ def test_pictures_are_those_that_the_policy_saw(record):
     for episode in episodes:
         assert same(episode, seen[episode.env, episode.episode])
         assert episode.observations["front"].shape == (len(episode) + 1, 3, 240, 320)
-    with pytest.raises(ConfigError, match="front, side: an image is no part of a vector"):
+    with pytest.raises(ConfigError, match="front, side: an image cannot be part of a vector"):
         episode.group()
 
 

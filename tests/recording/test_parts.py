@@ -141,7 +141,7 @@ def test_a_missing_file_is_named(rolled, tmp_path):
     steps = f"steps {first} to {first + gone['steps'] - 1}"
     says = (
         f"rollout_0001.mcap ({steps}), which continues it, is missing; "
-        "rollout_0002.mcap and what follows it can be read by themselves"
+        "rollout_0002.mcap and later files can be read by themselves"
     )
     report = verify(run)
     assert not report.ok
@@ -192,7 +192,7 @@ def test_a_changed_start_of_a_later_file_is_found(rolled, tmp_path):
 def test_a_manifest_that_is_none(rolled, tmp_path, content):
     run = shutil.copytree(rolled, tmp_path / "run")
     (run / "rollout.manifest.json").write_text(content)
-    with pytest.raises(ConfigError, match="is no manifest of a log"):
+    with pytest.raises(ConfigError, match="is not a manifest of a log"):
         verify(run / "rollout.manifest.json")
     assert verify(run).ok  # the files themselves say what they are
 

@@ -16,7 +16,7 @@ from embodichain.recording.format.container.archive import load_mjz
 from embodichain.recording.format.messages.columns import Moved
 from embodichain.recording.format.messages.schema import STEPS_TOPIC
 from embodichain.recording.format.options import RecordOptions
-from embodichain.recording.write import recorder
+from embodichain.recording.write import recorder, step_buffer
 from embodichain.utils.errors import ConfigError
 from tests.recording.runs import calls, header_of, messages, runs, starts, unpack
 from tests.recording.scene import MODEL, XML, SmallEnv
@@ -88,7 +88,7 @@ def test_a_start_has_the_whole_rows_and_the_randomized_fields(tmp_path):
 
 def test_starts_come_again_and_say_what_the_simulation_is(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "START_SHARE", 2)
-    monkeypatch.setattr(recorder, "MOST_STEPS", 7)
+    monkeypatch.setattr(step_buffer, "MOST_STEPS", 7)
     env = SmallEnv()
     env.add_observer(McapRecorder(tmp_path / "log.mcap", env))
     env.reset()

@@ -203,7 +203,7 @@ def test_wrong_manifests_are_refused(tmp_path: Path) -> None:
         with pytest.raises(error, match=words):
             recording.open(manifest)
 
-    refused(lambda c: c.pop("shards"), "is no manifest of shards: KeyError")
+    refused(lambda c: c.pop("shards"), "is not a manifest of shards: KeyError")
     refused(lambda c: c["shards"].pop(), "3 of 5 environments")
     refused(lambda c: c["shards"].reverse(), "does not continue it")
     refused(lambda c: c["shards"][1].update(log="../x.mcap"), "does not continue it")
@@ -215,7 +215,7 @@ def test_wrong_manifests_are_refused(tmp_path: Path) -> None:
 
     refused(moved, "is not the log that", LogError)
     manifest.write_text("{")
-    with pytest.raises(ConfigError, match="is no manifest of shards"):
+    with pytest.raises(ConfigError, match="is not a manifest of shards"):
         recording.inspect(manifest)
     manifest.unlink()
     with pytest.raises(ConfigError, match="cannot be read"):

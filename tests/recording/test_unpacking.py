@@ -47,7 +47,7 @@ def test_limits_worked_by_hand():
     assert most_unpacked(100 * MB, None) == 2**31
     assert most_unpacked(10, 5) == 5
     for stated in (256 * MB + 1, 2**31, -1):
-        with pytest.raises(DamageError, match="it is to unpack"):
+        with pytest.raises(DamageError, match="it should unpack"):
             most_unpacked(10, stated)
 
 
@@ -91,7 +91,7 @@ def test_a_log_that_states_gigabytes_is_refused(record, tmp_path, bomb):
     assert peak_of(lambda: reports.append(verify(bad))) < 16 * MB
     assert reports[0].damage == []  # each byte is as it was written
     (problem,) = reports[0].problems
-    assert problem.startswith("the attachment model.mjb.zst is damaged: it is to unpack from ")
+    assert problem.startswith("the attachment model.mjb.zst is damaged: it should unpack from ")
 
 
 def test_a_frame_that_states_less_than_it_has(bomb):
@@ -133,7 +133,7 @@ def test_an_archive_that_announces_less_than_it_has():
 
 @pytest.mark.parametrize("kind", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_archives_are_packed_as_recorders_do(kind):
-    with pytest.raises(DamageError, match="model.xml is packed in a way that no log has"):
+    with pytest.raises(DamageError, match="model.xml has a compression that logs do not use"):
         unpack_zip(archive(b"<mujoco/>", kind), None)
 
 
@@ -144,7 +144,7 @@ def test_the_recorder_says_what_could_not_be_read_again(caplog):
         "config.yaml": (8, digest_of(b"seed: 1\n")),
     }
     (said,) = caplog.messages
-    assert said.startswith("the log cannot be verified: its attachment model.mjb.zst: it is to ")
+    assert said.startswith("the log cannot be verified: its attachment model.mjb.zst: it should ")
 
 
 def test_what_is_no_archive():

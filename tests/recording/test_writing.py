@@ -14,7 +14,7 @@ import pytest
 
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.recording import McapRecorder, inspect, verify
-from embodichain.recording.write import log_file, recorder, writing
+from embodichain.recording.write import calls, log_file, recorder, step_buffer, writing
 from embodichain.recording.write.writing import LogWriteError
 from embodichain.utils.errors import ConfigError
 from tests.recording.runs import runs
@@ -125,7 +125,7 @@ def test_two_logs_at_once(tmp_path):
 
 
 def test_messages_are_short_enough_to_read_one_at_a_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "MOST_STEPS", 7)
+    monkeypatch.setattr(step_buffer, "MOST_STEPS", 7)
     env, _ = recorded(tmp_path / "log.mcap", length=100)
     steps(env, 30)
     env.close()
@@ -134,7 +134,7 @@ def test_messages_are_short_enough_to_read_one_at_a_time(tmp_path, monkeypatch):
 
 
 def test_large_steps_are_written_at_once(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "MOST_BYTES", 4096)
+    monkeypatch.setattr(step_buffer, "MOST_BYTES", 4096)
     env, _ = recorded(tmp_path / "log.mcap", num_envs=64, length=100)
     steps(env, 10)
     env.close()
@@ -301,7 +301,7 @@ def test_ctrl_c_waits_until_what_is_written_is_whole(tmp_path):
 
 def test_ctrl_c_between_two_statements_loses_no_step_and_repeats_none(tmp_path):
     """An interrupt at every line of the recorder in turn, then the end of the program."""
-    watched = {module.__file__ for module in (recorder, log_file, writing)}
+    watched = {module.__file__ for module in (recorder, calls, step_buffer, log_file, writing)}
     line, reached = 0, True
     while reached:
         env, log = recorded(tmp_path / f"{line}.mcap", length=2)

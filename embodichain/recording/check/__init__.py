@@ -1,1 +1,1 @@
-"""Whether a log is what was recorded, and where two logs differ."""
+"""Checks that a log is the one that was recorded, and shows where two logs differ."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ __all__ = ["DiffReport", "LogDifference", "diff"]
 
 _HEADER = ("task", "num_envs", "control_dt", "physics_dt", "substeps", "layout")
 """Fields that must be equal for rows to be comparable."""
+_FIELDS = {"episode_ids": "episode", "failed": "failed environments"}
+"""Names of arrays, where a report uses others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +51,13 @@ class LogDifference:
 
     def __str__(self) -> str:
         """Return one line."""
-        where = "" if self.step is None else f"step {self.step}, "
-        where += "" if self.env is None else f"environment {self.env}, "
         name = f"{self.field}[{self.column}]" if self.column else self.field
-        return f"{where}{name}: {self.a!r} and {self.b!r}"
+        text = f"{name}: {self.a!r} and {self.b!r}"
+        if self.env is not None:
+            text = f"environment {self.env}, {text}"
+        if self.step is not None:
+            text = f"step {self.step}, {text}"
+        return text
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,100 +98,171 @@ def diff(a: str | Path, b: str | Path) -> DiffReport:
     with Log(a) as first, Log(b) as second:
         for log in (first, second):
             log.header.require_states(log.path)
-        steps, difference = 0, _of_headers(first, second)
+        steps = 0
+        difference = _compare_headers(first, second)
         if difference is None:
-            steps, difference = _of_steps(first, second)
-        if difference is None and first.header.model != second.header.model:
-            difference = LogDifference(
-                None, None, "model", "", first.header.model, second.header.model
-            )
-        return DiffReport(first.path, second.path, steps, difference, _notes(first, second))
+            steps, difference = _compare_steps(first, second)
+        if difference is None:
+            difference = _compare_field("model", first, second)
+        return DiffReport(
+            a=first.path,
+            b=second.path,
+            steps=steps,
+            difference=difference,
+            notes=_notes(first, second),
+        )
 
 
-def _of_headers(a: Log, b: Log) -> LogDifference | None:
+def _compare_headers(a: Log, b: Log) -> LogDifference | None:
     for name in _HEADER:
-        left, right = getattr(a.header, name), getattr(b.header, name)
-        if left != right:
-            return LogDifference(None, None, name, "", left, right)
+        difference = _compare_field(name, a, b)
+        if difference is not None:
+            return difference
     return None
+
+
+def _compare_field(name: str, a: Log, b: Log) -> LogDifference | None:
+    """Compare a field of the headers."""
+    value_a = getattr(a.header, name)
+    value_b = getattr(b.header, name)
+    if value_a == value_b:
+        return None
+    return LogDifference(step=None, env=None, field=name, column="", a=value_a, b=value_b)
 
 
 def _notes(a: Log, b: Log) -> list[str]:
     notes = [f"{log.path}: {warning}" for log in (a, b) for warning in log.warnings]
     for name in ("seed", "mujoco_version", "model"):
-        left, right = getattr(a.header, name), getattr(b.header, name)
-        if left != right:
-            notes.append(f"{name}: {left} and {right}")
+        value_a = getattr(a.header, name)
+        value_b = getattr(b.header, name)
+        if value_a != value_b:
+            notes.append(f"{name}: {value_a} and {value_b}")
     return notes
 
 
-class _Cursor:
-    """A position among the control steps of a log."""
+class _Position(NamedTuple):
+    """A control step of a log.
 
-    def __init__(self, log: Log) -> None:
-        self._runs = runs(log.reader)
-        self.start: Run | None = None  # the first start
-        self.run: Run | None = None
-        self.at = 0
-        self.move(0)
+    Attributes:
+        run: The run that it belongs to.
+        t: Its index within the run.
+    """
+
+    run: Run
+    t: int
 
     @property
     def step(self) -> int:
-        """The next control step."""
-        return 0 if self.run is None else self.run.first + self.at
+        """Number of the control step."""
+        return self.run.first + self.t
 
-    def move(self, steps: int) -> None:
-        """Advance by a number of steps, at most to the end of the run."""
-        self.at += steps
-        while self.run is None or self.at >= self.run.count:
-            run = next(self._runs, None)
-            if run is not None and run.of_kind("start"):
-                self.start = self.start or run
-                continue
-            self.run, self.at = run, 0
-            if run is None:
+    def call_name(self, index: int) -> str:
+        """Name of one of its calls."""
+        if index >= len(self.run.calls):
+            return "nothing"
+        return _name_of_call(self.run.calls[index].kind)
+
+
+class _Cursor:
+    """Goes through the control steps of a log.
+
+    Attributes:
+        start: The first start of the log.
+        run: The current run; None at the end of the log.
+        t: Index of the current step within it.
+    """
+
+    def __init__(self, log: Log) -> None:
+        self._runs = runs(log.reader)
+        self.start: Run | None = None
+        self.run: Run | None = None
+        self.t = 0
+        self._next_run()
+
+    def advance(self, steps: int) -> None:
+        """Go on by a number of steps, at most to the end of the run."""
+        self.t += steps
+        if self.run is not None and self.t >= self.run.count:
+            self._next_run()
+
+    def _next_run(self) -> None:
+        self.t = 0
+        for run in self._runs:
+            if not run.of_kind("start"):
+                self.run = run
                 return
+            # Later starts follow from the first one and the calls after it.
+            if self.start is None:
+                self.start = run
+        self.run = None
 
 
-def _of_steps(a: Log, b: Log) -> tuple[int, LogDifference | None]:
+def _compare_steps(a: Log, b: Log) -> tuple[int, LogDifference | None]:
     """Number of equal steps, and the first difference."""
-    steps, left, right, compare = 0, _Cursor(a), _Cursor(b), _Comparison(a)
-    if left.start is not None and right.start is not None:
-        found = compare.calls(left.start, 0, right.start, 0)
-        if found is not None:
-            return 0, found
-    while left.run is not None and right.run is not None:
-        count = min(left.run.count - left.at, right.run.count - right.at)
-        if left.step == right.step and _same(left.run, left.at, right.run, right.at, count):
-            steps += count if left.run.steps else 0
+    steps = 0
+    cursor_a = _Cursor(a)
+    cursor_b = _Cursor(b)
+    comparison = _Comparison(a)
+    if cursor_a.start is not None and cursor_b.start is not None:
+        difference = comparison.of_steps(_Position(cursor_a.start, 0), _Position(cursor_b.start, 0))
+        if difference is not None:
+            return 0, difference
+    while cursor_a.run is not None and cursor_b.run is not None:
+        begin_a = _Position(cursor_a.run, cursor_a.t)
+        begin_b = _Position(cursor_b.run, cursor_b.t)
+        count = min(begin_a.run.count - begin_a.t, begin_b.run.count - begin_b.t)
+        # Comparing many steps at once is fast; one at a time, to say where they differ.
+        if begin_a.step == begin_b.step and _are_equal(begin_a, begin_b, count):
+            steps += count if begin_a.run.steps else 0
         else:
             for t in range(count):
-                found = compare.calls(left.run, left.at + t, right.run, right.at + t)
-                if found is not None:
-                    return steps, found
-                steps += left.run.steps > 0
-        left.move(count)
-        right.move(count)
-    if left.run is None and right.run is None:
+                difference = comparison.of_steps(
+                    _Position(begin_a.run, begin_a.t + t),
+                    _Position(begin_b.run, begin_b.t + t),
+                )
+                if difference is not None:
+                    return steps, difference
+                steps += begin_a.run.steps > 0
+        cursor_a.advance(count)
+        cursor_b.advance(count)
+    if cursor_a.run is None and cursor_b.run is None:
         return steps, None
-    ended = f"the log ends after {steps} steps"
-    says = [ended if c.run is None else _named(c.run.calls[0].kind) for c in (left, right)]
-    return steps, LogDifference(steps, None, "end", "", *says)
-
-
-def _same(a: Run, at: int, b: Run, bt: int, count: int) -> bool:
-    """Whether `count` steps have the same bytes."""
-    if [call.kind for call in a.calls] != [call.kind for call in b.calls]:
-        return False
-    pairs = (
-        (x.arrays[n], y.arrays[n]) for x, y in zip(a.calls, b.calls, strict=True) for n in x.arrays
+    return steps, LogDifference(
+        step=steps,
+        env=None,
+        field="end",
+        column="",
+        a=_next_call(cursor_a, steps),
+        b=_next_call(cursor_b, steps),
     )
-    return all(x[at : at + count].tobytes() == y[bt : bt + count].tobytes() for x, y in pairs)
 
 
-def _named(kind: CallKind) -> str:
-    names = {"event": f"event {kind.name}", "write": f"write {kind.name or kind.mode}"}
-    return names.get(kind.kind, kind.kind)
+def _next_call(cursor: _Cursor, steps: int) -> str:
+    """What a log has after a number of steps."""
+    if cursor.run is None:
+        return f"the log ends after {steps} steps"
+    return _name_of_call(cursor.run.calls[0].kind)
+
+
+def _are_equal(a: _Position, b: _Position, count: int) -> bool:
+    """Whether the next `count` steps have the same bytes."""
+    if [call.kind for call in a.run.calls] != [call.kind for call in b.run.calls]:
+        return False
+    for call_a, call_b in zip(a.run.calls, b.run.calls, strict=True):
+        for name, values in call_a.arrays.items():
+            bytes_a = values[a.t : a.t + count].tobytes()
+            bytes_b = call_b.arrays[name][b.t : b.t + count].tobytes()
+            if bytes_a != bytes_b:
+                return False
+    return True
+
+
+def _name_of_call(kind: CallKind) -> str:
+    if kind.kind == "event":
+        return f"event {kind.name}"
+    if kind.kind == "write":
+        return f"write {kind.name or kind.mode}"
+    return kind.kind
 
 
 class _Comparison:
@@ -200,95 +276,180 @@ class _Comparison:
         self._log = log
         self._moved = Moved(log.header.moved).columns
 
-    def calls(self, a: Run, at: int, b: Run, bt: int) -> LogDifference | None:
-        """Compare a step of a run with one of another."""
-        step = min(a.first + at, b.first + bt)
-        if a.first + at != b.first + bt:
-            says = f"step {a.first + at}", f"step {b.first + bt}"
-            return LogDifference(step, None, "what happened", "", *says)
-        for i in range(max(len(a.calls), len(b.calls))):
-            names = [_named(r.calls[i].kind) if i < len(r.calls) else "nothing" for r in (a, b)]
-            if names[0] != names[1]:
-                return LogDifference(step, None, "what happened", "", *names)
-            found = self._call(step, a.calls[i], at, b.calls[i], bt)
-            if found is not None:
-                return found
+    def of_steps(self, a: _Position, b: _Position) -> LogDifference | None:
+        """Compare two control steps, call by call."""
+        step = min(a.step, b.step)
+        if a.step != b.step:
+            return LogDifference(
+                step=step,
+                env=None,
+                field="what happened",
+                column="",
+                a=f"step {a.step}",
+                b=f"step {b.step}",
+            )
+        for index in range(max(len(a.run.calls), len(b.run.calls))):
+            name_a = a.call_name(index)
+            name_b = b.call_name(index)
+            if name_a != name_b:
+                return LogDifference(
+                    step=step,
+                    env=None,
+                    field="what happened",
+                    column="",
+                    a=name_a,
+                    b=name_b,
+                )
+            difference = self._of_calls(
+                step,
+                a.run.calls[index].kind,
+                b.run.calls[index].kind,
+                _arrays_in_step(a.run.calls[index], a.t),
+                _arrays_in_step(b.run.calls[index], b.t),
+            )
+            if difference is not None:
+                return difference
         return None
 
-    def _call(self, step: int, a: Call, at: int, b: Call, bt: int) -> LogDifference | None:
+    def _of_calls(
+        self,
+        step: int,
+        kind_a: CallKind,
+        kind_b: CallKind,
+        arrays_a: dict[str, NDArray[Any]],
+        arrays_b: dict[str, NDArray[Any]],
+    ) -> LogDifference | None:
         """Compare two calls of the same name."""
-        name = _named(a.kind)
-        left = {array: values[at] for array, values in a.arrays.items()}
-        right = {array: values[bt] for array, values in b.arrays.items()}
-        ids, others = left.pop("env_ids", None), right.pop("env_ids", None)
-        if (ids is None) != (others is None) or not np.array_equal(ids, others):
-            says = ("all" if x is None else x.tolist() for x in (ids, others))
-            return LogDifference(step, None, name, "environments", *says)
-        for what in ("mode", "nstep", "columns"):
-            mine, other = getattr(a.kind, what), getattr(b.kind, what)
-            if mine != other:
-                return LogDifference(step, None, name, what, mine, other)
-        if "hashes" in left or "hashes" in right:  # recorded with keyframes
-            for arrays in (left, right):
-                if "rows" in arrays:
-                    arrays["hashes"] = row_hashes(np.ascontiguousarray(arrays.pop("rows")))
-        if left.keys() != right.keys():
-            return LogDifference(step, None, name, "values", sorted(left), sorted(right))
-        for array, values in left.items():
-            found = self._values(step, a.kind, array, ids, values, right[array])
-            if found is not None:
-                return found
+        name = _name_of_call(kind_a)
+        ids_a = arrays_a.pop("env_ids", None)
+        ids_b = arrays_b.pop("env_ids", None)
+        if _listed_ids(ids_a) != _listed_ids(ids_b):
+            return LogDifference(
+                step,
+                None,
+                field=name,
+                column="environments",
+                a=_listed_ids(ids_a),
+                b=_listed_ids(ids_b),
+            )
+        for attribute in ("mode", "nstep", "columns"):
+            value_a = getattr(kind_a, attribute)
+            value_b = getattr(kind_b, attribute)
+            if value_a != value_b:
+                return LogDifference(
+                    step=step,
+                    env=None,
+                    field=name,
+                    column=attribute,
+                    a=value_a,
+                    b=value_b,
+                )
+        if "hashes" in arrays_a or "hashes" in arrays_b:
+            # One of them was recorded with keyframes: compare hashes of the other's rows.
+            _hash_rows(arrays_a)
+            _hash_rows(arrays_b)
+        if arrays_a.keys() != arrays_b.keys():
+            return LogDifference(
+                step=step,
+                env=None,
+                field=name,
+                column="values",
+                a=sorted(arrays_a),
+                b=sorted(arrays_b),
+            )
+        for array, values in arrays_a.items():
+            difference = self._of_values(step, kind_a, array, ids_a, values, arrays_b[array])
+            if difference is not None:
+                return difference
         return None
 
-    def _values(
+    def _of_values(
         self,
         step: int,
         kind: CallKind,
         array: str,
         ids: NDArray[np.int64] | None,
-        left: NDArray[Any],
-        right: NDArray[Any],
+        values_a: NDArray[Any],
+        values_b: NDArray[Any],
     ) -> LogDifference | None:
         """Compare (n, ...) values bit for bit: 0.0 and -0.0 differ, equal NaNs do not."""
-        if left.shape != right.shape:
-            field, _ = self._name(kind, array, 0)
-            return LogDifference(step, None, field, "shape", left.shape, right.shape)
-        if not left.size:
+        if values_a.shape != values_b.shape:
+            name = self._name_of_value(kind, array, column=0)
+            return LogDifference(
+                step, None, name.field, "shape", a=values_a.shape, b=values_b.shape
+            )
+        if not values_a.size:
             return None
-        mine, other = (np.ascontiguousarray(x).reshape(len(x), -1) for x in (left, right))
-        words = f"u{mine.dtype.itemsize}"
-        where = np.flatnonzero(mine.view(words) != other.view(words))
-        if not len(where):
+        table_a = np.ascontiguousarray(values_a).reshape(len(values_a), -1)
+        table_b = np.ascontiguousarray(values_b).reshape(len(values_b), -1)
+        bits = f"u{table_a.dtype.itemsize}"
+        differs = np.flatnonzero(table_a.view(bits) != table_b.view(bits))
+        if not len(differs):
             return None
-        row, column = divmod(int(where[0]), mine.shape[1])
-        field, name = self._name(kind, array, column)
-        says = (x[row, column].item() for x in (mine, other))
+        row, column = divmod(int(differs[0]), table_a.shape[1])
+        name = self._name_of_value(kind, array, column)
+        value_a = table_a[row, column].item()
+        value_b = table_b[row, column].item()
+        column_name = name.column
         if array == "hashes":
-            says = (f"{x:016x}" for x in says)
-        env = row if ids is None else int(ids[row])
+            value_a = f"{value_a:016x}"
+            value_b = f"{value_b:016x}"
+        elif values_a.ndim == 1:
+            column_name = ""  # one number an environment
         return LogDifference(
-            step, env, field, name if left.ndim > 1 or name == "hash" else "", *says
+            step=step,
+            env=row if ids is None else int(ids[row]),
+            field=name.field,
+            column=column_name,
+            a=value_a,
+            b=value_b,
         )
 
-    def _name(self, kind: CallKind, array: str, column: int) -> tuple[str, str]:
-        """Name of an array's content, and name of its column."""
+    def _name_of_value(self, kind: CallKind, array: str, column: int) -> _ValueName:
+        """Name of a column of an array."""
         if array == "hashes":
-            return "result of physics", "hash"
-        if array in ("rows", "row") or kind.mode == "reset" and kind.kind == "write":
-            return self._component(int(self._moved[column]) if array == "rows" else column)
+            return _ValueName("result of physics", "hash")
+        if array == "rows":
+            return self._name_in_row(int(self._moved[column]))
+        if array == "row" or (kind.kind == "write" and kind.mode == "reset"):
+            return self._name_in_row(column)
         if kind.kind == "write":
-            return _named(kind), str(column if kind.columns is None else kind.columns[column])
+            if kind.columns is not None:
+                column = kind.columns[column]
+            return _ValueName(_name_of_call(kind), str(column))
         if kind.kind == "event":
-            return f"{_named(kind)}, {array.removeprefix(DRAWN)}", str(column)
-        return {"episode_ids": "episode", "failed": "failed environments"}.get(array, array), str(
-            column
-        )
+            return _ValueName(f"{_name_of_call(kind)}, {array.removeprefix(DRAWN)}", str(column))
+        return _ValueName(_FIELDS.get(array, array), str(column))
 
-    def _component(self, column: int) -> tuple[str, str]:
-        """Component and name of a column of full rows."""
+    def _name_in_row(self, column: int) -> _ValueName:
+        """Name of a column of full rows."""
         layout = self._log.header.layout
-        for name, named in state_columns(self._log.model, layout).items():
-            start, stop = layout[name]
+        for component, columns in state_columns(self._log.model, layout).items():
+            start, stop = layout[component]
             if start <= column < stop:
-                return name, named[column - start].name
+                return _ValueName(component, columns[column - start].name)
         raise LogError(f"{self._log.path}: column {column} belongs to no component")
+
+
+class _ValueName(NamedTuple):
+    """How `LogDifference` names a number: its field, and its column within the field."""
+
+    field: str
+    column: str
+
+
+def _arrays_in_step(call: Call, t: int) -> dict[str, NDArray[Any]]:
+    return {name: values[t] for name, values in call.arrays.items()}
+
+
+def _listed_ids(ids: NDArray[np.int64] | None) -> list[int] | str:
+    if ids is None:
+        return "all"
+    values: list[int] = ids.tolist()
+    return values
+
+
+def _hash_rows(arrays: dict[str, NDArray[Any]]) -> None:
+    """Replace the rows of a physics call by their hashes."""
+    if "rows" in arrays:
+        arrays["hashes"] = row_hashes(np.ascontiguousarray(arrays.pop("rows")))

@@ -1,6 +1,6 @@
 """`verify` simulates a log again from the file alone, and compares the states bit for bit.
 
-Before that it checks every byte of the file (`byte_check`); of a damaged one nothing is simulated.
+Before that it checks every byte of the file (`byte_check`); it does not simulate a damaged file.
 
 Physics of another engine than MuJoCo's own is compared within `TOLERANCE`.
 
@@ -12,7 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -68,7 +70,7 @@ class VerifyReport:
         engine: What computed the recorded physics.
         has_writes: Whether the log has writes and resets; else only the states that they left.
         notes: Remarks that are not errors: where a recovered log ends, how this machine differs
-            from the one that recorded the log, what of a log nothing covers.
+            from the one that recorded the log, how many bytes no checksum covers.
         damage: Damaged parts of the files; then nothing was simulated.
     """
 
@@ -88,7 +90,8 @@ class VerifyReport:
 
     def __str__(self) -> str:
         """Return the result, and every reason on its own line."""
-        count = f"{self.steps} steps of {self.envs} environment{'s' if self.envs != 1 else ''}"
+        environments = "environment" if self.envs == 1 else "environments"
+        count = f"{self.steps} steps of {self.envs} {environments}"
         if self.ok and self.engine == MUJOCO:
             return "\n".join([f"verified: {count} are identical to the bit", *self.notes])
         if self.ok:
@@ -101,7 +104,7 @@ class VerifyReport:
             lines.append(f"first difference: {self.difference}")
         lines += self.problems
         if self.largest_error and self.engine == MUJOCO:
-            errors = ", ".join(f"{k} {v:.3g}" for k, v in self.largest_error.items())
+            errors = self._largest_errors()
             lines.append(f"approximate only: largest difference after one step: {errors}")
         elif self.engine != MUJOCO:
             lines += self._closeness()
@@ -110,15 +113,18 @@ class VerifyReport:
 
     def _closeness(self) -> list[str]:
         """How close recorded results of physics are to MuJoCo's."""
-        errors = ", ".join(f"{k} {v:.3g}" for k, v in self.largest_error.items())
-        bounds = ", ".join(f"{k} {v:g}" for k, v in TOLERANCE.items())
-        checked = "writes and resets are identical to the bit"
-        unchecked = "the log has states, not writes: resets and events are not checked"
-        return [
-            checked if self.has_writes else unchecked,
+        writes = "writes and resets are identical to the bit"
+        if not self.has_writes:
+            writes = "the log has states, not writes: resets and events are not checked"
+        bounds = ", ".join(f"{name} {bound:g}" for name, bound in TOLERANCE.items())
+        physics = (
             f"of {self.measured} results of physics, {self.outside} differ from MuJoCo's by more "
-            f"than {bounds} (largest: {errors or 'none'})",
-        ]
+            f"than {bounds} (largest: {self._largest_errors() or 'none'})"
+        )
+        return [writes, physics]
+
+    def _largest_errors(self) -> str:
+        return ", ".join(f"{name} {error:.3g}" for name, error in self.largest_error.items())
 
 
 def verify(
@@ -149,12 +155,27 @@ def verify(
     checked = check_bytes(path)
     if checked.damage:
         return damaged(first_file(path), checked)
-    return simulate(path, checked, env, episode, num_threads, progress, images)
+    return simulate(
+        path,
+        checked,
+        env=env,
+        episode=episode,
+        num_threads=num_threads,
+        progress=progress,
+        images=images,
+    )
 
 
 def damaged(path: Path, checked: ByteReport) -> VerifyReport:
-    """The report of a log with damaged bytes; nothing of what they say is in it."""
-    return VerifyReport(path, False, 0, 0, problems=[checked.problem], damage=checked.damage)
+    """The report of a log with damaged bytes: it says nothing that these bytes say."""
+    return VerifyReport(
+        path,
+        ok=False,
+        steps=0,
+        envs=0,
+        problems=[checked.problem],
+        damage=checked.damage,
+    )
 
 
 def simulate(
@@ -166,7 +187,17 @@ def simulate(
     progress: Progress | None = None,
     images: bool = False,
 ) -> VerifyReport:
-    """What `verify` does once the bytes were `checked`."""
+    """Do what `verify` does once the bytes were checked.
+
+    Args:
+        path: The log.
+        checked: The result of `check_bytes`, without damage.
+        env: Only this environment; None is all.
+        episode: Only this episode of the selected environments; None is all.
+        num_threads: Physics threads; 0 is all cores.
+        progress: Called with the number of control steps done.
+        images: Whether to compare pictures too.
+    """
     if images and episode is not None:
         raise ConfigError("pictures are compared in all episodes: leave the episode out")
     with LogReader(path) as reader:
@@ -175,131 +206,170 @@ def simulate(
             raise ConfigError(
                 f"pictures of {header.engine} are not compared: its poses are float32"
             )
-        selected = _select(header, env)
+        env_ids = _selected_envs(header, env)
         report = VerifyReport(
-            *(reader.path, False, 0, len(selected)),
+            path=reader.path,
+            ok=False,
+            steps=0,
+            envs=len(env_ids),
             engine=header.engine,
             has_writes=header.has_writes,
         )
-        cannot = header.unverifiable or header.unknown_engine
-        if cannot:
-            return replace(report, problems=[cannot])
-        model, exact, problems = _model(reader)
-        if model is not None:
-            active = always(len(selected))
-            if episode is not None:
-                active = _episode(reader, selected, episode)
-            how = model, selected, active, exact, num_threads, header.engine == MUJOCO
-            report = _follow(reader, how, replace(report, problems=problems), progress)
+        unverifiable = header.unverifiable or header.unknown_engine
+        if unverifiable:
+            return replace(report, problems=[unverifiable])
+        loaded = _load_model(reader)
+        report = replace(report, problems=loaded.problems)
+        if loaded.model is not None:
+            if episode is None:
+                active = always(len(env_ids))
+            else:
+                active = _steps_of_episode(reader, env_ids, episode)
+            start_simulation = partial(
+                Simulation,
+                reader,
+                loaded.model,
+                env_ids=env_ids,
+                active=active,
+                exact=loaded.exact,
+                num_threads=num_threads,
+                repeats=header.engine == MUJOCO,
+            )
+            report = _follow(reader, start_simulation, report, progress)
             if images and report.ok:
-                report = _compare_pictures(report, reader, model, env)
-        else:
-            report = replace(report, problems=problems)
-        report = _with_notes(report, reader)
-        return replace(report, notes=[*report.notes, *([checked.note] if checked.note else [])])
+                report = _compare_pictures(report, reader, loaded.model, env)
+        notes = [*report.notes, *_notes_on_difference(report, reader)]
+        if checked.note:
+            notes.append(checked.note)
+        return replace(report, notes=notes)
 
 
 def _compare_pictures(
     report: VerifyReport, reader: LogReader, model: mujoco.MjModel, env: int | None
 ) -> VerifyReport:
+    # Pictures need a renderer, which most verifications do without.
     from embodichain.recording.views.pictures import compare
 
     try:
-        equal, problems = compare(reader, model, env)
+        num_equal, problems = compare(reader, model, env)
     except LogError as error:
-        equal, problems = 0, [str(error).removeprefix(f"{reader.path}: ")]
-    note = f"the first pictures of episodes: {equal} are identical to the byte"
-    return replace(
-        report, ok=not problems, problems=problems, notes=[*report.notes, *([note] * (equal > 0))]
-    )
+        num_equal = 0
+        problems = [_without_path(error, reader)]
+    notes = list(report.notes)
+    if num_equal:
+        notes.append(f"the first pictures of episodes: {num_equal} are identical to the byte")
+    return replace(report, ok=not problems, problems=problems, notes=notes)
 
 
-def _with_notes(report: VerifyReport, reader: LogReader) -> VerifyReport:
-    """If physics differs, add notes on how this machine differs, and how the log can be used."""
+def _without_path(error: LogError, reader: LogReader) -> str:
+    """The text of an error, for a report that names the log itself."""
+    return str(error).removeprefix(f"{reader.path}: ")
+
+
+def _notes_on_difference(report: VerifyReport, reader: LogReader) -> list[str]:
+    """If physics differs: how this machine differs, and how the log can be used nevertheless."""
     header = reader.require_header()
     if report.difference is None and header.mujoco_version == mujoco.__version__:
-        return report
+        return []
     try:
-        found = what_differs(header, reader.attachment("versions.json"))
+        reasons = what_differs(header, reader.attachment("versions.json"))
     except LogError:
-        found = what_differs(header, None)
-    if not found:
-        found = ["MuJoCo, processor and platform are the recorded ones: the file was changed"]
-    return replace(report, notes=[*report.notes, *found, _still_good_for(header)])
+        reasons = what_differs(header, None)
+    if not reasons:
+        reasons = ["MuJoCo, processor and platform are the recorded ones: the file was changed"]
+    return [*reasons, _remaining_use(header)]
 
 
-def _still_good_for(header: Header) -> str:
-    """What the log can still be used for if physics differs."""
+def _remaining_use(header: Header) -> str:
+    """How the log can be used although physics differs."""
     if header.keyframe_every and header.mujoco_version != mujoco.__version__:
-        what = f"every {header.keyframe_every}th state, which was recorded, can be read"
-        return f"{what} (recording.open); those between need mujoco=={header.mujoco_version}"
+        keyframes = f"every {header.keyframe_every}th state, which was recorded, can be read"
+        return f"{keyframes} (recording.open); those between need mujoco=={header.mujoco_version}"
     return "its recorded states can be played all the same: replay --view, replay --video, export"
 
 
-def _select(header: Header, env: int | None) -> EnvIds:
+def _selected_envs(header: Header, env: int | None) -> EnvIds:
     if env is None:
         return np.arange(header.num_envs, dtype=np.int64)
     header.check_env(env)
     return np.array([env], np.int64)
 
 
-def _model(reader: LogReader) -> tuple[mujoco.MjModel | None, bool, list[str]]:
-    """The model to simulate, whether it is exactly the recorded one, and the problems."""
+class _LoadedModel(NamedTuple):
+    """The model that is simulated.
+
+    Attributes:
+        model: The model; None if it cannot be loaded.
+        exact: Whether it is exactly the recorded one.
+        problems: Why the log is not verified with it.
+    """
+
+    model: mujoco.MjModel | None
+    exact: bool
+    problems: list[str]
+
+
+def _load_model(reader: LogReader) -> _LoadedModel:
     header = reader.require_header()
-    exact = header.mujoco_version == mujoco.__version__
-    problems = []
-    if not exact:
-        problems.append(
-            f"recorded with MuJoCo {header.mujoco_version}, this is {mujoco.__version__}: "
-            f"bit-exact replay needs mujoco=={header.mujoco_version}"
-        )
+    if header.mujoco_version == mujoco.__version__:
+        try:
+            model = model_to_simulate(header, reader.attachment)
+        except LogError as error:
+            return _LoadedModel(None, exact=False, problems=[_without_path(error, reader)])
+        return _LoadedModel(model, exact=True, problems=[])
+    problem = (
+        f"recorded with MuJoCo {header.mujoco_version}, this is {mujoco.__version__}: "
+        f"bit-exact replay needs mujoco=={header.mujoco_version}"
+    )
     try:
-        if exact:
-            return model_to_simulate(header, reader.attachment), True, []
         model = approximate_model(header, reader.attachment("scene.mjz"))
         check_rows(header, model)
     except LogError as error:
-        return None, False, [*problems, str(error).removeprefix(f"{reader.path}: ")]
-    problems[0] += "; simulated approximately from scene.mjz (its XML has 6 digits)"
+        return _LoadedModel(None, exact=False, problems=[problem, _without_path(error, reader)])
+    problem += "; simulated approximately from scene.mjz (its XML has 6 digits)"
     if header.keyframe_every:
-        problems[0] += f" between keyframes, up to {header.keyframe_every} steps at a time"
-    return model, False, problems
+        problem += f" between keyframes, up to {header.keyframe_every} steps at a time"
+    return _LoadedModel(model, exact=False, problems=[problem])
 
 
-def _episode(reader: LogReader, selected: EnvIds, episode: int) -> Active:
-    """Steps of an episode of the selected environments, found in a separate pass over the log."""
+def _steps_of_episode(reader: LogReader, env_ids: EnvIds, episode: int) -> Active:
+    """Steps of an episode of the selected environments, from a separate pass over the log."""
     masks: dict[int, NDArray[np.bool_]] = {}
-    last = -1
+    last_episode = -1
     try:
-        for run in runs(reader, wanted=outcomes):
-            if run.steps:
-                ids = run.calls[-1].arrays["episode_ids"][:, selected]
-                masks |= zip(range(run.first, run.first + run.count), ids == episode, strict=True)
-                last = max(last, int(ids.max()))
+        for run in runs(reader, is_read=outcomes):
+            if not run.steps:
+                continue
+            episode_ids = run.calls[-1].arrays["episode_ids"][:, env_ids]
+            for t in range(run.count):
+                masks[run.first + t] = episode_ids[t] == episode
+            last_episode = max(last_episode, int(episode_ids.max()))
     except LogError:
-        pass  # `_follow` will report it
+        pass  # `_follow` reads the same messages, and reports the damage
     if not any(mask.any() for mask in masks.values()):
-        raise ConfigError(f"no episode {episode} in the log: there are 0 to {last}")
-    nothing = np.zeros(len(selected), np.bool_)
-    return lambda step: masks.get(step, nothing)
+        raise ConfigError(f"no episode {episode} in the log: there are 0 to {last_episode}")
+    no_environment = np.zeros(len(env_ids), np.bool_)
+    return lambda step: masks.get(step, no_environment)
 
 
 def _follow(
     reader: LogReader,
-    how: tuple[mujoco.MjModel, EnvIds, Active, bool, int, bool],
+    start_simulation: Callable[[], Simulation],
     report: VerifyReport,
     progress: Progress | None,
 ) -> VerifyReport:
-    """Simulate and compare up to the first difference or the end; `how`: `Simulation`'s args."""
-    steps, last_step = 0, reader.require_header().first_step - 1
-    difference, error, active = None, "", how[2]
-    largest: dict[str, float] = {}
+    """Simulate and compare up to the first difference or the end of the log."""
+    steps = 0
+    last_step = reader.require_header().first_step - 1
+    difference = None
+    problems = list(report.problems)
     simulation = None
     try:
-        for run in runs(reader, wanted=lambda kind: changes(kind) or outcomes(kind)):
-            if simulation is None:  # the first run is a start, which proves the header's num_envs
-                simulation = Simulation(reader, *how)
-                largest = simulation.largest_error
+        for run in runs(reader, is_read=lambda kind: changes(kind) or outcomes(kind)):
+            if simulation is None:
+                # The first run is a start. Only its size proves the header's number of
+                # environments, for which the simulation allocates memory.
+                simulation = start_simulation()
             if run.of_kind("start"):
                 simulation.begin(run)
                 continue
@@ -308,33 +378,45 @@ def _follow(
                     simulation.apply(run.first + t, call, t)
                 if run.steps:
                     last_step = run.first + t
-                    steps += bool(active(last_step).any())
+                    steps += simulation.is_compared(last_step)
                     if progress is not None:
                         progress(steps)
-    except DifferenceFound as found:
-        difference = found.difference
-    except LogError as damage:
-        error = f"after {steps} steps: {str(damage).removeprefix(f'{reader.path}: ')}"
-    report = replace(report, steps=steps, difference=difference, largest_error=largest)
+    except DifferenceFound as error:
+        difference = error.difference
+    except LogError as error:
+        problems.append(f"after {steps} steps: {_without_path(error, reader)}")
+    report = replace(report, steps=steps, difference=difference)
     if simulation is not None:
-        report = replace(report, measured=simulation.measured, outside=simulation.outside)
-    if difference is not None or error:
-        return replace(report, problems=[*report.problems, *([error] if error else [])])
+        report = replace(
+            report,
+            largest_error=simulation.largest_error,
+            measured=simulation.measured,
+            outside=simulation.outside,
+        )
+    if difference is not None or len(problems) > len(report.problems):
+        return replace(report, problems=problems)
     return _at_the_end(reader, report, last_step)
 
 
 def _at_the_end(reader: LogReader, report: VerifyReport, last_step: int) -> VerifyReport:
     """Add to the report what is missing at the end of the log, and its notes."""
-    ends = f"the log ends after step {last_step}"
     if last_step < 0:
-        ends = "the log ends before its first step was complete"
-    problems = [*report.problems, *([f"{ends}: {reader.cut}"] if reader.cut else [])]
-    if not report.steps and not reader.cut:
+        end = "the log ends before its first step was complete"
+    else:
+        end = f"the log ends after step {last_step}"
+    problems = list(report.problems)
+    if reader.cut:
+        problems.append(f"{end}: {reader.cut}")
+    elif not report.steps:
         problems.append("the log has no control step: there is nothing to compare")
     if report.engine != MUJOCO and report.outside > MOST_OUTSIDE * report.measured:
         share = f"{report.outside / report.measured:.1%}"
         message = f"{share} of the results of physics are not MuJoCo's"
         problems.append(f"{message}; at most {MOST_OUTSIDE:.0%} are expected")
-    notes = [f"{ends}: {reader.recovered}"] if reader.recovered and reader.complete else []
-    notes += [note for note in (reader.part_note, reader.require_header().every_note) if note]
+    notes = []
+    if reader.recovered and reader.complete:
+        notes.append(f"{end}: {reader.recovered}")
+    for note in (reader.part_note, reader.require_header().every_note):
+        if note:
+            notes.append(note)
     return replace(report, ok=not problems, problems=problems, notes=notes)

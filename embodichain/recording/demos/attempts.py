@@ -28,23 +28,23 @@ class Attempts:
     ) -> None:
         self.wanted = wanted
         self._succeeded = set(succeeded)
-        self._known = self._succeeded | set(failed)
-        self._maybe = sorted(self._succeeded)  # attempts that succeeded or are running
+        self._begun = self._succeeded | set(failed)
+        self._possible = sorted(self._succeeded)  # attempts that succeeded or are running
         self._next = 0
 
     @property
     def complete(self) -> bool:
         """Whether W attempts succeeded and no attempt with a lower number is running."""
-        first = self._maybe[: self.wanted]
+        first = self._possible[: self.wanted]
         return len(first) == self.wanted and self._succeeded.issuperset(first)
 
     def begin(self) -> int:
         """Return the number of the next attempt, the lowest one that was not begun."""
-        while self._next in self._known:
+        while self._next in self._begun:
             self._next += 1
         number = self._next
-        self._known.add(number)
-        insort(self._maybe, number)
+        self._begun.add(number)
+        insort(self._possible, number)
         return number
 
     def end(self, number: int, success: bool) -> None:
@@ -52,7 +52,7 @@ class Attempts:
         if success:
             self._succeeded.add(number)
         else:
-            del self._maybe[bisect_left(self._maybe, number)]
+            del self._possible[bisect_left(self._possible, number)]
 
     def is_needed(self, number: int) -> bool | None:
         """Whether an attempt that ended belongs to the collection.
@@ -62,7 +62,9 @@ class Attempts:
             is needed as soon as fewer than W of the lower ones can succeed, and it is not once
             W of them did.
         """
-        before = bisect_left(self._maybe, number)
-        if before < self.wanted:
+        possible_before = bisect_left(self._possible, number)
+        if possible_before < self.wanted:
             return True
-        return False if self.complete else None
+        if self.complete:
+            return False
+        return None

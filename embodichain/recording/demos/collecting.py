@@ -50,7 +50,7 @@ class EndRules:
 
 @dataclass(slots=True)
 class Collected:
-    """What is in a collection so far.
+    """How many episodes a collection has so far.
 
     Attributes:
         successes: Episodes that succeeded.
@@ -70,13 +70,17 @@ class Collected:
     def mean_length(self) -> float | None:
         """Control steps of an episode; None before the first."""
         episodes = self.successes + self.failures
-        return self.steps / episodes if episodes else None
+        if not episodes:
+            return None
+        return self.steps / episodes
 
     @property
     def share(self) -> float | None:
-        """The yield: successes of all episodes; None before the first."""
+        """The yield: the share of episodes that succeeded; None before the first."""
         episodes = self.successes + self.failures
-        return self.successes / episodes if episodes else None
+        if not episodes:
+            return None
+        return self.successes / episodes
 
     def add(self, episode: CollectedEpisode) -> None:
         """Count an episode."""
@@ -88,6 +92,32 @@ class Collected:
         self.failures += 1
         self.failures_in_a_row += 1
         self.failed_in[failed_in(episode.failure or "")] += 1
+
+
+class _Running:
+    """The episodes that run in the environments; every array is (N,).
+
+    Attributes:
+        attempts: Number of the attempt.
+        returns: Sum of rewards.
+        success_steps: Control steps in a row with success.
+        waited_steps: Control steps since the policy was done.
+        are_cut: Whether the next step ends the episode.
+    """
+
+    def __init__(self, num_envs: int) -> None:
+        self.attempts = np.zeros(num_envs, np.int64)
+        self.returns = np.zeros(num_envs)
+        self.success_steps = np.zeros(num_envs, np.int64)
+        self.waited_steps = np.zeros(num_envs, np.int64)
+        self.are_cut = np.zeros(num_envs, np.bool_)
+
+    def begin(self, env_ids: NDArray[np.int64], attempts: NDArray[np.int64]) -> None:
+        """Begin attempts in some environments."""
+        self.attempts[env_ids] = attempts
+        self.returns[env_ids] = 0.0
+        self.success_steps[env_ids] = 0
+        self.waited_steps[env_ids] = 0
 
 
 class Collector:
@@ -103,7 +133,7 @@ class Collector:
         collected: What the collection contains already; updated in place.
 
     Raises:
-        ConfigError: The task does not define success.
+        ConfigError: If the task does not define success.
     """
 
     def __init__(
@@ -120,19 +150,18 @@ class Collector:
             message = "collect needs a task that says what success is: the metric `success`"
             raise ConfigError([Problem("task.metrics", message)])
         self.collected = collected
-        self._env, self._policy, self._rules = env, policy, rules
-        self._planned = policy if isinstance(policy, PlannedPolicy) else None
-        self._recorder, self._writer, self._attempts = recorder, writer, attempts
-        self._log = recorder.stats.path.name
-        count = env.num_envs
-        self._numbers = np.zeros(count, np.int64)
-        self._held = np.zeros(count, np.int64)  # control steps in a row with success
-        self._waited = np.zeros(count, np.int64)  # control steps since the policy was done
-        self._returns = np.zeros(count)
-        self._cut = np.zeros(count, np.bool_)  # the next step ends these episodes
+        self._env = env
+        self._policy = policy
+        self._rules = rules
+        self._planned_policy = policy if isinstance(policy, PlannedPolicy) else None
+        self._recorder = recorder
+        self._writer = writer
+        self._attempts = attempts
+        self._running = _Running(env.num_envs)
+        # Ended episodes: those that may yet be needed, and those that wait to be written.
         self._undecided: list[CollectedEpisode] = []
         self._unwritten: list[CollectedEpisode] = []
-        self._written = time.monotonic()
+        self._written_at = time.monotonic()
 
     @property
     def complete(self) -> bool:
@@ -144,21 +173,22 @@ class Collector:
 
         Call `write` when it ends, or is left.
         """
-        env, policy = self._env, self._policy
+        env = self._env
+        policy = self._policy
         obs = self._begin(np.arange(env.num_envs))
         policy.reset(None)
         while not self._attempts.complete:
             obs, reward, terminated, truncated, info = env.step(policy(obs, env))
-            self._returns += reward.numpy(force=True)
+            self._running.returns += reward.numpy(force=True)
             done: Mask = (terminated | truncated).numpy(force=True)
-            success = _success(info)
+            success: Mask = info["success"].numpy(force=True)
             if done.any():
-                ended = np.flatnonzero(done)
-                self._end(ended, success, terminated.numpy(force=True), info)
-                obs = self._begin(ended)
-                policy.reset(ended)
+                env_ids = np.flatnonzero(done)
+                self._end(env_ids, success, terminated.numpy(force=True), info)
+                obs = self._begin(env_ids)
+                policy.reset(env_ids)
             self._cut_short(success, done)
-            if self._unwritten and time.monotonic() - self._written > WRITE_SECONDS:
+            if self._unwritten and time.monotonic() - self._written_at > WRITE_SECONDS:
                 self.write()
             yield
 
@@ -166,65 +196,54 @@ class Collector:
         """Write the log to its file, then the episodes that ended to the lists.
 
         Raises:
-            OSError: The log or a list could not be written.
+            OSError: If the log or a list could not be written.
         """
-        episodes, self._unwritten = self._unwritten, []
+        episodes = self._unwritten
+        self._unwritten = []
         if self._recorder.lists_counted:
             self._recorder.count([e.env for e in episodes], [e.episode for e in episodes])
         self._recorder.flush()
         self._writer.add(episodes)
-        self._written = time.monotonic()
+        self._written_at = time.monotonic()
 
-    def _begin(self, ids: NDArray[np.int64]) -> Any:
+    def _begin(self, env_ids: NDArray[np.int64]) -> Any:
         """Begin the next attempts in environments (n,); return the observation of all."""
-        numbers = np.array([self._attempts.begin() for _ in ids], np.int64)
-        self._numbers[ids] = numbers
-        self._held[ids] = self._waited[ids] = 0
-        self._returns[ids] = 0.0
-        self._env.streams.renumber(ids, numbers)
-        obs, _ = self._env.reset(options={"reset_ids": ids})
+        attempts = np.array([self._attempts.begin() for _ in env_ids], np.int64)
+        self._running.begin(env_ids, attempts)
+        self._env.streams.renumber(env_ids, attempts)
+        obs, _ = self._env.reset(options={"reset_ids": env_ids})
         return obs
 
     def _cut_short(self, success: Mask, done: Mask) -> None:
-        """End the episodes with the next step that have succeeded, or in which nothing follows."""
-        self._held = np.where(success & ~done, self._held + 1, 0)
-        self._cut = self._held >= self._rules.success_steps
-        if self._planned is not None:
-            finished = self._planned.done & ~done
-            self._waited = np.where(finished, self._waited + 1, 0)
-            self._cut |= self._waited > self._rules.wait_steps
+        """End episodes with the next step that have succeeded, or in which nothing more happens."""
+        running = self._running
+        running.success_steps = np.where(success & ~done, running.success_steps + 1, 0)
+        running.are_cut = running.success_steps >= self._rules.success_steps
+        if self._planned_policy is not None:
+            finished = self._planned_policy.done & ~done
+            running.waited_steps = np.where(finished, running.waited_steps + 1, 0)
+            running.are_cut |= running.waited_steps > self._rules.wait_steps
             if finished.any():
-                failures = self._planned.failures
-                failed = [i for i in np.flatnonzero(finished).tolist() if failures[i] is not None]
-                self._cut[failed] = True
-        if self._cut.any():
-            self._env.truncate(np.flatnonzero(self._cut))
+                failures = self._planned_policy.failures
+                for env_id in np.flatnonzero(finished).tolist():
+                    # A plan that failed is not waited for: nothing can succeed any more.
+                    if failures[env_id] is not None:
+                        running.are_cut[env_id] = True
+        if running.are_cut.any():
+            self._env.truncate(np.flatnonzero(running.are_cut))
 
     def _end(
-        self, ids: NDArray[np.int64], success: Mask, terminated: Mask, info: dict[str, Any]
+        self, env_ids: NDArray[np.int64], success: Mask, terminated: Mask, info: dict[str, Any]
     ) -> None:
         """Note episodes that ended in the last control step."""
-        env = self._env
-        elapsed, episodes = env.episodes.elapsed, env.episodes.ids
-        discarded = self._planned.failures if self._planned is not None else ()
-        for i in ids.tolist():
-            succeeded = bool(success[i]) and not (discarded and discarded[i] == DISCARDED)
-            failure = None if succeeded else self._failure(i, bool(terminated[i]), info)
-            steps = int(elapsed[i])
-            episode = CollectedEpisode(
-                attempt=int(self._numbers[i]),
-                log=self._log,
-                env=i,
-                episode=int(episodes[i]),
-                first_step=env.control_step - steps,
-                steps=steps,
-                total_reward=float(self._returns[i]),
-                success=succeeded,
-                failure=failure,
+        for env_id in env_ids.tolist():
+            episode = self._ended_episode(
+                env_id, bool(success[env_id]), bool(terminated[env_id]), info
             )
             self._attempts.end(episode.attempt, episode.success)
             self._undecided.append(episode)
-        undecided, self._undecided = self._undecided, []
+        undecided = self._undecided
+        self._undecided = []
         for episode in undecided:
             needed = self._attempts.is_needed(episode.attempt)
             if needed is None:
@@ -233,22 +252,40 @@ class Collector:
                 self.collected.add(episode)
                 self._unwritten.append(episode)
 
-    def _failure(self, i: int, terminated: bool, info: dict[str, Any]) -> str:
+    def _ended_episode(
+        self, env_id: int, success: bool, terminated: bool, info: dict[str, Any]
+    ) -> CollectedEpisode:
+        if self._planned_policy is not None:
+            failures = self._planned_policy.failures
+            if failures and failures[env_id] == DISCARDED:
+                success = False
+        steps = int(self._env.episodes.elapsed[env_id])
+        return CollectedEpisode(
+            attempt=int(self._running.attempts[env_id]),
+            log=self._recorder.stats.path.name,
+            env=env_id,
+            episode=int(self._env.episodes.ids[env_id]),
+            first_step=self._env.control_step - steps,
+            steps=steps,
+            total_reward=float(self._running.returns[env_id]),
+            success=success,
+            failure=None if success else self._failure(env_id, terminated, info),
+        )
+
+    def _failure(self, env_id: int, terminated: bool, info: dict[str, Any]) -> str:
         """Why the episode of an environment failed, in one line."""
         env = self._env
-        known = known_failure(env, i, self._planned, terminated, bool(info["diverged"][i]))
-        if known is not None:
-            return known
-        if self._held[i] >= self._rules.success_steps:
+        failure = known_failure(
+            env, env_id, self._planned_policy, terminated, bool(info["diverged"][env_id])
+        )
+        if failure is not None:
+            return failure
+        if self._running.success_steps[env_id] >= self._rules.success_steps:
             return "success did not last"
-        if self._cut[i]:
+        if self._running.are_cut[env_id]:
             return DONE
-        at_limit = env.episodes.elapsed[i] >= env.max_episode_steps
-        timed_out = [n for n, value in env.termination_manager.values.items() if value[i]]
-        return LATE if at_limit or timed_out else "ended by hand"
-
-
-def _success(info: dict[str, Any]) -> Mask:
-    """(N,) whether this step is a success of the task."""
-    mask: Mask = info["success"].numpy(force=True)
-    return mask
+        if env.episodes.elapsed[env_id] >= env.max_episode_steps:
+            return LATE
+        if any(fired[env_id] for fired in env.termination_manager.values.values()):
+            return LATE
+        return "ended by hand"

@@ -1,10 +1,10 @@
 """The index of a collection: which episodes of its logs succeeded, and why the others failed.
 
-A folder of `embodichain collect` holds one log for each time it ran (``rollout.mcap``, after a
+A folder of `embodichain collect` has one log for each time it ran (``rollout.mcap``, after a
 resumption ``rollout-2.mcap``...), each perhaps in several files, and two lists with one JSON object
 a line: ``successes.jsonl`` and ``failures.jsonl``. A line is written when the episode is complete
-in the log on disk, so the lists are true after a kill. What is in a log but in neither list was
-cut off, or not needed any more.
+in the log on disk, so the lists are true after a kill. An episode of a log that neither list has
+was cut off, or was not needed any more.
 """
 
 from __future__ import annotations
@@ -67,10 +67,17 @@ class CollectedEpisode:
 
 
 _TYPES: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("attempt", "env", "episode", "first_step", "steps"), (int,)),
-    **{"log": (str,), "success": (bool,), "failure": (str, type(None))},
+    "attempt": (int,),
+    "env": (int,),
+    "episode": (int,),
+    "first_step": (int,),
+    "steps": (int,),
+    "log": (str,),
+    "success": (bool,),
+    "failure": (str, type(None)),
     "total_reward": (int, float),
 }
+"""Key of a line to the types of its value."""
 
 
 def is_collection(folder: str | Path) -> bool:
@@ -86,15 +93,18 @@ def read_collection(folder: str | Path, *, failures: bool = False) -> list[Colle
         failures: Whether the failed episodes are returned too.
 
     Raises:
-        ConfigError: It is no collection, or a line of a list is damaged; names file and line.
+        ConfigError: If it is not a collection, or a line of a list is damaged; the error names file
+            and line.
     """
     path = Path(folder)
     if not is_collection(path):
-        raise ConfigError(f"{path} is no collection: it has no {SUCCESSES} (embodichain collect)")
-    found = _read(path / SUCCESSES)
+        raise ConfigError(
+            f"{path} is not a collection: it has no {SUCCESSES} (embodichain collect)"
+        )
+    episodes = _read(path / SUCCESSES)
     if failures and (path / FAILURES).exists():
-        found += _read(path / FAILURES)
-    return sorted(found, key=lambda episode: episode.attempt)
+        episodes += _read(path / FAILURES)
+    return sorted(episodes, key=lambda episode: episode.attempt)
 
 
 def _read(path: Path) -> list[CollectedEpisode]:
@@ -102,18 +112,19 @@ def _read(path: Path) -> list[CollectedEpisode]:
         lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from error
-    # What follows the last line's end was cut off while it was written.
-    return [_parsed(line, f"{path}:{number}") for number, line in enumerate(lines[:-1], 1) if line]
+    # The text after the last newline is empty, or a line that was cut off while it was written.
+    complete = lines[:-1]
+    return [_parse(line, f"{path}:{number}") for number, line in enumerate(complete, 1) if line]
 
 
-def _parsed(line: str, where: str) -> CollectedEpisode:
+def _parse(line: str, where: str) -> CollectedEpisode:
     try:
         values: Any = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{where} is no episode of a collection: {error}") from error
+        raise ConfigError(f"{where} is not an episode of a collection: {error}") from error
     if not isinstance(values, dict) or set(values) != set(_TYPES):
         keys = ", ".join(_TYPES)
-        raise ConfigError(f"{where} is no episode of a collection: it needs the keys {keys}")
+        raise ConfigError(f"{where} is not an episode of a collection: it needs the keys {keys}")
     for key, types in _TYPES.items():
         if type(values[key]) not in types:
             raise ConfigError(f"{where}: {key} must not be {values[key]!r}")
@@ -130,11 +141,13 @@ def new_log(folder: Path, first: str) -> str:
         folder: The collection.
         first: The first log's name, such as ``rollout.mcap``.
     """
-    name, number = Path(first), 1
-    while (folder / first).exists():
+    path = Path(first)
+    name = first
+    number = 1
+    while (folder / name).exists():
         number += 1
-        first = f"{name.stem}-{number}{name.suffix}"
-    return first
+        name = f"{path.stem}-{number}{path.suffix}"
+    return name
 
 
 class CollectionWriter:
@@ -144,23 +157,23 @@ class CollectionWriter:
         folder: An existing folder.
 
     Raises:
-        ConfigError: Another process is writing there, or the folder cannot be written to.
+        ConfigError: If another process is writing there, or the folder cannot be written to.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._files: dict[bool, int] = {}
+        self._files: dict[bool, int] = {}  # success to descriptor
         try:
             for success, name in _LISTS.items():
                 flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
                 self._files[success] = os.open(folder / name, flags, 0o666)
                 platforms.lock(self._files[success])
-                _cut_half_line(self._files[success])
+                _remove_half_line(self._files[success])
         except BlockingIOError as error:
             pid = platforms.locked_by(self._files[success])
-            which = f" (process {pid} on {platform.node()})" if pid is not None else ""
             self.close()
-            raise ConfigError(f"{folder}: another process is collecting into it{which}") from error
+            holder = "" if pid is None else f" (process {pid} on {platform.node()})"
+            raise ConfigError(f"{folder}: another process is collecting into it{holder}") from error
         except OSError as error:
             self.close()
             raise ConfigError(f"{folder} cannot be written to: {error}") from error
@@ -175,16 +188,16 @@ class CollectionWriter:
         """Append episodes, which must be complete in their log on disk.
 
         Raises:
-            OSError: They could not be written, for example because the disk is full.
+            OSError: If they could not be written, for example because the disk is full.
         """
         # Failures first: with the last success, a collection is complete.
         lines: dict[bool, list[str]] = {False: [], True: []}
         for episode in episodes:
             text = json.dumps(dataclasses.asdict(episode), allow_nan=False)
             lines[episode.success].append(text + "\n")
-        for success, found in lines.items():
+        for success, new_lines in lines.items():
             try:
-                _write(self._files[success], found)
+                _write(self._files[success], new_lines)
             except OSError as error:
                 name = str(self._folder / _LISTS[success])
                 raise OSError(error.errno, error.strerror, name) from error
@@ -192,17 +205,18 @@ class CollectionWriter:
     def close(self) -> None:
         """Close the lists; another process may then write to them."""
         while self._files:
-            os.close(self._files.popitem()[1])
+            _, descriptor = self._files.popitem()
+            os.close(descriptor)
 
 
 def _write(descriptor: int, lines: Sequence[str]) -> None:
-    left = memoryview("".join(lines).encode())
-    while left:
-        left = left[os.write(descriptor, left) :]
+    rest = memoryview("".join(lines).encode())
+    while rest:
+        rest = rest[os.write(descriptor, rest) :]
 
 
-def _cut_half_line(descriptor: int) -> None:
-    """Remove what a killed process wrote after the last whole line."""
+def _remove_half_line(descriptor: int) -> None:
+    """Remove the part of a line that a killed process has written."""
     size = os.fstat(descriptor).st_size
     data = os.pread(descriptor, size, 0)
     os.ftruncate(descriptor, data.rfind(b"\n") + 1)

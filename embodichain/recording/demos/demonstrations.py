@@ -94,8 +94,10 @@ class Episode:
             ConfigError: If there is no such group.
         """
         if group not in self.groups:
-            known = ", ".join(self.groups) or "none"
-            raise ConfigError(f"{self.task}: no observation group {group!r}; there are: {known}")
+            available = ", ".join(self.groups) or "none"
+            raise ConfigError(
+                f"{self.task}: no observation group {group!r}; there are: {available}"
+            )
         return {name: self.observations[name] for name in self.groups[group]}
 
     def group(self, name: str = "policy") -> NDArray[np.float32]:
@@ -104,20 +106,22 @@ class Episode:
         Raises:
             ConfigError: If there is no such group, or one of its entries is an image.
         """
-        parts = self.entries(name)
-        images = [entry for entry, values in parts.items() if values.ndim > _IMAGE_NDIM]
+        entries = self.entries(name)
+        images = [entry for entry, values in entries.items() if values.ndim > _IMAGE_NDIM]
         if images:
-            raise ConfigError(f"{self.task}: {', '.join(images)}: an image is no part of a vector")
-        flat = [part.reshape(len(part), -1).astype(np.float32) for part in parts.values()]
-        return np.concatenate(flat, axis=1)
+            raise ConfigError(
+                f"{self.task}: {', '.join(images)}: an image cannot be part of a vector"
+            )
+        columns = [values.reshape(len(values), -1) for values in entries.values()]
+        return np.concatenate([values.astype(np.float32) for values in columns], axis=1)
 
 
 class Source(NamedTuple):
-    """A log, and what a collection says of it.
+    """A log, and its episodes in the lists of its collection.
 
     Attributes:
         path: The log.
-        listed: Its episodes in the collection that it belongs to; None if it belongs to none.
+        listed: Episodes of the log that its collection lists; None if it is not in a collection.
     """
 
     path: Path
@@ -128,7 +132,7 @@ class Source(NamedTuple):
         """(environment, episode) to the number of its attempt, see `Reenactment`."""
         if self.listed is None:
             return None
-        return {(one.env, one.episode): one.attempt for one in self.listed}
+        return {(episode.env, episode.episode): episode.attempt for episode in self.listed}
 
 
 def sources_of(path: str | Path, failures: bool = False) -> list[Source]:
@@ -138,7 +142,7 @@ def sources_of(path: str | Path, failures: bool = False) -> list[Source]:
 
     Args:
         path: The path.
-        failures: Whether logs of a collection count in which no episode succeeded.
+        failures: Whether to include logs of a collection in which no episode succeeded.
 
     Raises:
         ConfigError: If there is no such file, a folder has no log, or a list is damaged.
@@ -147,23 +151,33 @@ def sources_of(path: str | Path, failures: bool = False) -> list[Source]:
     if not path.exists():
         raise ConfigError(f"{path} does not exist")
     folder = path if path.is_dir() else path.parent
-    if not is_collection(folder):
-        if (manifest := path if path.name.endswith(SHARDS_SUFFIX) else path / SHARDS).exists():
-            logs = [manifest.with_name(entry.log) for entry in read_shards(manifest)]
-            return [Source(log, None) for log in logs]
-        if path.is_dir() and not (path / LOG).exists():
-            raise ConfigError(f"{path} has no {LOG}: a run with record=none, or another folder")
-        return [Source(path / LOG if path.is_dir() else path, None)]
+    if is_collection(folder):
+        return _sources_in_collection(path, folder, failures)
+    manifest = path if path.name.endswith(SHARDS_SUFFIX) else path / SHARDS
+    if manifest.exists():
+        return [Source(manifest.with_name(shard.log), None) for shard in read_shards(manifest)]
+    if not path.is_dir():
+        return [Source(path, None)]
+    if not (path / LOG).exists():
+        raise ConfigError(f"{path} has no {LOG}: a run with record=none, or another folder")
+    return [Source(path / LOG, None)]
+
+
+def _sources_in_collection(path: Path, folder: Path, failures: bool) -> list[Source]:
+    """The logs of a collection; if `path` is one of them, only this one."""
     listed: dict[str, list[CollectedEpisode]] = {}
-    for one in read_collection(folder, failures=True):
-        listed.setdefault(one.log, []).append(one)
+    for episode in read_collection(folder, failures=True):
+        listed.setdefault(episode.log, []).append(episode)
     if not path.is_dir():
         return [Source(path, listed.get(first_file(path).name, []))]
     if not listed:
         raise ConfigError(f"{path}: the collection has no episode yet")
-    # A log that has only failures is left out, unless there is no other.
-    good = {name for name, of in listed.items() if any(one.success for one in of)} or set(listed)
-    return [Source(folder / name, of) for name, of in listed.items() if failures or name in good]
+    sources = [Source(folder / name, episodes) for name, episodes in listed.items()]
+    if failures:
+        return sources
+    with_success = [s for s in sources if any(episode.success for episode in s.listed or ())]
+    # If no log has a success, reading the first one says so.
+    return with_success or sources
 
 
 def read_episodes(
@@ -176,9 +190,9 @@ def read_episodes(
 
     Args:
         paths: One or several logs or folders, see `sources_of`.
-        failures: Also yield episodes that did not succeed; of a log that belongs to no collection,
-            also those whose end is not in it. Without it, a task that does not define success has
-            none to yield.
+        failures: Also yield episodes that did not succeed, and those whose end is missing in a log
+            outside of a collection. Without it, a task that does not define success has no episode
+            to yield.
         progress: Called with the numbers of episodes that were yielded, and that will be, of the
             current log.
 
@@ -187,111 +201,132 @@ def read_episodes(
             is of another task than the first.
         LogError: If a log has no states, or is damaged.
     """
-    given = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    if isinstance(paths, (str, Path)):
+        paths = [paths]
+    sources: list[Source] = []
+    for path in paths:
+        sources += sources_of(path, failures)
     first: Episode | None = None
-    for source in [source for one in given for source in sources_of(one, failures)]:
+    for source in sources:
         with RecordedLog(source.path) as log:
-            wanted = _wanted(log, source, failures)
-            for number, episode in enumerate(_episodes(log, wanted, source.numbers), start=1):
-                first = first or episode
-                _require_same(first, episode)
+            selected = _select_episodes(log, source, failures)
+            for number, episode in enumerate(_read(log, selected, source.numbers), start=1):
+                if first is None:
+                    first = episode
+                _check_same_task(first, episode)
                 yield episode
                 if progress is not None:
-                    progress(number, len(wanted))
+                    progress(number, len(selected))
 
 
-def _wanted(log: RecordedLog, source: Source, failures: bool) -> list[LogEpisode]:
-    """The episodes to yield; with the success that a collection lists."""
+def _select_episodes(log: RecordedLog, source: Source, failures: bool) -> list[LogEpisode]:
+    """The episodes to yield; in a collection, those that it lists."""
     log.header.require_states(log.path)
-    found = log.episodes
+    episodes = log.episodes
     if source.listed is not None:
-        known = {(episode.env, episode.episode): episode for episode in found}
-        lacking = [one for one in source.listed if (one.env, one.episode) not in known]
-        if lacking:
-            one = lacking[0]
-            raise LogError(
-                f"{log.path} lacks episode {one.episode} of environment {one.env}, which the "
-                "collection lists"
-            )
-        found = [known[one.env, one.episode] for one in source.listed]
-    wanted = [e for e in found if failures or e.success]
-    if not wanted:
-        if any(e.success is not None for e in found):
-            why = f"none of its {len(found)} episodes succeeded"
-        else:
-            why = "no episode ended"
-        raise ConfigError(f"{log.path}: {why}; --failures takes all episodes")
-    return wanted
+        by_id = {(episode.env, episode.episode): episode for episode in episodes}
+        for listed in source.listed:
+            if (listed.env, listed.episode) not in by_id:
+                raise LogError(
+                    f"{log.path} lacks episode {listed.episode} of environment {listed.env}, "
+                    "which the collection lists"
+                )
+        episodes = [by_id[listed.env, listed.episode] for listed in source.listed]
+    selected = [episode for episode in episodes if failures or episode.success]
+    if not selected:
+        reason = "no episode ended"
+        if any(episode.success is not None for episode in episodes):
+            reason = f"none of its {len(episodes)} episodes succeeded"
+        raise ConfigError(f"{log.path}: {reason}; --failures takes all episodes")
+    return selected
 
 
-def _require_same(first: Episode, episode: Episode) -> None:
-    """Refuse an episode of a task with other observations or actions."""
-    shapes = [
-        {n: (o.dtype.str, o.shape[1:]) for n, o in e.observations.items()}
-        | {"actions": ("", e.actions.shape[1:]), "task": (e.task, ())}
-        for e in (first, episode)
-    ]
-    if shapes[0] == shapes[1] and first.groups == episode.groups:
+def _check_same_task(first: Episode, episode: Episode) -> None:
+    """Raise if an episode is of a task with other observations or actions."""
+    expected = _types_of(first)
+    types = _types_of(episode)
+    if expected == types and first.groups == episode.groups:
         return
-    differ = [
-        name for name in {**shapes[0], **shapes[1]} if shapes[0].get(name) != shapes[1].get(name)
-    ]
+    names = dict.fromkeys([*expected, *types])
+    differences = [name for name in names if expected.get(name) != types.get(name)]
     raise ConfigError(
         f"{episode.path} (task {episode.task}) does not belong together with {first.path} "
-        f"(task {first.task}): other {', '.join(differ or ['groups'])}"
+        f"(task {first.task}): other {', '.join(differences or ['groups'])}"
     )
 
 
-def _episodes(
-    log: RecordedLog, wanted: Sequence[LogEpisode], numbers: Mapping[tuple[int, int], int] | None
+def _types_of(episode: Episode) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Type and shape of each observation and of the actions in a step, and the task's name."""
+    types = {
+        name: (values.dtype.str, values.shape[1:]) for name, values in episode.observations.items()
+    }
+    types["actions"] = ("", episode.actions.shape[1:])
+    types["task"] = (episode.task, ())
+    return types
+
+
+def _read(
+    log: RecordedLog, selected: Sequence[LogEpisode], numbers: Mapping[tuple[int, int], int] | None
 ) -> Iterator[Episode]:
-    """Yield the wanted episodes of one log as they end.
+    """Yield the selected episodes of one log as they end.
 
     Observation k + 1 of the store follows from step k of the log.
     """
-    last = max(episode.last_step for episode in wanted)
-    ends: dict[int, list[LogEpisode]] = {}
-    for episode in wanted:
-        ends.setdefault(episode.last_step, []).append(episode)
+    last_step = max(episode.last_step for episode in selected)
+    ending: dict[int, list[LogEpisode]] = {}  # last step to the episodes that end with it
+    for episode in selected:
+        ending.setdefault(episode.last_step, []).append(episode)
     with Reenactment(log, numbers) as play, ObservationStore() as store:
         paths = play.env.observation_manager.paths
-        groups = {name: tuple("/".join(path) for path in of) for name, of in paths.items()}
+        groups = {
+            name: tuple("/".join(path) for path in entries) for name, entries in paths.items()
+        }
         store.add(0, play.first)
         steps: deque[Step] = deque()
-        begun = np.zeros(play.env.num_envs, np.int64)
-        for step in play.steps(last):
+        first_steps = np.zeros(play.env.num_envs, np.int64)  # of the running episodes
+        for step in play.steps(last_step):
             steps.append(step)
-            for found in ends.get(step.number, ()):
-                own = list(islice(steps, found.first_step - steps[0].number, None))
-                seen = store.take(found.env, found.first_step, step.number + 1, step.seen)
-                yield _made(log, found, groups, own, seen)
+            for episode in ending.get(step.number, ()):
+                skipped = episode.first_step - steps[0].number
+                yield _make_episode(
+                    log,
+                    episode,
+                    groups=groups,
+                    steps=list(islice(steps, skipped, None)),
+                    observations=store.take(
+                        episode.env, episode.first_step, step.number + 1, final=step.seen
+                    ),
+                )
             store.add(step.number + 1, step.next)
-            steps[-1] = step._replace(seen=play.first, next=play.first)  # they are in the store
-            begun[step.terminated | step.truncated] = step.number + 1
-            store.forget(int(begun.min()))
-            while steps and steps[0].number < begun.min():
+            # The store has the observations: images must not be kept twice.
+            steps[-1] = step._replace(seen=play.first, next=play.first)
+            first_steps[step.terminated | step.truncated] = step.number + 1
+            oldest = int(first_steps.min())
+            store.forget(oldest)
+            while steps and steps[0].number < oldest:
                 steps.popleft()
 
 
-def _made(
+def _make_episode(
     log: RecordedLog,
-    found: LogEpisode,
+    episode: LogEpisode,
     groups: Mapping[str, tuple[str, ...]],
     steps: Sequence[Step],
-    seen: Mapping[str, NDArray[Any]],
+    observations: Mapping[str, NDArray[Any]],
 ) -> Episode:
+    env = episode.env
     return Episode(
         task=log.task,
-        observations=seen,
+        observations=observations,
         groups=groups,
-        actions=np.array([step.action[found.env] for step in steps], np.float32),
-        rewards=np.array([step.reward[found.env] for step in steps], np.float32),
-        states=np.array([step.row[found.env] for step in steps]),
-        terminated=found.terminated,
-        truncated=found.truncated,
-        success=found.success,
+        actions=np.array([step.action[env] for step in steps], np.float32),
+        rewards=np.array([step.reward[env] for step in steps], np.float32),
+        states=np.array([step.row[env] for step in steps]),
+        terminated=episode.terminated,
+        truncated=episode.truncated,
+        success=episode.success,
         path=log.path,
-        env=found.env,
-        episode=found.episode,
-        first_step=found.first_step,
+        env=env,
+        episode=episode.episode,
+        first_step=episode.first_step,
     )

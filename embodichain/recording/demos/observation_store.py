@@ -14,12 +14,18 @@ from embodichain.lab.gym.envs.observation import Observation, Path, as_array
 
 __all__ = ["ObservationStore"]
 
-_FILED_BYTES = 2**18
-"""Larger entries (images of all environments) are kept in a file."""
+_LARGEST_IN_MEMORY = 2**18
+"""Bytes; larger entries (images of all environments) are kept in a file."""
 
 
-class _Filed(NamedTuple):
-    """An array in the file."""
+class _FiledArray(NamedTuple):
+    """The place of an array in the file.
+
+    Attributes:
+        offset: Its first byte.
+        dtype: Its type.
+        shape: (N, ...).
+    """
 
     offset: int
     dtype: np.dtype[Any]
@@ -27,25 +33,39 @@ class _Filed(NamedTuple):
 
     @property
     def row_bytes(self) -> int:
+        """Bytes of one environment."""
         return self.dtype.itemsize * int(np.prod(self.shape[1:], dtype=np.int64))
 
     @property
     def nbytes(self) -> int:
+        """Bytes of all environments."""
         return self.shape[0] * self.row_bytes
+
+
+class _StoredObservation(NamedTuple):
+    """An observation of all environments.
+
+    Attributes:
+        rows: (N, ...) the entries of the observation's array.
+        others: Path to each other entry, such as an image.
+    """
+
+    rows: NDArray[Any]
+    others: dict[Path, NDArray[Any] | _FiledArray]
 
 
 class ObservationStore:
     """Keeps observations by number, ascending without gaps. Close it, or use `with`.
 
-    Entries of the environment's array are kept as they are, images in a temporary file, whose
+    Entries of the observation's array are kept in memory, images in a temporary file, whose
     places are used again. So memory does not grow with the number or the size of images.
     """
 
     def __init__(self) -> None:
-        self._first = 0
-        self._kept: deque[tuple[Observation, dict[Path, NDArray[Any] | _Filed]]] = deque()
+        self._first_number = 0
+        self._observations: deque[_StoredObservation] = deque()
         self._file = tempfile.TemporaryFile(prefix="embodichain_")  # noqa: SIM115
-        self._free: dict[int, list[int]] = {}
+        self._free_offsets: dict[int, list[int]] = {}  # by the bytes of the array that was there
         self._end = 0
 
     def __enter__(self) -> ObservationStore:
@@ -58,23 +78,24 @@ class ObservationStore:
 
     def add(self, number: int, obs: Observation) -> None:
         """Keep an observation."""
-        if not self._kept:
-            self._first = number
-        others = {
-            path: self._write(array) if array.nbytes > _FILED_BYTES else array
-            for path, array in _others(obs)
-        }
-        small = Observation(obs.layout, obs.rows)
-        self._kept.append((small, others))
+        if not self._observations:
+            self._first_number = number
+        others: dict[Path, NDArray[Any] | _FiledArray] = {}
+        for path, array in _others(obs):
+            if array.nbytes > _LARGEST_IN_MEMORY:
+                others[path] = self._write(array)
+            else:
+                others[path] = array
+        self._observations.append(_StoredObservation(obs.rows, others))
 
     def forget(self, before: int) -> None:
         """Give up the observations with smaller numbers."""
-        while self._kept and self._first < before:
-            _, others = self._kept.popleft()
-            self._first += 1
-            for place in others.values():
-                if isinstance(place, _Filed):
-                    self._free.setdefault(place.nbytes, []).append(place.offset)
+        while self._observations and self._first_number < before:
+            oldest = self._observations.popleft()
+            self._first_number += 1
+            for array in oldest.others.values():
+                if isinstance(array, _FiledArray):
+                    self._free_offsets.setdefault(array.nbytes, []).append(array.offset)
 
     def take(self, env: int, first: int, stop: int, final: Observation) -> dict[str, NDArray[Any]]:
         """The observations of one environment.
@@ -88,34 +109,38 @@ class ObservationStore:
         Returns:
             Path of the entry, joined by "/", to (stop - first + 1, ...), as new arrays.
         """
-        kept = [self._kept[number - self._first] for number in range(first, stop)]
-        rows = np.stack([*(obs.rows[env] for obs, _ in kept), final.rows[env]])
+        observations = [self._observations[n - self._first_number] for n in range(first, stop)]
+        rows = np.stack([*(stored.rows[env] for stored in observations), final.rows[env]])
         layout = final.layout
-        found: dict[str, NDArray[Any]] = {}
+        entries: dict[str, NDArray[Any]] = {}
         for path in layout.paths:
             columns = rows[:, layout.columns[path]]
-            found["/".join(path)] = columns.reshape(len(rows), *layout.shapes[path]).copy()
-        for path, array in _others(final):
-            values = np.empty((len(rows), *array.shape[1:]), array.dtype)
-            for index, (_, others) in enumerate(kept):
-                place = others[path]
-                values[index] = self._read(place, env) if isinstance(place, _Filed) else place[env]
-            values[-1] = array[env]
-            found["/".join(path)] = values
-        return found
+            entries["/".join(path)] = columns.reshape(len(rows), *layout.shapes[path]).copy()
+        for path, final_array in _others(final):
+            values = np.empty((len(rows), *final_array.shape[1:]), final_array.dtype)
+            for index, stored in enumerate(observations):
+                array = stored.others[path]
+                if isinstance(array, _FiledArray):
+                    values[index] = self._read(array, env)
+                else:
+                    values[index] = array[env]
+            values[-1] = final_array[env]
+            entries["/".join(path)] = values
+        return entries
 
-    def _write(self, array: NDArray[Any]) -> _Filed:
-        free = self._free.get(array.nbytes)
-        place = _Filed(free.pop() if free else self._end, array.dtype, array.shape)
-        self._end = max(self._end, place.offset + place.nbytes)
-        self._file.seek(place.offset)
+    def _write(self, array: NDArray[Any]) -> _FiledArray:
+        free_offsets = self._free_offsets.get(array.nbytes)
+        offset = free_offsets.pop() if free_offsets else self._end
+        filed = _FiledArray(offset, array.dtype, array.shape)
+        self._end = max(self._end, offset + filed.nbytes)
+        self._file.seek(offset)
         self._file.write(np.ascontiguousarray(array).data)
-        return place
+        return filed
 
-    def _read(self, place: _Filed, env: int) -> NDArray[Any]:
-        self._file.seek(place.offset + env * place.row_bytes)
-        data = self._file.read(place.row_bytes)
-        return np.frombuffer(data, place.dtype).reshape(place.shape[1:])
+    def _read(self, array: _FiledArray, env: int) -> NDArray[Any]:
+        self._file.seek(array.offset + env * array.row_bytes)
+        data = self._file.read(array.row_bytes)
+        return np.frombuffer(data, array.dtype).reshape(array.shape[1:])
 
 
 def _others(obs: Observation) -> Iterator[tuple[Path, NDArray[Any]]]:

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 __all__ = ["Reenactment", "Step", "config_of"]
 
 _SAME_TASK = 1e-4
-"""Positions (m or rad) that differ by more at an episode's start are those of another task; smaller
-differences are of another processor."""
+"""Difference of positions (m or rad) at an episode's start above which the task is another one.
+Another processor causes smaller differences."""
 _log = logging.getLogger(__name__)
 
 
@@ -54,15 +54,25 @@ def config_of(log: RecordedLog) -> Resolved:
     tree = log.written_config
     if "task" not in tree:
         raise ConfigError(f"{log.path} contains no config: it was not recorded by `run`")
-    own = {"seed": log.seed, "num_envs": log.num_envs, "policy": None}
-    here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
-    here |= {"trust": False}  # whoever made the log does not say whom to trust
-    changed = {**tree, **own, **{name: value for name, value in here.items() if name in tree}}
+    job_options = {
+        "viewer": {"name": "none"},
+        "quiet": True,
+        "video": False,
+        "resume": None,
+        "trust": False,  # whoever made the log does not decide whom this machine trusts
+    }
+    tree = dict(tree)
+    tree["seed"] = log.seed
+    tree["num_envs"] = log.num_envs
+    tree["policy"] = None
+    for name, value in job_options.items():
+        if name in tree:
+            tree[name] = value
     source = f"{log.path}: config.yaml"
-    found = resolve_tree(as_reader(changed), source, "run", task_name=log.task)
-    for note in notes_of_today(found.tree):
+    resolved = resolve_tree(as_reader(tree), source, "run", task_name=log.task)
+    for note in notes_of_today(resolved.tree):
         _log.warning("%s", note)
-    return with_arrays(found, "host")
+    return with_arrays(resolved, "host")
 
 
 class Step(NamedTuple):
@@ -77,7 +87,7 @@ class Step(NamedTuple):
         truncated: (N,) bool, recorded.
         episodes: (N,) episode that the step belongs to.
         seen: Observation after the step.
-        next: The same after the reset of environments whose episode ended; `seen` if none did.
+        next: Observation after the reset of environments whose episode ended; `seen` if none did.
     """
 
     number: int
@@ -96,8 +106,8 @@ class Reenactment:
 
     Before the physics of each step, the simulation's states are compared with the recorded ones.
     With the software and the processor of the recording all are the same, bit for bit, and so are
-    the observations. Where they differ, the recorded states are put in, so that errors do not
-    grow; `corrected` counts these states, and a warning is logged at the end.
+    the observations. Where they differ, the simulation continues from the recorded states, so that
+    errors do not grow; `corrected` counts these states, and a warning is logged at the end.
 
     Args:
         log: The log; it must begin with the first episodes of all environments, without gaps.
@@ -124,7 +134,8 @@ class Reenactment:
     ) -> None:
         from embodichain.config.environments.factory import make_env
 
-        self._log, self._numbers = log, numbers
+        self._log = log
+        self._numbers = numbers
         self.corrected = 0
         log.header.require_states(log.path)
         _require_beginning(log)
@@ -178,56 +189,67 @@ class Reenactment:
             self._warn(number)
 
     def _step(self, number: int, recorded: dict[str, NDArray[Any]]) -> Step:
-        env, terminated, truncated = self.env, recorded["terminated"], recorded["truncated"]
+        env = self.env
+        terminated = recorded["terminated"]
+        truncated = recorded["truncated"]
         if truncated.any():
             env.truncate(np.flatnonzero(truncated))
         episodes = env.episodes.ids.copy()
         if not np.array_equal(episodes, recorded["episode_ids"]):
             raise ConfigError(f"{self._log.path}: step {number} is of other episodes: {_CHANGED}")
-        known = self._known(episodes)
-        self._comparison.expect(number, known, env.episodes.elapsed == 0)
+        is_comparable = self._is_comparable(episodes)
+        self._comparison.expect(number, is_comparable, begins=env.episodes.elapsed == 0)
         row = self._rows.rows.copy()
-        seen, _, *ends, _ = env.step(_action(recorded["action"]))
-        for name, here in zip(("terminated", "truncated"), ends, strict=True):
-            self._check_ends(number, name, here.numpy() & known, recorded[name] & known)
+        obs, _, terminated_here, truncated_here, _ = env.step(_action(recorded["action"]))
+        self._check_ends(number, "terminated", terminated_here.numpy(), terminated, is_comparable)
+        self._check_ends(number, "truncated", truncated_here.numpy(), truncated, is_comparable)
+        seen = cast("Observation", obs)
         done = np.flatnonzero(terminated | truncated)
         return Step(
-            number,
-            row,
-            recorded["action"],
-            recorded["reward"],
-            terminated,
-            truncated,
-            episodes,
-            cast("Observation", seen),
-            self._reset(done) if len(done) else cast("Observation", seen),
+            number=number,
+            row=row,
+            action=recorded["action"],
+            reward=recorded["reward"],
+            terminated=terminated,
+            truncated=truncated,
+            episodes=episodes,
+            seen=seen,
+            next=self._reset(done) if len(done) else seen,
         )
 
     def _reset(self, ids: NDArray[np.int64]) -> Observation:
         """Begin the next episodes of environments (n,); return the observation of all."""
-        env, numbers = self.env, self._numbers
-        if numbers is not None:
-            coming = zip(ids.tolist(), (env.episodes.ids[ids] + 1).tolist(), strict=True)
-            found = {key[0]: numbers[key] for key in coming if key in numbers}
-            env.streams.renumber(
-                np.array([*found], np.int64), np.array([*found.values()], np.int64)
-            )
+        env = self.env
+        if self._numbers is not None:
+            renumbered = []
+            numbers = []
+            for env_id in ids.tolist():
+                next_episode = int(env.episodes.ids[env_id]) + 1
+                if (env_id, next_episode) in self._numbers:
+                    renumbered.append(env_id)
+                    numbers.append(self._numbers[env_id, next_episode])
+            env.streams.renumber(np.array(renumbered, np.int64), np.array(numbers, np.int64))
         obs, _ = env.reset(options={"reset_ids": ids})
         return cast("Observation", obs)
 
-    def _known(self, episodes: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def _is_comparable(self, episodes: NDArray[np.int64]) -> NDArray[np.bool_]:
         """(N,) environments whose current episode draws as when it was recorded."""
         if self._numbers is None:
             return np.ones(len(episodes), np.bool_)
         return np.array([key in self._numbers for key in enumerate(episodes.tolist())])
 
     def _check_ends(
-        self, number: int, name: str, here: NDArray[np.bool_], there: NDArray[np.bool_]
+        self,
+        number: int,
+        name: str,
+        here: NDArray[np.bool_],
+        recorded: NDArray[np.bool_],
+        is_comparable: NDArray[np.bool_],
     ) -> None:
-        differs = np.flatnonzero(here != there)
+        differs = np.flatnonzero((here != recorded) & is_comparable)
         if len(differs):
             env = int(differs[0])
-            when = "when recorded, not here" if there[env] else "here, not when recorded"
+            when = "when recorded, not here" if recorded[env] else "here, not when recorded"
             raise ConfigError(
                 f"{self._log.path}: step {number}: the episode of environment {env} is {name} "
                 f"{when}: {_CHANGED}"
@@ -240,18 +262,24 @@ class Reenactment:
         return Rows(log.reader)
 
     def _check_scene(self) -> None:
-        log, model = self._log, self.env.sim.engine.model
-        layout = {name: (part.start, part.stop) for name, part in row_layout(model).items()}
+        log = self._log
+        model = self.env.sim.engine.model
+        layout = {
+            name: (columns.start, columns.stop) for name, columns in row_layout(model).items()
+        }
         if layout != dict(log.header.layout):
             raise ConfigError(f"{log.path}: its scene has other joints or bodies: {_CHANGED}")
 
     def _warn(self, steps: int) -> None:
         header = self._log.header
-        why = "it was recorded on another kind of processor, or terms were changed"
-        if not header.has_writes:
-            why = "it has states of a device, in float32; these were computed on the host"
         if header.mujoco_version != mujoco.__version__:
-            why = f"it was recorded with MuJoCo {header.mujoco_version}, not {mujoco.__version__}"
+            reason = (
+                f"it was recorded with MuJoCo {header.mujoco_version}, not {mujoco.__version__}"
+            )
+        elif not header.has_writes:
+            reason = "it has states of a device, in float32; these were computed on the host"
+        else:
+            reason = "it was recorded on another kind of processor, or terms were changed"
         _log.warning(
             "%s: %d of %d states differ from the recorded ones, by %.3g in positions (m, rad) at "
             "most; the recorded ones were used, and observations are as exact as that: %s",
@@ -259,7 +287,7 @@ class Reenactment:
             self.corrected,
             steps * header.num_envs,
             self._comparison.largest,
-            why,
+            reason,
         )
 
 
@@ -271,16 +299,16 @@ def _changes_or_outcomes(kind: CallKind) -> bool:
 
 
 def _require_beginning(log: RecordedLog) -> None:
-    """Refuse a log from which the draws of its environment cannot be repeated."""
+    """Raise if the draws of a log's environment cannot be repeated."""
     if log.header.every > 1:
         raise ConfigError(
             f"{log.path} was recorded with record.every={log.header.every}: observations can only "
             "be computed again from a log of all episodes"
         )
-    begun = [e for e in log.episodes if e.first_step == log.header.first_step]
-    if not begun:
+    first_episodes = [e for e in log.episodes if e.first_step == log.header.first_step]
+    if not first_episodes:
         raise LogError(f"{log.path} has no complete control step")
-    if log.header.first_step or any(episode.episode for episode in begun):
+    if log.header.first_step or any(episode.episode > 0 for episode in first_episodes):
         raise ConfigError(
             f"{log.path} does not begin with first episodes: observations can only be computed "
             "again from the run's start (of a log in several files, name the first)"
@@ -289,16 +317,32 @@ def _require_beginning(log: RecordedLog) -> None:
 
 def _action(recorded: F64) -> torch.Tensor:
     """The action as the policy gave it: float32 unless that would lose digits."""
-    narrow = recorded.astype(np.float32)
-    return torch.from_numpy(narrow if (narrow == recorded).all() else recorded.copy())
+    single = recorded.astype(np.float32)
+    if (single == recorded).all():
+        return torch.from_numpy(single)
+    return torch.from_numpy(recorded.copy())
+
+
+class _Expectation(NamedTuple):
+    """The control step whose physics comes next.
+
+    Attributes:
+        number: The control step.
+        is_comparable: (N,) environments whose states should be the recorded ones.
+        begins: (N,) environments whose episode begins with it.
+    """
+
+    number: int
+    is_comparable: NDArray[np.bool_]
+    begins: NDArray[np.bool_]
 
 
 class _Comparison(StepObserver):
-    """Compares the states before physics with the recorded ones; puts those in if they differ.
+    """Compares the states before physics with the recorded ones, and replaces those that differ.
 
     Args:
         log: The log.
-        rows: Its follower, which is at the same step.
+        rows: The recorded rows, which follow the log to the same step.
 
     Attributes:
         corrected: Number of states that differed.
@@ -306,43 +350,42 @@ class _Comparison(StepObserver):
     """
 
     def __init__(self, log: RecordedLog, rows: Rows) -> None:
-        self._path, self._rows = log.path, rows
-        places = ("qpos", "mocap_pos", "mocap_quat")
-        found = [np.arange(*log.header.layout[p]) for p in places if p in log.header.layout]
-        self._positions = np.concatenate(found)
-        self._same_version = log.header.mujoco_version == mujoco.__version__
-        self._expected: tuple[int, NDArray[np.bool_], NDArray[np.bool_]] | None = None
+        self._path = log.path
+        self._rows = rows
+        layout = log.header.layout
+        components = [name for name in ("qpos", "mocap_pos", "mocap_quat") if name in layout]
+        self._positions = np.concatenate([np.arange(*layout[name]) for name in components])
+        self._is_same_mujoco = log.header.mujoco_version == mujoco.__version__
+        self._expectation: _Expectation | None = None
         self.corrected = 0
         self.largest = 0.0
 
-    def expect(self, number: int, known: NDArray[np.bool_], begins: NDArray[np.bool_]) -> None:
-        """Compare before the next physics.
-
-        Args:
-            number: Its control step.
-            known: (N,) environments whose states should be the recorded ones.
-            begins: (N,) environments whose episode begins with it.
-        """
-        self._expected = number, known, begins
+    def expect(
+        self, number: int, is_comparable: NDArray[np.bool_], begins: NDArray[np.bool_]
+    ) -> None:
+        """Compare before the next physics: see `_Expectation`."""
+        self._expectation = _Expectation(number, is_comparable, begins)
 
     def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
         """Compare, once a control step."""
-        if event.phase != "before" or self._expected is None:
+        if event.phase != "before" or self._expectation is None:
             return
-        (number, known, begins), self._expected = self._expected, None
-        here, there = event.rows, self._rows.rows
-        differs = (here.view(np.uint64) != there.view(np.uint64)).any(axis=1)
+        number, is_comparable, begins = self._expectation
+        self._expectation = None
+        recorded = self._rows.rows
+        differs = (event.rows.view(np.uint64) != recorded.view(np.uint64)).any(axis=1)
         if not differs.any():
             return
-        wrong = np.flatnonzero(differs)
-        apart = np.abs(here[wrong] - there[wrong])[:, self._positions].max(axis=1, initial=0.0)
-        apart[~known[wrong]] = 0.0
-        started = wrong[(apart > _SAME_TASK) & begins[wrong]]
-        if len(started) and self._same_version:
+        env_ids = np.flatnonzero(differs)
+        error = np.abs(event.rows[env_ids] - recorded[env_ids])
+        distance = error[:, self._positions].max(axis=1, initial=0.0)
+        distance[~is_comparable[env_ids]] = 0.0
+        begun_elsewhere = env_ids[(distance > _SAME_TASK) & begins[env_ids]]
+        if len(begun_elsewhere) and self._is_same_mujoco:
             raise ConfigError(
-                f"{self._path}: step {number}: the episode of environment {int(started[0])} begins "
-                f"in another state than recorded: {_CHANGED}"
+                f"{self._path}: step {number}: the episode of environment "
+                f"{int(begun_elsewhere[0])} begins in another state than recorded: {_CHANGED}"
             )
-        self.corrected += int(known[wrong].sum())
-        self.largest = max(self.largest, float(np.nanmax(apart, initial=0.0)))
-        env.sim.engine.write("row", there[wrong], wrong)
+        self.corrected += int(is_comparable[env_ids].sum())
+        self.largest = max(self.largest, float(np.nanmax(distance, initial=0.0)))
+        env.sim.engine.write("row", recorded[env_ids], env_ids)

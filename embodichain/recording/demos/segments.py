@@ -2,16 +2,17 @@
 
 A segment is a part of an episode in which an arm acts on one target: an entity, a link of an
 articulation, or the pose of a command. Segments end where the gripper has closed or opened and the
-tool moves on. Their target is what the tool is nearest to at that moment, and in the last one,
-where it comes nearest, other than what it holds. If there is nothing else, it is the world.
+tool moves on. The target of a segment is the one that the tool is nearest to at that moment, and in
+the last segment the one that it comes nearest to, without those that it holds. If there is no other
+target, it is the world.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +28,17 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.api import F64
 
-__all__ = ["Segment", "Source", "read_sources", "read_tools", "target_poses"]
+__all__ = [
+    "Segment",
+    "Source",
+    "read_sources",
+    "read_targets",
+    "read_tools",
+    "target_poses",
+]
 
-_MOVED = 0.005
-"""M: a tool that is farther from where its gripper acted has moved on."""
+_MOVED_ON = 0.005
+"""Distance in metres from where its gripper acted at which a tool has moved on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +48,7 @@ class Segment:
     Attributes:
         start: Its first control step.
         stop: Its last one plus 1.
-        target: Index of what it acts on.
+        target: Index of the target that it acts on.
         follows: Whether another arm holds the target, which therefore moves.
     """
 
@@ -69,21 +77,30 @@ class Source:
 
 def target_poses(env: BaseEnv) -> tuple[list[str], TargetPoses]:
     """The names of all possible targets in an environment, the first the world; their poses."""
-    poses, names = TargetPoses(env), []
-    links = [f"{uid}/{link}" for uid, a in env.sim.articulations.items() for link in a.link_names]
-    for name in (WORLD, *env.sim.rigid_objects, *links, *env.command_manager.terms):
+    poses = TargetPoses(env)
+    candidates = [WORLD, *env.sim.rigid_objects]
+    for uid, articulation in env.sim.articulations.items():
+        candidates += [f"{uid}/{link}" for link in articulation.link_names]
+    candidates += env.command_manager.terms
+    names = []
+    for name in candidates:
         try:
             poses.add(name, "")
-        except ConfigError:  # a command that is no pose
+        except ConfigError:  # the command is not a pose
             continue
         names.append(name)
     return names, poses
 
 
+def read_targets(names: Sequence[str], poses: TargetPoses) -> F64:
+    """(k, N, 7) poses of the targets."""
+    return np.array([np.concatenate(poses(name), axis=1) for name in names])
+
+
 def read_tools(arms: Sequence[Arm]) -> F64:
     """(arms, N, 7) poses of the tools."""
-    found = [arm.term.solver.forward(arm.asset.read_qpos()) for arm in arms]
-    return np.array([np.concatenate(pair, axis=1) for pair in found])
+    poses = [arm.term.solver.forward(arm.asset.read_qpos()) for arm in arms]
+    return np.array([np.concatenate(pos_and_quat, axis=1) for pos_and_quat in poses])
 
 
 def read_sources(path: str | Path, most: int) -> tuple[list[str], list[Source]]:
@@ -97,86 +114,118 @@ def read_sources(path: str | Path, most: int) -> tuple[list[str], list[Source]]:
         The names of the targets, and the episodes.
 
     Raises:
-        ConfigError: There is no successful episode, or the log cannot be reenacted.
+        ConfigError: If there is no successful episode, or the log cannot be reenacted.
     """
     names: list[str] = []
-    found: list[Source] = []
-    for log, wanted, numbers in _chosen(Path(path), most):
-        with log, Reenactment(log, numbers) as play:
+    sources: list[Source] = []
+    for selection in _select_episodes(Path(path), most):
+        with selection.log as log, Reenactment(log, selection.stream_numbers) as play:
             names, poses = target_poses(play.env)
             arms = [arm for _, arm in arms_of(play.env)]
-            found += _read(play, arms, names, poses, wanted)
-    if not found:
+            sources += _read(play, arms, names, poses, selection.steps)
+    if not sources:
         raise ConfigError(f"{path} has no successful episode")
-    return names, found
+    return names, sources
 
 
-Wanted = dict[tuple[int, int], range]
-"""(environment, episode) -> its control steps in the log."""
+@dataclass(frozen=True, slots=True)
+class _SelectedEpisodes:
+    """The episodes of a log that are read.
+
+    Attributes:
+        log: The log.
+        steps: (environment, episode) to its control steps in the log.
+        stream_numbers: As in `Reenactment`.
+    """
+
+    log: RecordedLog
+    steps: dict[tuple[int, int], range]
+    stream_numbers: dict[tuple[int, int], int] | None
 
 
-def _chosen(
-    path: Path, most: int
-) -> Iterator[tuple[RecordedLog, Wanted, dict[tuple[int, int], int] | None]]:
-    """Each log with the episodes to read, and the numbers of its random streams."""
+def _select_episodes(path: Path, most: int) -> Iterator[_SelectedEpisodes]:
+    """Yield the first successful episodes of a log or a collection, log by log."""
     if not (path.is_dir() and is_collection(path)):
         log = RecordedLog(path)
-        won = sorted((e for e in log.episodes if e.success), key=lambda e: e.last_step)[:most]
-        yield log, {(e.env, e.episode): range(e.first_step, e.last_step + 1) for e in won}, None
+        successes = [episode for episode in log.episodes if episode.success]
+        successes.sort(key=lambda episode: episode.last_step)
+        log_steps = {
+            (e.env, e.episode): range(e.first_step, e.last_step + 1) for e in successes[:most]
+        }
+        yield _SelectedEpisodes(log, log_steps, stream_numbers=None)
         return
-    listed = read_collection(path)[:most]
-    everything = read_collection(path, failures=True)
-    for name in sorted({episode.log for episode in listed}):
-        yield (
-            RecordedLog(path / name),
-            {
-                (e.env, e.episode): range(e.first_step, e.first_step + e.steps)
-                for e in listed
-                if e.log == name
-            },
-            {(e.env, e.episode): e.attempt for e in everything if e.log == name},
-        )
+    successes_listed = read_collection(path)[:most]
+    all_listed = read_collection(path, failures=True)
+    for name in sorted({episode.log for episode in successes_listed}):
+        steps = {}
+        for episode in successes_listed:
+            if episode.log == name:
+                stop = episode.first_step + episode.steps
+                steps[episode.env, episode.episode] = range(episode.first_step, stop)
+        numbers = {(e.env, e.episode): e.attempt for e in all_listed if e.log == name}
+        yield _SelectedEpisodes(RecordedLog(path / name), steps, numbers)
+
+
+class _Sample(NamedTuple):
+    """One control step of an environment.
+
+    Attributes:
+        action: (A,).
+        tools: (arms, 7) poses before the step.
+        targets: (k, 7) poses before the step.
+    """
+
+    action: F64
+    tools: F64
+    targets: F64
 
 
 def _read(
-    play: Reenactment, arms: Sequence[Arm], names: Sequence[str], poses: TargetPoses, wanted: Wanted
+    play: Reenactment,
+    arms: Sequence[Arm],
+    names: Sequence[str],
+    poses: TargetPoses,
+    episode_steps: Mapping[tuple[int, int], range],
 ) -> Iterator[Source]:
-    """The wanted episodes of a log, in the order in which they end."""
-
-    def now() -> tuple[F64, F64]:
-        return read_tools(arms), np.array([np.concatenate(poses(n), axis=1) for n in names])
-
-    parts: dict[tuple[int, int], list[tuple[F64, F64, F64]]] = {key: [] for key in wanted}
-    tools, targets = now()
-    for step in play.steps(max((steps[-1] for steps in wanted.values()), default=-1)):
-        for (env, episode), steps in wanted.items():
+    """The selected episodes of a log, in the order in which they end."""
+    samples: dict[tuple[int, int], list[_Sample]] = {key: [] for key in episode_steps}
+    tools = read_tools(arms)
+    targets = read_targets(names, poses)
+    last_step = max((steps[-1] for steps in episode_steps.values()), default=-1)
+    for step in play.steps(last_step):
+        for (env, episode), steps in episode_steps.items():
             if step.number in steps:
-                part = step.action[env], tools[:, env], targets[:, env]
-                parts[env, episode].append(part)
+                sample = _Sample(step.action[env], tools[:, env], targets[:, env])
+                samples[env, episode].append(sample)
             if step.number == steps[-1]:
-                yield _source(parts.pop((env, episode)), arms)
-        tools, targets = now()
+                yield _source(samples.pop((env, episode)), arms)
+        tools = read_tools(arms)
+        targets = read_targets(names, poses)
 
 
-def _source(parts: Sequence[tuple[F64, F64, F64]], arms: Sequence[Arm]) -> Source:
-    actions, tools, targets = (np.array(column) for column in zip(*parts, strict=True))
-    tools, targets = np.moveaxis(tools, 1, 0), np.moveaxis(targets, 1, 0)
-    split = [
-        _segments(tool, targets, _closed(arm, actions))
-        for arm, tool in zip(arms, tools, strict=True)
+def _source(samples: Sequence[_Sample], arms: Sequence[Arm]) -> Source:
+    actions = np.array([sample.action for sample in samples])
+    tools = np.moveaxis(np.array([sample.tools for sample in samples]), 1, 0)
+    targets = np.moveaxis(np.array([sample.targets for sample in samples]), 1, 0)
+    motions = [
+        _split(tool, targets, _closed(arm, actions)) for arm, tool in zip(arms, tools, strict=True)
     ]
-    for a, (segments, _) in enumerate(split):
-        others = [hold for b, (_, holds) in enumerate(split) if b != a for hold in holds]
-        for i, one in enumerate(segments):
-            segments[i] = replace(one, follows=any(_is_held(one, hold) for hold in others))
-    followed = tuple(tuple(segments) for segments, _ in split)
-    return Source(actions, tools, targets, followed)
+    segments = []
+    for motion in motions:
+        holds_of_others = [hold for other in motions if other is not motion for hold in other.holds]
+        segments.append(
+            tuple(
+                replace(segment, follows=any(_is_held(segment, hold) for hold in holds_of_others))
+                for segment in motion.segments
+            )
+        )
+    return Source(actions, tools, targets, tuple(segments))
 
 
 def _is_held(segment: Segment, hold: Segment) -> bool:
-    """Whether the target of a segment is what another arm holds meanwhile."""
-    together = hold.start < segment.stop and segment.start < hold.stop
-    return segment.target == hold.target and together
+    """Whether another arm holds the target of a segment meanwhile."""
+    overlap = hold.start < segment.stop and segment.start < hold.stop
+    return overlap and segment.target == hold.target
 
 
 def _closed(arm: Arm, actions: F64) -> NDArray[np.bool_]:
@@ -187,33 +236,58 @@ def _closed(arm: Arm, actions: F64) -> NDArray[np.bool_]:
     return np.asarray((actions[:, arm.fingers] < middle).all(axis=1))
 
 
-def _segments(
-    tool: F64, targets: F64, closed: NDArray[np.bool_]
-) -> tuple[list[Segment], list[Segment]]:
-    """Split the motion (T, 7) of a tool; also returns when it holds what."""
+@dataclass(slots=True)
+class _Motion:
+    """The motion of one arm in an episode.
+
+    Attributes:
+        segments: Its segments, in order.
+        holds: When it holds which target; each is a `Segment`.
+    """
+
+    segments: list[Segment] = field(default_factory=list)
+    holds: list[Segment] = field(default_factory=list)
+
+
+def _split(tool: F64, targets: F64, closed: NDArray[np.bool_]) -> _Motion:
+    """Split the motion (T, 7) of a tool where its gripper closes or opens."""
     distances = np.linalg.norm(targets[1:, :, :3] - tool[:, :3], axis=-1)  # without the world
-    found: list[Segment] = []
-    holds: list[Segment] = []
-    start, held = 0, -1
-
-    def nearest(first: int, last: int) -> int:
-        """The target that the tool comes nearest to; 0 if there is only what it holds."""
-        near = distances[:, first:last].min(axis=1)
-        near[held - 1 :][: held > 0] = np.inf
-        return 0 if np.isinf(near).all() else 1 + int(near.argmin())
-
+    motion = _Motion()
+    num_steps = len(tool)
+    start = 0
+    held: int | None = None
     for event in (np.flatnonzero(closed[1:] != closed[:-1]) + 1).tolist():
-        target = nearest(event, event + 1)
-        away = np.linalg.norm(tool[event:, :3] - tool[event, :3], axis=1) > _MOVED
-        stop = event + int(away.argmax()) if away.any() else len(tool)
+        target = _nearest(distances[:, event : event + 1], held)
+        moved_on = np.linalg.norm(tool[event:, :3] - tool[event, :3], axis=1) > _MOVED_ON
+        stop = num_steps
+        if moved_on.any():
+            stop = event + int(moved_on.argmax())
         if stop > start:
-            found.append(Segment(start, stop, target))
-        if held > 0:
-            holds[-1] = replace(holds[-1], stop=event)
-        held = target if closed[event] else -1
-        if held > 0:
-            holds.append(Segment(event, len(tool), held))
+            motion.segments.append(Segment(start, stop, target))
+        if held is not None:
+            motion.holds[-1] = replace(motion.holds[-1], stop=event)
+            held = None
+        # The world cannot be held.
+        if closed[event] and target > 0:
+            held = target
+            motion.holds.append(Segment(event, num_steps, target))
         start = max(start, stop)
-    if start < len(tool):
-        found.append(Segment(start, len(tool), nearest(start, len(tool))))
-    return found, holds
+    if start < num_steps:
+        target = _nearest(distances[:, start:], held)
+        motion.segments.append(Segment(start, num_steps, target))
+    return motion
+
+
+def _nearest(distances: F64, held: int | None) -> int:
+    """The target that a tool comes nearest to; 0, the world, if there is only the held one.
+
+    Args:
+        distances: (k - 1, steps) from each target but the world.
+        held: The target that the tool holds.
+    """
+    nearest = distances.min(axis=1)
+    if held is not None:
+        nearest[held - 1] = np.inf
+    if np.isinf(nearest).all():
+        return 0
+    return 1 + int(nearest.argmin())

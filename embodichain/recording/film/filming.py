@@ -19,20 +19,65 @@ from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.views import View, Viewpoint
 from embodichain.recording.film.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.read.api import Log
-from embodichain.recording.read.playback import Playback, Span, span_of
+from embodichain.recording.read.playback import Playback, Span, Stretch
 from embodichain.recording.shards import joining
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.video import GIF, Film, film_file, need_encoder
 
-__all__ = ["FASTEST", "Filmed", "film_log"]
+__all__ = ["FASTEST", "FilmStyle", "Filmed", "film_log"]
 
 FASTEST = 60.0
 """Largest frame rate (1/s) that is chosen; above it, control steps are skipped."""
 _FASTEST_GIF = 25.0
-"""The same of a GIF, whose pictures are hardly compressed."""
-_CAMERA = "default"
+"""The same for a GIF, whose pictures are hardly compressed."""
+_DEFAULT_CAMERA = "default"
 _FRONT = (1.0, -0.8, 0.6)
 """Direction from the scene's centre to the eye if the scene has no camera."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilmStyle:
+    """How a log is filmed.
+
+    Attributes:
+        speed: Multiple of simulated time.
+        size: Width and height in pixels, both even.
+        camera: A camera of the scene; None is its ``default`` if it exists, else a front view.
+        every: Draw every `every`-th control step. None is the least that gives at most `FASTEST`
+            pictures per second, 25 in a GIF.
+        max_seconds: Length of the film in seconds, at most; None is no limit.
+
+    Raises:
+        ConfigError: If a number is out of range.
+    """
+
+    speed: float = 1.0
+    size: tuple[int, int] = (640, 480)
+    camera: str | None = None
+    every: int | None = None
+    max_seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not (math.isfinite(self.speed) and self.speed > 0):
+            raise ConfigError(f"a film's speed must be positive, got {self.speed}")
+        if min(self.size) < 16 or any(length % 2 for length in self.size):
+            raise ConfigError(
+                f"a film's width and height must be even, 16 or more, got {self.size}"
+            )
+
+    def steps_per_picture(self, control_dt: float, is_gif: bool) -> int:
+        """Number of control steps from one picture to the next."""
+        if self.every:
+            return self.every
+        fastest = _FASTEST_GIF if is_gif else FASTEST
+        return max(1, math.ceil(self.speed / control_dt / fastest - 1e-9))
+
+    def most_pictures(self, rate: float) -> float:
+        """Largest number of pictures of a film with a frame rate in 1/s."""
+        if self.max_seconds is None:
+            return math.inf
+        return max(1, math.floor(self.max_seconds * rate + 1e-9))
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,74 +141,79 @@ def film_log(
     """
     out = Path(out)
     need_encoder(out.suffix)
-    if not isinstance(log, Log):
-        with joining.open(log) as opened:
-            part = opened, out, env, episode, first, last
-            return film_log(*part, speed, size, camera, progress, stop, every, max_seconds)
+    stretch = Stretch(env, episode, first, last)
+    style = FilmStyle(speed, size, camera=camera, every=every, max_seconds=max_seconds)
     if os.path.lexists(out):
         raise ConfigError(f"{out} exists; it is never replaced")
-    if not (math.isfinite(speed) and speed > 0):
-        raise ConfigError(f"a film's speed must be positive, got {speed}")
-    if min(size) < 16 or any(length % 2 for length in size):
-        raise ConfigError(f"a film's width and height must be even, 16 or more, got {size}")
-    span = span_of(log, env, episode, first, last)
-    playback = Playback(log, env)
-    cameras = [FilmCamera(_look(log, camera), size)]
-    rate = speed / log.dt
-    every = every or max(1, math.ceil(rate / _fastest(out) - 1e-9))
-    stopped = stop or (lambda: False)
-    most = math.inf
-    if max_seconds is not None:
-        most = max(1, math.floor(max_seconds * rate / every + 1e-9))
-    total = _count(log, env, span, every, most, stopped)
+    if isinstance(log, Log):
+        return _film(log, out, stretch, style, progress=progress, stop=stop)
+    with joining.open(log) as opened:
+        return _film(opened, out, stretch, style, progress=progress, stop=stop)
+
+
+def _film(
+    log: Log,
+    out: Path,
+    stretch: Stretch,
+    style: FilmStyle,
+    progress: Callable[[Filmed], None] | None,
+    stop: Callable[[], bool] | None,
+) -> Filmed:
+    """Render an open log: see `film_log`."""
+    is_stopped = stop or (lambda: False)
+    span = stretch.span_in(log)
+    playback = Playback(log, stretch.env)
+    camera = FilmCamera(_camera_or_viewpoint(log, style.camera), style.size)
+    every = style.steps_per_picture(log.dt, is_gif=out.suffix == GIF)
+    frame_rate = style.speed / log.dt / every
+    total = _count_pictures(
+        log, stretch.env, span, every, style.most_pictures(frame_rate), is_stopped
+    )
     if not total:
         raise ConfigError(f"{log.path} has no such steps: there is nothing to film")
-    filmed = Filmed(0, -1, whole=False, total=total)
-    if stopped():
+    filmed = Filmed(pictures=0, step=-1, whole=False, total=total)
+    if is_stopped():
         return filmed
     with ExitStack() as stack:
         renderer = stack.enter_context(closing(OffscreenRenderer(playback.engine.model)))
-        drawn = islice(frames(renderer, playback, cameras, span, every), total)
-        video: Film | None = None
-        for frame in drawn:
-            if stopped():
+        film: Film | None = None
+        for frame in islice(frames(renderer, playback, [camera], span, every), total):
+            if is_stopped():
                 return filmed
-            if video is None:
-                video = stack.enter_context(film_file(out, size, rate / every))
-            video.write(frame.pictures[0])
+            if film is None:  # not before there is a picture: an empty film would leave a file
+                film = stack.enter_context(film_file(out, style.size, frame_rate))
+            film.write(frame.pictures[0])
             filmed = replace(filmed, pictures=filmed.pictures + 1, step=frame.step)
             if progress is not None:
                 progress(filmed)
     return replace(filmed, whole=True)
 
 
-def _fastest(out: Path) -> float:
-    return _FASTEST_GIF if out.suffix == GIF else FASTEST
-
-
-def _count(
-    log: Log, env: int, span: Span, every: int, most: float, stopped: Callable[[], bool]
+def _count_pictures(
+    log: Log, env: int, span: Span, every: int, most: float, is_stopped: Callable[[], bool]
 ) -> int:
     """How many pictures the steps of a log give, up to `most`; fewer if it is stopped."""
-    steps, end = 0, None if span.last is None else span.last + 1
-    for part in log.parts("rewards", env, None, span.first, end):
+    steps = 0
+    end = None if span.last is None else span.last + 1
+    for part in log.parts("rewards", env, start=span.first, stop=end):
         steps += len(part)
-        if steps >= most * every or stopped():
+        if steps >= most * every or is_stopped():
             break
     return int(min(most, math.ceil(steps / every)))
 
 
-def _look(log: Log, camera: str | None) -> str | Viewpoint | View:
+def _camera_or_viewpoint(log: Log, camera: str | None) -> str | Viewpoint | View:
     """The camera or viewpoint to render.
 
     Raises:
         ConfigError: If there is no such camera.
     """
     model = log.model
-    if camera is None and _CAMERA in [model.camera(i).name for i in range(model.ncam)]:
-        return _CAMERA
-    if camera is None:
-        middle, extent = np.asarray(model.stat.center), float(model.stat.extent)
-        eye = middle + 1.2 * extent * np.asarray(_FRONT)
-        return Viewpoint.look_at(eye.tolist(), middle.tolist())
-    return cameras_of(log, [camera])[camera].camera
+    if camera is not None:
+        return cameras_of(log, [camera])[camera].camera
+    if _DEFAULT_CAMERA in [model.camera(i).name for i in range(model.ncam)]:
+        return _DEFAULT_CAMERA
+    center = np.asarray(model.stat.center)
+    distance = 1.2 * float(model.stat.extent)
+    eye = center + distance * np.asarray(_FRONT)
+    return Viewpoint.look_at(eye.tolist(), center.tolist())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from embodichain.utils.suggest import did_you_mean
 __all__ = ["FilmCamera", "Frame", "Placed", "cameras_of", "frames"]
 
 _PIXELS = 200_000
-"""Pixels of a call: more control steps at once are not cheaper per picture."""
+"""Pixels of a call of the renderer; with more, a picture does not become cheaper."""
 
 
 class FilmCamera(NamedTuple):
@@ -93,38 +93,60 @@ def frames(
     Raises:
         LogError: See `Playback.steps`.
         RenderError: If colour cannot be drawn here.
-        ValueError: If there is no such camera, or it is no pinhole camera.
+        ValueError: If there is no such camera, or it is not a pinhole camera.
     """
-    most = max(1, _PIXELS // sum(math.prod(camera.size) for camera in cameras))
-    states, steps = StoredStates(playback.engine.model), list[int]()
+    pixels_per_step = sum(math.prod(camera.size) for camera in cameras)
+    steps_per_call = max(1, _PIXELS // pixels_per_step)
+    states = StoredStates(playback.engine.model)
+    steps: list[int] = []
 
-    def drawn() -> Iterator[Frame]:
+    def draw() -> Iterator[Frame]:
         views = [_view(states, camera) for camera in cameras]
-        colors = [found["color"][..., :3] for found in renderer.draw(states, views)]
+        colors = [pictures["color"][..., :3] for pictures in renderer.draw(states, views)]
         for row, step in enumerate(steps):
-            yield Frame(step, [color[row] for color in colors], [_placed(v, row) for v in views])
+            yield Frame(
+                step=step,
+                pictures=[color[row] for color in colors],
+                cameras=[_placed(view, row) for view in views],
+            )
         states.clear()
         steps.clear()
 
     for step in playback.steps(span, every):
         states.append(playback.engine)
         steps.append(step)
-        if len(steps) == most:
-            yield from drawn()
+        if len(steps) == steps_per_call:
+            yield from draw()
     if steps:
-        yield from drawn()
+        yield from draw()
 
 
 def _placed(view: View, row: int) -> Placed:
-    values = view.position, view.axes, view.lens  # those that do not change have one row
-    return Placed(*(np.asarray(of_rows[min(row, len(of_rows) - 1)]) for of_rows in values))
+    return Placed(
+        position=_row_of(view.position, row),
+        axes=_row_of(view.axes, row),
+        lens=_row_of(view.lens, row),
+    )
+
+
+def _row_of(rows: Any, row: int) -> NDArray[np.float64]:
+    """The values of a row; those that do not change between steps have only one."""
+    return np.asarray(rows[min(row, len(rows) - 1)])
 
 
 def _view(states: StoredStates, camera: FilmCamera) -> View:
-    name, (width, height), look, near, far = camera
-    if isinstance(name, View):
-        return name
-    return view_of(states, name, width, height, near=near, far=far, look=look)
+    if isinstance(camera.camera, View):
+        return camera.camera
+    width, height = camera.size
+    return view_of(
+        states,
+        camera.camera,
+        width,
+        height,
+        near=camera.near,
+        far=camera.far,
+        look=camera.look,
+    )
 
 
 def cameras_of(
@@ -141,32 +163,40 @@ def cameras_of(
     Raises:
         ConfigError: If there is no such camera.
     """
-    sensors, model = _camera_sensors(log), log.model
-    scene = {model.camera(i).name: camera_size(model, i) for i in range(model.ncam)}
-    known = {**scene, **sensors}
-    found = {}
+    sensors = _camera_sensors(log)
+    model = log.model
+    scene_sizes = {model.camera(i).name: camera_size(model, i) for i in range(model.ncam)}
+    available = [*scene_sizes, *(name for name in sensors if name not in scene_sizes)]
+    cameras = {}
     for name in sensors if names is None else dict.fromkeys(names):
-        if name not in known:
-            there = ", ".join(known) or "none"
-            hint = did_you_mean(name, known)
-            raise ConfigError(f"no camera {name!r}.{hint} Cameras: {there}")
+        if name not in available:
+            hint = did_you_mean(name, available)
+            raise ConfigError(
+                f"no camera {name!r}.{hint} Cameras: {', '.join(available) or 'none'}"
+            )
         if name in sensors:
             camera, cfg = sensors[name]
-            pixels = size or (cfg.width, cfg.height)
-            found[name] = FilmCamera(camera, pixels, cfg.look, cfg.near, cfg.far)
+            cameras[name] = FilmCamera(
+                camera=camera,
+                size=size or (cfg.width, cfg.height),
+                look=cfg.look,
+                near=cfg.near,
+                far=cfg.far,
+            )
         else:
-            found[name] = FilmCamera(name, size or scene[name])
-    return found
+            cameras[name] = FilmCamera(name, size or scene_sizes[name])
+    return cameras
 
 
 def _camera_sensors(log: Log) -> dict[str, tuple[str, CameraCfg]]:
     """Name of each picture of a log's camera sensors to the camera in the model, and the config."""
     task = log.config.get("task")
-    declared = task.get("sensors") if isinstance(task, dict) else None
-    found: dict[str, tuple[str, CameraCfg]] = {}
-    for uid, values in (declared or {}).items():
+    if not isinstance(task, dict):
+        return {}
+    sensors: dict[str, tuple[str, CameraCfg]] = {}
+    for uid, values in (task.get("sensors") or {}).items():
         cfg = SensorCfg.from_dict(values)
         if isinstance(cfg, CameraCfg):
-            named = picture_names(uid, cfg).items()
-            found |= {name: (camera, cfg) for name, camera in named}
-    return found
+            for name, camera in picture_names(uid, cfg).items():
+                sensors[name] = (camera, cfg)
+    return sensors

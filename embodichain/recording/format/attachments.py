@@ -50,9 +50,9 @@ MODEL = "model.mjb.zst"
 SCENE = "scene.mjz"
 """Name of the attachment with the scene's XML and its files, an archive."""
 
-_DRAWN = {"qpos", "qvel", "mocap_pos", "mocap_quat", "ctrl"}
+_EXPORTED = {"qpos", "qvel", "mocap_pos", "mocap_quat", "ctrl"}
 """Components that are drawn or exported, or have column names from the model."""
-_DECIDES = {"cpu": "processor", "platform": "platform"}
+_MACHINE = {"cpu": "processor", "platform": "platform"}
 """Entries of versions.json, besides MuJoCo's, on which the bits of physics may depend."""
 
 
@@ -86,8 +86,10 @@ def unpack_model(data: bytes, header: Header | None = None) -> bytes:
 
 def _stated(header: Header | None, name: str) -> int | None:
     """The size to which an attachment unpacks, as the metadata state it; None if they do not."""
-    listed = {} if header is None else header.attachments
-    return listed[name][0] if name in listed else None
+    if header is None or name not in header.attachments:
+        return None
+    size, _ = header.attachments[name]
+    return size
 
 
 def load_mjb(data: bytes) -> mujoco.MjModel:
@@ -105,8 +107,13 @@ def cpu_name() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         lines = []
-    names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    return next(names, "") or platform.processor() or platform.machine()
+    for line in lines:
+        if line.startswith("model name"):
+            name = line.split(":", 1)[1].strip()
+            if name:
+                return name
+            break
+    return platform.processor() or platform.machine()
 
 
 def attachments_of(
@@ -193,11 +200,13 @@ def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
         model = load_mjz(mjz, _stated(header, SCENE))
     except ValueError as error:
         raise LogError(f"the attachment scene.mjz cannot be loaded: {error}") from error
-    here, there = row_layout(model), header.slices()
-    for name in here.keys() & there.keys() & _DRAWN:
-        mine, recorded = (s.stop - s.start for s in (here[name], there[name]))
-        if mine != recorded:
-            raise LogError(f"rows have {recorded} numbers of {name!r}, the model has {mine}")
+    layout = row_layout(model)
+    recorded_layout = header.slices()
+    for name in layout.keys() & recorded_layout.keys() & _EXPORTED:
+        size = layout[name].stop - layout[name].start
+        recorded_size = recorded_layout[name].stop - recorded_layout[name].start
+        if size != recorded_size:
+            raise LogError(f"rows have {recorded_size} numbers of {name!r}, the model has {size}")
     return model
 
 
@@ -217,7 +226,7 @@ def check_rows(header: Header, model: mujoco.MjModel) -> None:
     """Check that a log's rows have the same columns as a model's state.
 
     Raises:
-        LogError: If they have not.
+        LogError: If they do not.
     """
     size = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
     if size != header.nstate:
@@ -225,8 +234,8 @@ def check_rows(header: Header, model: mujoco.MjModel) -> None:
     here = row_layout(model)
     for name, columns in header.slices().items():
         if name not in here or here[name] != columns:
-            there = f"columns {columns.start} to {columns.stop} of rows"
-            raise LogError(f"the metadata says that {name!r} is {there}, the model does not")
+            recorded = f"columns {columns.start} to {columns.stop} of rows"
+            raise LogError(f"the metadata says that {name!r} is {recorded}, the model does not")
 
 
 def what_differs(header: Header, versions: bytes | None) -> list[str]:
@@ -236,16 +245,18 @@ def what_differs(header: Header, versions: bytes | None) -> list[str]:
         header: The log's metadata.
         versions: Its attachment versions.json, if it has one.
     """
-    found = []
+    differences = []
     if header.mujoco_version != mujoco.__version__:
-        found.append(f"MuJoCo {header.mujoco_version} there, {mujoco.__version__} here")
+        differences.append(f"MuJoCo {header.mujoco_version} there, {mujoco.__version__} here")
     try:
         recorded = json.loads(versions or b"{}")
     except ValueError:
         recorded = {}
+    if not isinstance(recorded, dict):
+        return differences
     here = {"cpu": cpu_name(), "platform": platform.platform()}
-    for key, word in _DECIDES.items():
-        there = recorded.get(key) if isinstance(recorded, dict) else None
-        if isinstance(there, str) and there != here[key]:
-            found.append(f"{word} {there} there, {here[key]} here")
-    return found
+    for key, label in _MACHINE.items():
+        value = recorded.get(key)
+        if isinstance(value, str) and value != here[key]:
+            differences.append(f"{label} {value} there, {here[key]} here")
+    return differences

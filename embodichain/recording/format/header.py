@@ -50,6 +50,20 @@ FORMAT_VERSION = 4
 """Logs of other versions are refused."""
 _LONGEST_STEP = 1e5
 """Seconds; longer steps are refused."""
+_TEXT_FIELDS = frozenset(
+    {
+        "task",
+        "mujoco_version",
+        "model",
+        "state",
+        "unverifiable",
+        "log_id",
+        "policy",
+        "engine",
+        "writes",
+    }
+)
+"""Fields of the header that are written as they are, all others as JSON."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +96,9 @@ class Header:
         policy: The source of the actions: name or path of a policy, ``teleop`` for a person; empty
             if it is not known.
         engine: What computed physics: ``mujoco``, or another engine with its version.
-        writes: ``all``, or ``none``: instead of each write the log has what differs between states
-            before and after physics and after resets (arrays on a device).
-        action: What each number of an action means, see `ActionColumn.to_dict`; empty if it is not
+        writes: ``all``; or ``none`` with arrays on a device: instead of each write, the log has the
+            differences between states before and after physics and after resets.
+        action: Meaning of each number of an action, see `ActionColumn.to_dict`; empty if it is not
             known.
         quota: How many episodes of each environment count, its first ones; empty if the log does
             not say.
@@ -146,21 +160,25 @@ class Header:
             raise LogError(
                 f"the log has format version {version or 'none'!r}; this reads {FORMAT_VERSION}"
             )
-        text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id"}
-        text |= {"policy", "engine", "writes"}
         # Fields with a default were added later and may be missing in older logs.
         names = [f.name for f in fields(cls) if f.name in values or _is_required(f)]
         try:
-            found: dict[str, Any] = {
-                k: values[k] if k in text else json.loads(values[k]) for k in names
+            entries: dict[str, Any] = {}
+            for name in names:
+                value = values[name]
+                entries[name] = value if name in _TEXT_FIELDS else json.loads(value)
+            entries["moved"] = [(int(start), int(stop)) for start, stop in entries["moved"]]
+            entries["layout"] = {
+                component: (int(start), int(stop))
+                for component, (start, stop) in entries["layout"].items()
             }
-            found["moved"] = [(int(a), int(b)) for a, b in found["moved"]]
-            found["layout"] = {k: (int(a), int(b)) for k, (a, b) in found["layout"].items()}
-            found["action"] = tuple(found.get("action", ()))
-            found["quota"] = tuple(found.get("quota", ()))
-            listed = found.get("attachments", {})
-            found["attachments"] = {name: (int(n), str(d)) for name, (n, d) in listed.items()}
-            header = cls(**found)
+            entries["action"] = tuple(entries.get("action", ()))
+            entries["quota"] = tuple(entries.get("quota", ()))
+            entries["attachments"] = {
+                attachment: (int(size), str(digest))
+                for attachment, (size, digest) in entries.get("attachments", {}).items()
+            }
+            header = cls(**entries)
             header._check()
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise LogError(f"the metadata record {METADATA!r} is damaged: {error!r}") from error
@@ -168,11 +186,17 @@ class Header:
 
     def _check(self) -> None:
         """Raise ValueError unless the sizes are consistent and arrays of them can be allocated."""
-        whole = ("seed", "num_envs", "substeps", "start_ns", "nstate")
-        counts = ("keyframe_every", "every", "part", "first_step", "call_steps")
-        wrong = [name for name in (*whole, *counts) if type(getattr(self, name)) is not int]
-        wrong += [name for name in counts if not 0 <= getattr(self, name) < 2**62]
-        wrong += [n for n in ("num_envs", "substeps", "nstate") if not getattr(self, n) > 0]
+        wrong = []
+        for name in ("seed", "num_envs", "substeps", "start_ns", "nstate"):
+            if type(getattr(self, name)) is not int:
+                wrong.append(name)
+        for name in ("keyframe_every", "every", "part", "first_step", "call_steps"):
+            value = getattr(self, name)
+            if type(value) is not int or not 0 <= value < 2**62:
+                wrong.append(name)
+        for name in ("num_envs", "substeps", "nstate"):
+            if not getattr(self, name) > 0:
+                wrong.append(name)
         for name in ("control_dt", "physics_dt"):
             if not 0 < getattr(self, name) <= _LONGEST_STEP:
                 wrong.append(name)
@@ -199,7 +223,9 @@ class Header:
             wrong.append("quota")
         if not all(type(count) is int and count >= 0 for count in self.quota):
             wrong.append("quota")
-        wrong += [n for n in ("lists_counted",) if type(getattr(self, n)) is not bool]
+        lists_counted: Any = self.lists_counted  # metadata may have a value of any type
+        if type(lists_counted) is not bool:
+            wrong.append("lists_counted")
         if self.writes not in ("all", "none"):
             wrong.append("writes")
         if wrong:
@@ -208,11 +234,11 @@ class Header:
     def check_env(self, env: int) -> None:
         """Raise `ConfigError` unless the log has the environment."""
         if not 0 <= env < self.num_envs:
-            there = f"there are 0 to {self.num_envs - 1}"
-            raise ConfigError(f"no environment {env} in the log: {there}")
+            available = f"there are 0 to {self.num_envs - 1}"
+            raise ConfigError(f"no environment {env} in the log: {available}")
 
     def require_states(self, path: Path) -> None:
-        """Refuse a log without states.
+        """Raise `LogError` if the log has no states.
 
         Args:
             path: The log, for the message.
@@ -231,16 +257,19 @@ class Header:
     @property
     def recorded_with(self) -> str:
         """What simulated the run, with versions."""
-        mujoco = f"MuJoCo {self.mujoco_version}"
-        return mujoco if self.engine == MUJOCO else f"{self.engine}, {mujoco}"
+        if self.engine == MUJOCO:
+            return f"MuJoCo {self.mujoco_version}"
+        return f"{self.engine}, MuJoCo {self.mujoco_version}"
 
     @property
     def unknown_engine(self) -> str:
         """Why physics of the log's engine cannot be compared; empty if it can."""
         if _ENGINES.fullmatch(self.engine):
             return ""
-        known = "mujoco, mujoco_warp VERSION"
-        return f"it was recorded with {self.engine!r}, an engine that is not known: {known}"
+        return (
+            f"it was recorded with {self.engine!r}, an engine that is not known: "
+            "mujoco, mujoco_warp VERSION"
+        )
 
     @property
     def has_writes(self) -> bool:
@@ -249,7 +278,7 @@ class Header:
 
     @property
     def every_note(self) -> str:
-        """What `record.every` left out; empty if nothing."""
+        """Which episodes `record.every` left out; empty if none."""
         if self.every <= 1:
             return ""
         lead = next(iter(self.view_envs), 0)
@@ -263,8 +292,8 @@ class Header:
         """
         if not self.part and not alone:
             return ""
-        begins = f"file {self.part + 1} of a log, from step {self.first_step} on"
-        return f"{begins}; {alone or 'its last file'}"
+        part = f"file {self.part + 1} of a log, from step {self.first_step} on"
+        return f"{part}; {alone or 'its last file'}"
 
     @property
     def moved_width(self) -> int:
@@ -273,7 +302,7 @@ class Header:
 
     def slices(self) -> dict[str, slice]:
         """The layout as slices."""
-        return {name: slice(a, b) for name, (a, b) in self.layout.items()}
+        return {name: slice(start, stop) for name, (start, stop) in self.layout.items()}
 
 
 def _is_required(entry: Field[Any]) -> bool:
@@ -291,19 +320,19 @@ def check_header(values: Mapping[str, str]) -> bool:
     """
     if check_seal(METADATA, values):
         return True
-    known = {entry.name for entry in fields(Header)} - {"attachments"} | {"format_version"}
-    others = [key for key in values if key not in known]
-    if others:
-        raise DamageError(f"it has no {SEAL!r} and an entry {others[0][:40]!r}")
+    allowed = {entry.name for entry in fields(Header)} - {"attachments"} | {"format_version"}
+    for key in values:
+        if key not in allowed:
+            raise DamageError(f"it has no {SEAL!r} and an entry {key[:40]!r}")
     return False
 
 
 def _is_column(column: Any) -> bool:
     """Whether this is a column of an action."""
-    expected = {field.name for field in fields(ActionColumn)}
-    return (
-        isinstance(column, dict) and expected <= column.keys() and isinstance(column["name"], str)
-    )
+    if not isinstance(column, dict):
+        return False
+    expected_keys = {field.name for field in fields(ActionColumn)}
+    return expected_keys <= column.keys() and isinstance(column["name"], str)
 
 
 def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
@@ -318,9 +347,10 @@ def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
         header = Header.from_metadata(values)
     except LogError as error:
         raise DamageError(str(error)) from error
-    same = ("log_id", "model", "num_envs", "nstate", "moved", "layout", "start_ns", "state")
-    if not first.log_id or any(getattr(first, n) != getattr(header, n) for n in same):
-        raise DamageError("it is part of another log")
+    shared = ("log_id", "model", "num_envs", "nstate", "moved", "layout", "start_ns", "state")
+    for name in shared:
+        if not first.log_id or getattr(first, name) != getattr(header, name):
+            raise DamageError("it is part of another log")
     if header.part != part:
         raise DamageError(f"it is part {header.part} of the log, not {part}")
 
@@ -347,8 +377,10 @@ def header_of(
     layout = row_layout(model)
     nstate = max(columns.stop for columns in layout.values())
     # MuJoCo's automatic reset within a step, and plugins, write inputs too.
-    resets = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    moved = [(0, nstate)] if resets or model.nplugin else moved_ranges(layout)
+    may_reset = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    moved = moved_ranges(layout)
+    if may_reset or model.nplugin:
+        moved = [(0, nstate)]
     return Header(
         task=task,
         seed=int(env.seed_value),
@@ -362,7 +394,7 @@ def header_of(
         state=options.state,
         nstate=nstate,
         moved=moved,
-        layout={name: (s.start, s.stop) for name, s in layout.items()},
+        layout={name: (columns.start, columns.stop) for name, columns in layout.items()},
         view_envs=[int(i) for i in options.view_envs],
         unverifiable=why_unverifiable(model, options.state),
         keyframe_every=options.keyframe_every if options.state == "keyframes" else 0,
@@ -396,9 +428,11 @@ def why_unverifiable(model: mujoco.MjModel, state: str) -> str:
 
 def check_keyframes(options: RecordOptions, engine: Engine) -> None:
     """Raise `ConfigError` if states between keyframes could not be simulated again."""
-    why = why_unverifiable(engine.model, "all") if options.state == "keyframes" else ""
-    if options.state == "keyframes" and engine.name != MUJOCO:
-        why = f"{engine.name} is not repeated to the bit"
-    if why:
-        message = f"keyframes cannot be replayed: {why}; use record.state=all"
+    if options.state != "keyframes":
+        return
+    reason = why_unverifiable(engine.model, "all")
+    if engine.name != MUJOCO:
+        reason = f"{engine.name} is not repeated to the bit"
+    if reason:
+        message = f"keyframes cannot be replayed: {reason}; use record.state=all"
         raise ConfigError([Problem("record.state", message)])

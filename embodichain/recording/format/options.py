@@ -19,7 +19,7 @@ LARGEST_SIDE = 8192
 
 @dataclass(frozen=True, slots=True)
 class ImageOptions:
-    """Pictures in a log. It needs none to draw them again: they are for other programs."""
+    """Pictures in a log, for other programs: a replay draws them again and does not need them."""
 
     cameras: Sequence[str] | None = None
     """Names of camera sensors, or of cameras of the scene; None: all camera sensors."""
@@ -62,41 +62,43 @@ def check_options(options: RecordOptions, num_envs: int) -> None:
     """Raise `ConfigError` with every value that is not allowed."""
     problems = []
     for name, allowed in (("state", STATES), ("compression", COMPRESSIONS)):
-        value = getattr(options, name)
-        if value not in allowed:
-            message = f"{value!r} is not one of {', '.join(allowed)}."
-            problems.append((name, message, did_you_mean(str(value), allowed).strip()))
+        problems += _check_choice(f"record.{name}", getattr(options, name), allowed)
     if not options.view_hz > 0:
-        problems.append(("view_hz", f"{options.view_hz!r} must be positive (1/s, simulated)", ""))
+        message = f"{options.view_hz!r} must be positive (1/s, simulated)"
+        problems.append(Problem("record.view_hz", message))
     for name in ("keyframe_every", "every"):
-        if getattr(options, name) < 1:
-            problems.append((name, f"{getattr(options, name)!r} must be at least 1", ""))
+        value = getattr(options, name)
+        if value < 1:
+            problems.append(Problem(f"record.{name}", f"{value!r} must be at least 1"))
     if options.max_mb is not None and not options.max_mb > 0:
-        problems.append(("max_mb", f"{options.max_mb!r} must be positive", ""))
-    outside = [i for i in options.view_envs if not 0 <= i < num_envs]
-    if outside:
-        there = f"there are environments 0 to {num_envs - 1}"
-        problems.append(("view_envs", f"{outside} do not exist: {there}", ""))
+        problems.append(Problem("record.max_mb", f"{options.max_mb!r} must be positive"))
+    missing_envs = [env_id for env_id in options.view_envs if not 0 <= env_id < num_envs]
+    if missing_envs:
+        message = f"{missing_envs} do not exist: there are environments 0 to {num_envs - 1}"
+        problems.append(Problem("record.view_envs", message))
     if options.images is not None:
-        problems += _wrong_images(options.images, num_envs)
+        problems += _check_images(options.images, num_envs)
     if problems:
-        raise ConfigError([Problem(f"record.{name}", *rest) for name, *rest in problems])
+        raise ConfigError(problems)
 
 
-def _wrong_images(options: ImageOptions, num_envs: int) -> list[tuple[str, str, str]]:
-    problems = []
-    if options.format not in FORMATS:
-        message = f"{options.format!r} is not one of {', '.join(FORMATS)}."
-        hint = did_you_mean(str(options.format), FORMATS).strip()
-        problems.append(("images.format", message, hint))
+def _check_choice(path: str, value: object, allowed: Sequence[str]) -> list[Problem]:
+    if value in allowed:
+        return []
+    message = f"{value!r} is not one of {', '.join(allowed)}."
+    return [Problem(path, message, did_you_mean(str(value), allowed).strip())]
+
+
+def _check_images(options: ImageOptions, num_envs: int) -> list[Problem]:
+    problems = _check_choice("record.images.format", options.format, FORMATS)
     if not options.rate > 0:
         message = f"{options.rate!r} must be positive (1/s, simulated)"
-        problems.append(("images.rate", message, ""))
+        problems.append(Problem("record.images.rate", message))
     if options.size is not None and not 0 < min(options.size) <= max(options.size) <= LARGEST_SIDE:
         message = f"{list(options.size)} must be from 1 to {LARGEST_SIDE} pixels"
-        problems.append(("images.size", message, ""))
-    outside = [i for i in options.envs if not 0 <= i < num_envs]
-    if outside or not options.envs:
-        there = f"there are environments 0 to {num_envs - 1}"
-        problems.append(("images.envs", f"{outside or 'none'}: {there}", ""))
+        problems.append(Problem("record.images.size", message))
+    missing_envs = [env_id for env_id in options.envs if not 0 <= env_id < num_envs]
+    if missing_envs or not options.envs:
+        message = f"{missing_envs or 'none'}: there are environments 0 to {num_envs - 1}"
+        problems.append(Problem("record.images.envs", message))
     return problems

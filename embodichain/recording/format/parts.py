@@ -37,8 +37,10 @@ _NAME = re.compile(r"[^/\\\0]{1,255}\Z")
 
 def part_name(first: str, part: int) -> str:
     """Name of a file of a log: ``rollout.mcap``, ``rollout_0001.mcap``, ..."""
+    if not part:
+        return first
     path = Path(first)
-    return f"{path.stem}_{part:04d}{path.suffix}" if part else first
+    return f"{path.stem}_{part:04d}{path.suffix}"
 
 
 @dataclass(slots=True)
@@ -100,16 +102,19 @@ class Manifest:
     """
 
     def __init__(self, folder: int, first: str, log_id: str, period_s: float) -> None:
-        self._folder, self._id, self._period = folder, log_id, period_s
+        self._folder = folder
+        self._id = log_id
+        self._period = period_s
         self._name = Path(first).stem + MANIFEST_SUFFIX
-        self.files = [PartEntry(first, 0, 0.0)]
+        self.files = [PartEntry(first, first_step=0, start_s=0.0)]
 
     def closed(self, last_step: int, nbytes: int) -> None:
         """Note that the newest file is complete; it ends before control step `last_step`."""
         entry = self.files[-1]
         entry.steps = last_step - entry.first_step
         entry.stop_s = last_step * self._period
-        entry.nbytes, entry.complete = nbytes, True
+        entry.nbytes = nbytes
+        entry.complete = True
 
     def begun(self, name: str, first_step: int) -> None:
         """Note that a new file was begun."""
@@ -141,26 +146,29 @@ def first_file(path: str | Path) -> Path:
         return path
     names = _names(_read(path))
     if not names:
-        raise ConfigError(f"{path} is no manifest of a log: it names no files")
+        raise ConfigError(f"{path} is not a manifest of a log: it names no files")
     return path.with_name(names[0])
 
 
 def _read(path: Path) -> Mapping[str, Any]:
     try:
         if path.stat().st_size > _LARGEST_MANIFEST:
-            raise ConfigError(f"{path} is no manifest of a log: it is too large")
-        found = json.loads(path.read_text())
+            raise ConfigError(f"{path} is not a manifest of a log: it is too large")
+        manifest = json.loads(path.read_text())
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is no manifest of a log: {error}") from error
-    return found if isinstance(found, dict) else {}
+        raise ConfigError(f"{path} is not a manifest of a log: {error}") from error
+    return manifest if isinstance(manifest, dict) else {}
 
 
 def _names(manifest: Mapping[str, Any]) -> list[str]:
+    """The names of its files that are possible; a damaged manifest may have any values."""
     files = manifest.get("files")
-    found = [f.get("name") for f in files if isinstance(f, dict)] if isinstance(files, list) else []
-    return [name for name in found if isinstance(name, str) and _NAME.match(name)]
+    if not isinstance(files, list):
+        return []
+    names = [entry.get("name") for entry in files if isinstance(entry, dict)]
+    return [name for name in names if isinstance(name, str) and _NAME.match(name)]
 
 
 def missing_part(first: Path, name: str) -> tuple[str, bool]:
@@ -177,22 +185,33 @@ def missing_part(first: Path, name: str) -> tuple[str, bool]:
     folder = first.parent
     manifest = first.with_name(first.stem + MANIFEST_SUFFIX)
     pattern = re.compile(re.escape(first.stem) + r"_\d{4,}" + re.escape(first.suffix) + r"\Z")
-    others = sorted(p.name for p in folder.iterdir() if pattern.match(p.name))
+    others = sorted(path.name for path in folder.iterdir() if pattern.match(path.name))
+    # Names are compared by length first: a number may have more than four digits.
     later = [other for other in others if (len(other), other) > (len(name), name)]
-    says = f"{name}, which continues it, is missing"
     if not manifest.exists() and not later:
-        return says, False
+        return f"{name}, which continues it, is missing", False
+    text = f"{name}{_steps_in(manifest, name)}, which continues it, is missing"
+    if later:
+        text += f"; {later[0]} and later files can be read by themselves"
+    return text, True
+
+
+def _steps_in(manifest: Path, name: str) -> str:
+    """The steps of a file by the manifest, as text; empty if it does not say."""
+    if not manifest.exists():
+        return ""
     try:
-        entries = _read(manifest).get("files", []) if manifest.exists() else []
-        steps = next((_steps(e) for e in entries if e.get("name") == name), "")
+        for entry in _read(manifest).get("files", []):
+            if entry.get("name") == name:
+                return _steps(entry)
     except (ConfigError, AttributeError, TypeError):
-        steps = ""
-    also = f"; {later[0]} and what follows it can be read by themselves" if later else ""
-    return f"{name}{steps}, which continues it, is missing{also}", True
+        pass  # a damaged manifest does not hide that the file is missing
+    return ""
 
 
 def _steps(entry: Mapping[str, Any]) -> str:
-    first, count = entry.get("first_step"), entry.get("steps")
+    first = entry.get("first_step")
+    count = entry.get("steps")
     if type(first) is not int or type(count) is not int or not count:
         return ""
     return f" (steps {first} to {first + count - 1})"

@@ -15,7 +15,7 @@ from embodichain.recording.format.messages.block import DRAWN, Call, Run
 from embodichain.recording.read.episodes import LogEpisode
 from embodichain.recording.read.playback import follower_of, span_of
 from embodichain.recording.read.recorded_log import RecordedLog
-from embodichain.recording.read.trajectory import Span, own_physics, runs
+from embodichain.recording.read.trajectory import Span, physics_call, runs
 from embodichain.utils.array_types import EnvIds
 from embodichain.utils.errors import ConfigError
 
@@ -47,28 +47,38 @@ class Log(RecordedLog):
             LogError: If the log has no states, or is damaged there.
         """
         self.header.require_states(self.path)
-        found, control_step = _moment(self, env, episode, step)
-        elapsed = control_step - found.first_step
-        origin = f"{self.path}, environment {env}, episode {found.episode}, step {elapsed}"
+        current, control_step = _moment(self, env, episode, step)
+        elapsed = control_step - current.first_step
         row, fields = _state(self, env, control_step)
-        drawn, begins = _history(self, env, control_step)
-        width = len(self.columns["actions"])
-        last_action: F64 = np.zeros(width)
-        if elapsed:
-            before = self.read("actions", env, start=control_step - 1, stop=control_step)["actions"]
-            if len(before) != 1:
-                raise LogError(
-                    f"{self.path} lacks control step {control_step - 1} where its index says"
-                )
-            last_action = before.reshape(width)
+        drawn, reset_at_start = _history(self, env, control_step)
         notes = []
-        if found.first_step == self.header.first_step and not begins:
+        if current.first_step == self.header.first_step and not reset_at_start:
             notes.append(
                 "the log begins within this episode: its steps before that are not counted"
             )
-        layout = dict(self.header.layout)
-        counters = elapsed, found.episode, last_action
-        return Snapshot(origin, self.model, layout, row, fields, *counters, drawn, tuple(notes))
+        return Snapshot(
+            origin=f"{self.path}, environment {env}, episode {current.episode}, step {elapsed}",
+            model=self.model,
+            layout=dict(self.header.layout),
+            row=row,
+            fields=fields,
+            elapsed=elapsed,
+            episode=current.episode,
+            last_action=self._action_before(env, control_step, elapsed),
+            drawn=drawn,
+            notes=tuple(notes),
+        )
+
+    def _action_before(self, env: int, control_step: int, elapsed: int) -> F64:
+        """The action of the step before; zeros at the start of an episode."""
+        width = len(self.columns["actions"])
+        if not elapsed:
+            return np.zeros(width)
+        previous = control_step - 1
+        actions = self.read("actions", env, start=previous, stop=control_step)["actions"]
+        if len(actions) != 1:
+            raise LogError(f"{self.path} lacks control step {previous} where its index says")
+        return actions.reshape(width)
 
 
 def _moment(
@@ -76,29 +86,47 @@ def _moment(
 ) -> tuple[LogEpisode, int]:
     """The selected episode, and the next control step, counted from the log's start."""
     span_of(log, env, episode)  # raises if there is none
-    mine = [e for e in log.episodes if e.env == env]
-    if not mine:
+    episodes = [e for e in log.episodes if e.env == env]
+    if not episodes:
         raise ConfigError(f"{log.path} has no control step of environment {env}")
     if episode is not None:
-        found = next(e for e in mine if e.episode == episode)
-        done = found.terminated or found.truncated
-        most = found.steps - 1 if done else found.steps
-        at = found.first_step + (step or 0)
-        if not found.first_step <= at <= found.first_step + most:
-            raise ConfigError(
-                f"no step {step} in episode {episode} of environment {env}: there are 0 to {most}"
-            )
-        return found, at
-    first, last = mine[0].first_step, mine[-1].last_step
-    at = first if step is None else step
-    if not first <= at <= last + 1:
+        return _moment_in_episode(next(e for e in episodes if e.episode == episode), step)
+    first = episodes[0].first_step
+    last = episodes[-1].last_step
+    control_step = first if step is None else step
+    if not first <= control_step <= last + 1:
         raise ConfigError(f"no control step {step} in the log: there are {first} to {last + 1}")
-    for found in mine:
-        if at <= found.last_step:
-            return found, at
-    if found.terminated or found.truncated:  # it was reset in its last step
-        return LogEpisode(env, found.episode + 1, at, at, 0.0, False, False), at
-    return found, at
+    for current in episodes:
+        if control_step <= current.last_step:
+            return current, control_step
+    final = episodes[-1]
+    if not final.terminated and not final.truncated:
+        return final, control_step
+    # The environment was reset in the last step of the log: the next episode has no step yet.
+    following = LogEpisode(
+        env=env,
+        episode=final.episode + 1,
+        first_step=control_step,
+        last_step=control_step,
+        total_reward=0.0,
+        terminated=False,
+        truncated=False,
+    )
+    return following, control_step
+
+
+def _moment_in_episode(episode: LogEpisode, step: int | None) -> tuple[LogEpisode, int]:
+    """The same for a number of finished steps of an episode."""
+    elapsed = 0 if step is None else step
+    # After the last step of an episode that is over, its environment has been reset.
+    is_over = episode.terminated or episode.truncated
+    largest = episode.steps - 1 if is_over else episode.steps
+    if not 0 <= elapsed <= largest:
+        raise ConfigError(
+            f"no step {step} in episode {episode.episode} of environment {episode.env}: "
+            f"there are 0 to {largest}"
+        )
+    return episode, episode.first_step + elapsed
 
 
 def _state(log: RecordedLog, env: int, step: int) -> tuple[F64, dict[str, NDArray[Any]]]:
@@ -112,8 +140,8 @@ def _state(log: RecordedLog, env: int, step: int) -> tuple[F64, dict[str, NDArra
     if follower.next_step != step:
         raise LogError(f"{log.path} has no state of control step {step}")
     fields = follower.engine.state_dict()["model"]
-    own = {name: np.array(values[0]).reshape(-1) for name, values in fields.items()}
-    return follower.rows[0].copy(), own
+    env_fields = {name: np.array(values[0]).reshape(-1) for name, values in fields.items()}
+    return follower.rows[0].copy(), env_fields
 
 
 def _calls_before(log: RecordedLog, step: int, first: int) -> Iterator[tuple[int, Call | Run, int]]:
@@ -132,20 +160,24 @@ def _calls_before(log: RecordedLog, step: int, first: int) -> Iterator[tuple[int
             number = run.first + t
             if number > step:
                 return
-            count = len(run.calls) if number < step else _before_action(log, run)
-            for call in run.calls[:count]:
+            calls = run.calls
+            if number == step:
+                calls = calls[: _num_calls_before_action(log, run)]
+            for call in calls:
                 yield number, call, t
 
 
-def _before_action(log: RecordedLog, run: Run) -> int:
+def _num_calls_before_action(log: RecordedLog, run: Run) -> int:
     """The number of calls of a step before its action is written.
 
     Usually 0. The calls of a reset between two steps, as the first reset always is, end with an
     event, or with a write to something other than controls.
     """
-    end = own_physics(log.reader, run) if run.steps else len(run.calls)
-    marks = [i for i in range(end) if _precedes_action(run.calls[i])]
-    return marks[-1] + 1 if marks else 0
+    end = physics_call(log.reader, run) if run.steps else len(run.calls)
+    for index in reversed(range(end)):
+        if _precedes_action(run.calls[index]):
+            return index + 1
+    return 0
 
 
 def _precedes_action(call: Call) -> bool:
@@ -158,8 +190,8 @@ def _history(log: RecordedLog, env: int, step: int) -> tuple[tuple[Drawn, ...], 
 
     Also returns whether the environment was reset before the first control step of the log.
     """
-    found: dict[tuple[str, str], Drawn] = {}
-    begins = False
+    draws: dict[tuple[str, str], Drawn] = {}  # by mode and term
+    reset_at_start = False
     first = log.header.first_step
     for number, call, t in _calls_before(log, step, first):
         if isinstance(call, Run):
@@ -169,12 +201,13 @@ def _history(log: RecordedLog, env: int, step: int) -> tuple[tuple[Drawn, ...], 
             continue
         kind = call.kind
         if kind.kind == "write" and kind.mode == "reset":
-            found, begins = {}, begins or number <= first
-        elif kind.kind == "event" and (
-            len(call.arrays) > (ids is not None) or kind.mode == "reset"
-        ):
-            found[kind.mode, kind.name] = _drawn(call, t, ids, env)
-    return tuple(found.values()), begins
+            draws = {}
+            reset_at_start = reset_at_start or number <= first
+        elif kind.kind == "event":
+            drew_values = any(name.startswith(DRAWN) for name in call.arrays)
+            if drew_values or kind.mode == "reset":
+                draws[kind.mode, kind.name] = _drawn(call, t, ids, env)
+    return tuple(draws.values()), reset_at_start
 
 
 def _drawn(call: Call, t: int, ids: EnvIds | None, env: int) -> Drawn:
@@ -183,6 +216,6 @@ def _drawn(call: Call, t: int, ids: EnvIds | None, env: int) -> Drawn:
     for name, drawn in call.arrays.items():
         if name.startswith(DRAWN):
             if drawn.ndim < 2 or row >= drawn.shape[1]:
-                raise LogError(f"{call.kind.name}: what it drew is not of every environment")
+                raise LogError(f"{call.kind.name}: its draws are not of every environment")
             values[name.removeprefix(DRAWN)] = np.array(drawn[t, row])
     return Drawn(call.kind.name, call.kind.mode, values)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -94,14 +93,15 @@ class LogArrays:
 
     def flat(self) -> Iterator[tuple[Column, NDArray[Any]]]:
         """A table with a row for each step and environment: its columns, each (T * N,)."""
-        n = len(self.env_ids)
-        yield Column("step", ""), np.repeat(self.steps, n)
-        yield Column("time", "s"), np.repeat(self.time, n)
+        num_envs = len(self.env_ids)
+        yield Column("step", ""), np.repeat(self.steps, num_envs)
+        yield Column("time", "s"), np.repeat(self.time, num_envs)
         yield Column("env", ""), np.tile(self.env_ids, len(self.steps))
         for field, values in self.values.items():
-            wide = values.reshape(len(self.steps) * n, len(self.columns[field]))
+            table = values.reshape(len(self.steps) * num_envs, len(self.columns[field]))
             for index, (name, unit) in enumerate(self.columns[field]):
-                yield Column(name if name == field else f"{field}/{name}", unit), wide[:, index]
+                full_name = field if name == field else f"{field}/{name}"
+                yield Column(full_name, unit), table[:, index]
 
     def frame(self) -> pd.DataFrame:
         """A pandas frame with a row for each step and environment.
@@ -136,34 +136,56 @@ def gather(
     Raises:
         LogError: If the log is inconsistent.
     """
-    header, ids = reader.require_header(), rows.env_ids
+    header = reader.require_header()
+    env_ids = rows.env_ids
     slices = {name: slice(*header.layout[name]) for name in names if name in header.layout}
     steps: list[NDArray[np.int64]] = []
     pieces: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
-    take = slice(None) if len(ids) == header.num_envs else ids
-    for run, index in _parts(reader, rows, span, slices, pieces):
+    positions = slice(None) if len(env_ids) == header.num_envs else env_ids
+    for run, index in _run_steps(reader, rows, span, slices, pieces):
         steps.append(run.first + index)
+        outcome = run.calls[-1]
         for name in names:
             if name not in slices:
                 key, dtype = OUTCOMES[name]
-                pieces[name].append(run.calls[-1].arrays[key][index][:, take].astype(dtype))
+                pieces[name].append(outcome.arrays[key][index][:, positions].astype(dtype))
     values: dict[str, NDArray[Any]] = {}
-    named = {name: list(columns[name]) for name in names}
     for name in names:
-        shape = (0, len(ids), len(named[name])) if name in (*slices, "actions") else (0, len(ids))
-        empty: NDArray[Any] = np.empty(shape, OUTCOMES[name][1] if name in OUTCOMES else np.float64)
+        if not pieces[name]:
+            values[name] = _no_steps(name, len(env_ids), len(columns[name]))
+            continue
         try:
-            values[name] = np.concatenate(pieces.pop(name) or [empty])
+            # The pieces are freed one field after the other: together they are as large as the
+            # result.
+            values[name] = np.concatenate(pieces.pop(name))
         except ValueError as error:
             raise LogError(f"{reader.path}: steps differ in their {name}: {error}") from error
-    width = values["actions"].shape[-1] if "actions" in values else 0
-    if width != len(named.get("actions", ())):  # the first step of a damaged log may be unknown
-        named["actions"] = [Column(str(i), "") for i in range(width)]
-    every_step = np.concatenate([np.empty(0, np.int64), *steps])
-    return LogArrays(every_step, ids, header.control_dt, named, values)
+    field_columns = {name: list(columns[name]) for name in names}
+    if "actions" in values:
+        width = values["actions"].shape[-1]
+        if width != len(field_columns["actions"]):
+            # Their names come from the log's first step, which a damaged log may lack.
+            field_columns["actions"] = [Column(str(i), "") for i in range(width)]
+    return LogArrays(
+        steps=np.concatenate([np.empty(0, np.int64), *steps]),
+        env_ids=env_ids,
+        control_dt=header.control_dt,
+        columns=field_columns,
+        values=values,
+    )
 
 
-def _parts(
+def _no_steps(name: str, num_envs: int, num_columns: int) -> NDArray[Any]:
+    """The array of a field in which there are no steps."""
+    if name not in OUTCOMES:
+        return np.empty((0, num_envs, num_columns))
+    _, dtype = OUTCOMES[name]
+    if name == "actions":
+        return np.empty((0, num_envs, num_columns), dtype)
+    return np.empty((0, num_envs), dtype)
+
+
+def _run_steps(
     reader: LogReader,
     rows: Rows,
     span: Span,
@@ -186,29 +208,35 @@ def _parts(
                 yield run, index
         return
 
-    def wanted(kind: CallKind) -> bool:
+    def is_read(kind: CallKind) -> bool:
         if outcomes(kind):
             return len(slices) < len(pieces)
         if kind.kind != "write" or isinstance(rows, Simulation):
             return changes(kind)
+        # Without physics, only writes to these components change what is read.
         return kind.mode == "reset" or (kind.mode == "state" and kind.name in {*slices, "row"})
 
-    for _, found in groupby(follow(reader, rows, span, wanted), lambda step: step[0].first):
-        states: list[list[F64]] = [[] for _ in slices]
+    followed = follow(reader, rows, span, is_read)
+    for _, run_steps in groupby(followed, lambda run_and_t: run_and_t[0].first):
+        states: dict[str, list[F64]] = {name: [] for name in slices}
         steps = []
-        for step in found:
+        for step in run_steps:
             steps.append(step)
-            for values, columns in zip(states, slices.values(), strict=True):
-                values.append(rows.rows[:, columns].copy())
-        for name, values in zip(slices, states, strict=True):
+            for name, columns in slices.items():
+                states[name].append(rows.rows[:, columns].copy())
+        for name, values in states.items():
             pieces[name].append(np.array(values))
-        yield steps[0][0], np.array([t for _, t in steps])
+        run, _ = steps[0]
+        yield run, np.array([t for _, t in steps])
 
 
 def _within(run: Run, span: Span) -> NDArray[np.int64]:
     """Indices of the steps of a run that are in the span."""
-    last = sys.maxsize if span.last is None else span.last
-    return np.arange(max(span.first - run.first, 0), min(last - run.first + 1, run.steps))
+    start = max(span.first - run.first, 0)
+    stop = run.steps
+    if span.last is not None:
+        stop = min(stop, span.last - run.first + 1)
+    return np.arange(start, stop)
 
 
 def first_step(reader: LogReader, span: Span) -> int | None:
@@ -219,6 +247,9 @@ def first_step(reader: LogReader, span: Span) -> int | None:
     """
     for run in runs(reader, span, outcomes):
         step = max(run.first, span.first)
-        if step < run.first + run.steps:
-            return step if step in span else None
+        if step >= run.first + run.steps:
+            continue
+        if step in span:
+            return step
+        return None
     return None

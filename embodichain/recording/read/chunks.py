@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO, NamedTuple, Self
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
@@ -36,19 +36,21 @@ from embodichain.recording.format.parts import first_file, missing_part, part_na
 from embodichain.recording.format.seals import SEAL, check_seal, digest_of
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["MAGIC", "ChunkPlace", "Found", "LogReader"]
+__all__ = ["MAGIC", "ChunkPlace", "LogMessage", "LogReader"]
 
 MAGIC = b"\x89MCAP0\r\n"
 CUT = "the file ends early: it was not closed, or cut"
-_KEPT = (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
-_OURS = (METADATA_END, METADATA_RECOVERED)
-_KEPT_LIMIT = 2**29
+_INDEXED = (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
+"""Records outside of chunks whose content is kept."""
+_INDEXED_LIMIT = 2**29
 """Bytes of the largest attachment or metadata record that is accepted."""
+_SEALED = (METADATA_END, METADATA_RECOVERED)
+"""Metadata records that have a digest if the header has one."""
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _FOOTER = struct.Struct("<QQI")
-Found = tuple[str, int, memoryview]
+LogMessage = tuple[str, int, memoryview]
 """Topic, log time in ns, payload."""
 
 
@@ -67,6 +69,25 @@ class ChunkPlace:
     offset: int
     length: int
     part: int = 0
+
+
+class _RecordPlace(NamedTuple):
+    """The content of a record, after opcode and length.
+
+    Attributes:
+        offset: Its position in the file.
+        length: Its bytes.
+    """
+
+    offset: int
+    length: int
+
+
+class _UnpackedChunk(NamedTuple):
+    """A chunk and its messages; None if it is damaged."""
+
+    place: ChunkPlace
+    messages: list[LogMessage] | None
 
 
 class LogReader:
@@ -101,27 +122,31 @@ class LogReader:
     def __init__(self, path: str | Path) -> None:
         self.path = first_file(path)
         if not self.path.is_file():
-            what = "is not a file" if self.path.exists() else "does not exist"
-            raise ConfigError(f"{self.path} {what}")
+            reason = "is not a file" if self.path.exists() else "does not exist"
+            raise ConfigError(f"{self.path} {reason}")
         self.chunks: list[ChunkPlace] = []
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.header: Header | None = None
-        self.finished = self.complete = False
-        self.recovered = self.damage = self.alone = ""
-        self.good_bytes = self.total_bytes = 0
+        self.finished = False
+        self.complete = False
+        self.recovered = ""
+        self.damage = ""
+        self.alone = ""
+        self.good_bytes = 0
+        self.total_bytes = 0
         self.compressions: set[str] = set()
-        self._attachments: dict[str, tuple[int, int]] = {}
-        self._announced = 0  # messages, by the files' own statistics
-        self._next = ""  # the file that continues the last one
-        self._introduced = -1  # the last file with the metadata of a part
-        self._unpacked: tuple[ChunkPlace, list[Found] | None] | None = None  # the last
         self._streams: list[BinaryIO] = []
-        self._begins: list[int] = []  # bytes of the files before each
+        self._file_offsets: list[int] = []  # bytes of the files before each
+        self._next_file = ""  # the file that continues the last one
+        self._last_introduced = -1  # the last file with the metadata of a part
+        self._attachments: dict[str, _RecordPlace] = {}  # by name, all in the first file
+        self._announced_messages = 0  # by the files' own statistics
+        self._unpacked: _UnpackedChunk | None = None  # the chunk that was read last
         try:
             self._open(self.path)
-            while self._walk() and self._next and self._go_on():
+            while self._walk() and self._next_file and self._open_next():
                 pass
         except BaseException:
             self.close()
@@ -129,7 +154,7 @@ class LogReader:
 
     def _open(self, path: Path) -> None:
         self._streams.append(path.open("rb"))
-        self._begins.append(self.total_bytes)
+        self._file_offsets.append(self.total_bytes)
         self.total_bytes += os.fstat(self._streams[-1].fileno()).st_size
 
     @property
@@ -153,21 +178,27 @@ class LogReader:
 
     # -- the container -----------------------------------------------------------------------------
 
-    def _go_on(self) -> bool:
+    def _open_next(self) -> bool:
         """Open the file that continues the log, if the log is read as a whole."""
-        name, self._next = Path(self._next).name, ""
+        name = Path(self._next_file).name
+        self._next_file = ""
         if self.require_header().part:
             self.alone = f"it continues in {name}"
             return False
         name = part_name(self.path.name, len(self._streams))
         path = self.path.with_name(name)
         if path.is_file():
-            self.complete = self.finished = False
+            self.complete = False
+            self.finished = False
             self._open(path)
             return True
-        says, lost = missing_part(self.path, name)
-        self.complete, self.finished = not lost, not lost
-        self.damage, self.alone = (says, "") if lost else ("", says)
+        text, is_lost = missing_part(self.path, name)
+        self.complete = not is_lost
+        self.finished = not is_lost
+        if is_lost:
+            self.damage = text
+        else:
+            self.alone = text
         return False
 
     def _walk(self) -> bool:
@@ -175,77 +206,92 @@ class LogReader:
         part = len(self._streams) - 1
         magic = self._streams[-1].read(len(MAGIC))
         if magic != MAGIC:
-            what = "is empty" if not magic else "is not an MCAP file"
+            reason = "is not an MCAP file" if magic else "is empty"
             if not part:
-                raise ConfigError(f"{self.path} {what}")
-            self._damaged(part, CUT if MAGIC.startswith(magic) else what)
+                raise ConfigError(f"{self.path} {reason}")
+            self._end_at_damage(part, CUT if MAGIC.startswith(magic) else reason)
             return False
         try:
-            self._note_all(part)
+            self._index_records(part)
         except DamageError as error:
-            self._damaged(part, str(error))
+            self._end_at_damage(part, str(error))
         except LogError as error:
             raise LogError(f"{self.path}: {error}") from error
         except UNREADABLE as error:
-            self._damaged(part, f"a record is damaged ({reason_of(error)})")
+            self._end_at_damage(part, f"a record is damaged ({reason_of(error)})")
         return self.complete
 
-    def _note_all(self, part: int) -> None:
+    def _index_records(self, part: int) -> None:
         """Go from record to record, up to the footer."""
-        stream, begins = self._streams[part], len(self.chunks)
-        at, summary_at = len(MAGIC), 0
+        stream = self._streams[part]
+        first_chunk = len(self.chunks)
+        at = len(MAGIC)
+        summary_at = 0
         size = os.fstat(stream.fileno()).st_size
         while True:
-            self.good_bytes = self._begins[part] + at
+            self.good_bytes = self._file_offsets[part] + at
             head = stream.read(_HEAD.size)
             if len(head) < _HEAD.size:
                 raise DamageError(CUT)
             opcode, length = _HEAD.unpack(head)
             if not opcode:  # skipping zeros nine bytes at a time would take minutes
-                raise DamageError("what follows is no record: zeros, perhaps after a power cut")
+                raise DamageError("zeros follow instead of a record, perhaps after a power cut")
             at += _HEAD.size
             if length > size - at:
                 raise DamageError(CUT)
             if opcode == Opcode.FOOTER:
                 _check_end(stream, length, summary_at)
-                self.complete, self.good_bytes = True, self._begins[part] + stream.tell()
+                self.complete = True
+                self.good_bytes = self._file_offsets[part] + stream.tell()
                 return
-            self._note(opcode, at, length, part, len(self.chunks) == begins)
+            before_chunks = len(self.chunks) == first_chunk
+            self._index_record(opcode, _RecordPlace(at, length), part, before_chunks)
             at += length
             stream.seek(at)
             if opcode == Opcode.DATA_END:
                 summary_at = at
 
-    def _note(self, opcode: int, at: int, length: int, part: int, first: bool) -> None:
-        """Index the record at `at`; `first` is True before the first chunk of its file."""
+    def _index_record(
+        self, opcode: int, place: _RecordPlace, part: int, before_chunks: bool
+    ) -> None:
+        """Index a record.
+
+        Args:
+            opcode: Its kind.
+            place: Its content, which the file's stream is about to read.
+            part: The file.
+            before_chunks: Whether the file has no chunk before it.
+        """
         stream = self._streams[part]
         if opcode == Opcode.CHUNK:
-            if length > LONGEST_CHUNK:
-                raise DamageError(f"a chunk has {length} bytes, at most {LONGEST_CHUNK} are read")
-            if first and part and self._introduced < part:
+            if place.length > LONGEST_CHUNK:
+                raise DamageError(
+                    f"a chunk has {place.length} bytes, at most {LONGEST_CHUNK} are read"
+                )
+            if before_chunks and part and self._last_introduced < part:
                 raise DamageError("it does not say which log it is a part of")
             (start_ns,) = struct.unpack("<Q", stream.read(8))
-            self.chunks.append(ChunkPlace(start_ns, at, length, part))
-        elif opcode == Opcode.ATTACHMENT and length < _KEPT_LIMIT and not part:
-            stream.seek(at + 16)  # after log time and creation time
-            (n,) = struct.unpack("<I", stream.read(4))
-            if n > length:
+            self.chunks.append(ChunkPlace(start_ns, place.offset, place.length, part))
+        elif opcode == Opcode.ATTACHMENT and place.length < _INDEXED_LIMIT and not part:
+            stream.seek(place.offset + 16)  # after log time and creation time
+            (name_length,) = struct.unpack("<I", stream.read(4))
+            if name_length > place.length:
                 raise DamageError("a name is longer than its record")
-            self._attachments[stream.read(n).decode()] = (at, length)
-        elif opcode in _KEPT and length < _KEPT_LIMIT:
-            self._take(parse(opcode, stream.read(length)), part)
+            self._attachments[stream.read(name_length).decode()] = place
+        elif opcode in _INDEXED and place.length < _INDEXED_LIMIT:
+            self._add_record(parse(opcode, stream.read(place.length)), part)
 
-    def _take(self, record: Any, part: int) -> None:
+    def _add_record(self, record: Any, part: int) -> None:
         if isinstance(record, Channel):  # the index repeats the channels of the chunks
             self.channels.setdefault(record.id, record)
         elif isinstance(record, Schema):
             self.schemas.setdefault(record.id, record)
         elif isinstance(record, Statistics):
-            self._announced += record.message_count
+            self._announced_messages += record.message_count
         else:
-            self._take_metadata(record, part)
+            self._add_metadata(record, part)
 
-    def _take_metadata(self, record: Metadata, part: int) -> None:
+    def _add_metadata(self, record: Metadata, part: int) -> None:
         if record.name != METADATA:
             self._check_seal(record)
         if record.name != METADATA or not part:
@@ -255,10 +301,10 @@ class LogReader:
                 check_part(self.require_header(), record.metadata, part)
             else:
                 self.header = Header.from_metadata(record.metadata)
-            self._introduced = part
+            self._last_introduced = part
         elif record.name == METADATA_END:
             self.finished = True
-            self._next = record.metadata.get("next", "")
+            self._next_file = record.metadata.get("next", "")
         elif record.name == METADATA_RECOVERED:
             self.recovered = record.metadata.get("why", "") or "no reason is given"
 
@@ -268,14 +314,16 @@ class LogReader:
             has_seal = check_seal(record.name, record.metadata)
         except DamageError as error:
             raise DamageError(f"the metadata record {record.name!r}: {error}") from error
-        expected = record.name in _OURS and SEAL in self.metadata.get(METADATA, {})
-        if expected and not has_seal:
+        needs_seal = record.name in _SEALED and SEAL in self.metadata.get(METADATA, {})
+        if needs_seal and not has_seal:
             raise DamageError(f"the metadata record {record.name!r} has no {SEAL!r}")
 
-    def _damaged(self, part: int, why: str) -> None:
-        """Note that reading ends here, and why."""
-        where = f"{self.files[part].name}: " if part else ""
-        self.complete, self.damage = False, f"{where}{why}"
+    def _end_at_damage(self, part: int, reason: str) -> None:
+        """Note that reading ends in this file, and why."""
+        self.complete = False
+        self.damage = reason
+        if part:
+            self.damage = f"{self.files[part].name}: {reason}"
 
     def require_header(self) -> Header:
         """The metadata of the recording.
@@ -284,8 +332,8 @@ class LogReader:
             LogError: If there is none: another program's MCAP file, or a truncated one.
         """
         if self.header is None:
-            why = f" ({self.damage})" if self.damage else ""
-            raise LogError(f"{self.path} has no metadata record {METADATA!r}{why}")
+            reason = f" ({self.damage})" if self.damage else ""
+            raise LogError(f"{self.path} has no metadata record {METADATA!r}{reason}")
         return self.header
 
     @property
@@ -293,7 +341,9 @@ class LogReader:
         """Why the end of the log may be missing; empty if it is not."""
         if not self.complete:
             return self.damage or "its end is missing"
-        return "" if self.finished or self.recovered else "the recorder did not close it"
+        if self.finished or self.recovered:
+            return ""
+        return "the recorder did not close it"
 
     @property
     def part_note(self) -> str:
@@ -312,22 +362,24 @@ class LogReader:
             LogError: If there is no attachment of this name, or it is damaged.
         """
         if name not in self._attachments:
-            there = ", ".join(self._attachments) or "none"
-            raise LogError(f"{self.path} has no attachment {name}; there are: {there}")
-        at, length = self._attachments[name]
-        self._streams[0].seek(at)
-        data = self._streams[0].read(length)
+            available = ", ".join(self._attachments) or "none"
+            raise LogError(f"{self.path} has no attachment {name}; there are: {available}")
+        place = self._attachments[name]
+        self._streams[0].seek(place.offset)
+        data = self._streams[0].read(place.length)
         try:
             (crc,) = struct.unpack("<I", data[-4:])
             if zlib.crc32(memoryview(data)[:-4]) != crc:
                 raise DamageError("an attachment is damaged: its checksum is wrong")
-            found: Attachment = parse(Opcode.ATTACHMENT, data)
+            record: Attachment = parse(Opcode.ATTACHMENT, data)
             listed = self.require_header().attachments
-            if name in listed and listed[name][1] != digest_of(found.data):
-                raise DamageError("an attachment is damaged: its digest is wrong")
+            if name in listed:
+                _, digest = listed[name]
+                if digest_of(record.data) != digest:
+                    raise DamageError("an attachment is damaged: its digest is wrong")
         except (DamageError, struct.error) as error:
             raise LogError(f"{self.path}: {name}: {error}") from error
-        return found
+        return record
 
     def attachment(self, name: str) -> bytes:
         """Content of an attachment.
@@ -340,32 +392,34 @@ class LogReader:
 
     # -- messages ----------------------------------------------------------------------------------
 
-    def messages(self, chunks: list[ChunkPlace] | None = None) -> Iterator[Found]:
+    def messages(self, chunks: list[ChunkPlace] | None = None) -> Iterator[LogMessage]:
         """Messages of some chunks, or of all, in file order; iteration ends at damage."""
-        for found in self.blocks(chunks):
-            yield from found
+        for messages in self.blocks(chunks):
+            yield from messages
 
-    def blocks(self, chunks: list[ChunkPlace] | None = None) -> Iterator[list[Found]]:
+    def blocks(self, chunks: list[ChunkPlace] | None = None) -> Iterator[list[LogMessage]]:
         """Like `messages`, as one list for each chunk; if all are read, checks their number."""
         if chunks and not self.channels:  # no index; channels are declared when they are first used
             for chunk in self.chunks[: self.chunks.index(chunks[0])]:
                 self._unpack(chunk)
-        read = 0
+        count = 0
         for chunk in self.chunks if chunks is None else chunks:
-            found = self._unpack(chunk)
-            if found is None:
+            messages = self._unpack(chunk)
+            if messages is None:
                 return
-            read += len(found)
-            yield found
-        if chunks is None and self.complete and self._announced not in (0, read):
-            self._damaged(0, f"{read} messages where the file announces {self._announced}")
+            count += len(messages)
+            yield messages
+        announced = self._announced_messages
+        if chunks is None and self.complete and announced not in (0, count):
+            self._end_at_damage(0, f"{count} messages where the file announces {announced}")
 
-    def _unpack(self, chunk: ChunkPlace) -> list[Found] | None:
-        if self._unpacked is None or self._unpacked[0] is not chunk:
-            self._unpacked = chunk, self._read(chunk)
-        return self._unpacked[1]
+    def _unpack(self, chunk: ChunkPlace) -> list[LogMessage] | None:
+        """The messages of a chunk; None if it is damaged. The last chunk is remembered."""
+        if self._unpacked is None or self._unpacked.place is not chunk:
+            self._unpacked = _UnpackedChunk(chunk, self._read(chunk))
+        return self._unpacked.messages
 
-    def _read(self, chunk: ChunkPlace) -> list[Found] | None:
+    def _read(self, chunk: ChunkPlace) -> list[LogMessage] | None:
         stream = self._streams[chunk.part]
         stream.seek(chunk.offset)
         try:
@@ -373,13 +427,15 @@ class LogReader:
             self.compressions.add(compression)
             return self._records(memoryview(data))
         except (DamageError, struct.error) as error:
-            self._damaged(chunk.part, str(error))
-            self.good_bytes = self._begins[chunk.part] + chunk.offset - _HEAD.size
+            self._end_at_damage(chunk.part, str(error))
+            self.good_bytes = self._file_offsets[chunk.part] + chunk.offset - _HEAD.size
             return None
 
-    def _records(self, data: memoryview) -> list[Found]:
-        found: list[Found] = []
-        at, size = 0, len(data)
+    def _records(self, data: memoryview) -> list[LogMessage]:
+        """The messages in an unpacked chunk; its channels and schemas are noted."""
+        messages: list[LogMessage] = []
+        at = 0
+        size = len(data)
         topics = {i: channel.topic for i, channel in self.channels.items()}
         while at < size:
             opcode, length = _HEAD.unpack_from(data, at)
@@ -392,17 +448,19 @@ class LogReader:
                 channel, _, log_time, _ = _MESSAGE.unpack_from(data, at)
                 if channel not in topics:
                     raise DamageError(f"a message belongs to channel {channel}, unknown here")
-                found.append((topics[channel], log_time, data[at + _MESSAGE.size : at + length]))
+                payload = data[at + _MESSAGE.size : at + length]
+                messages.append((topics[channel], log_time, payload))
             elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
                 record = parse(opcode, bytes(data[at : at + length]))
                 if isinstance(record, Channel):
-                    self.channels[record.id], topics[record.id] = record, record.topic
+                    self.channels[record.id] = record
+                    topics[record.id] = record.topic
                 else:
                     self.schemas[record.id] = record
             else:  # skipping a chunk of zeros nine bytes at a time would take minutes
                 raise DamageError(f"a chunk is damaged: it contains a record of kind {opcode}")
             at += length
-        return found
+        return messages
 
 
 def _check_end(stream: BinaryIO, length: int, summary_at: int) -> None:
@@ -413,15 +471,18 @@ def _check_end(stream: BinaryIO, length: int, summary_at: int) -> None:
         raise DamageError(CUT)
     if len(footer) != _FOOTER.size:
         raise DamageError("the index at its end is damaged")
-    announced, end = _FOOTER.unpack(footer)[2], stream.tell()
+    announced = _FOOTER.unpack(footer)[2]
+    end = stream.tell()
     if announced:
         stream.seek(summary_at)
-        crc, left = 0, footer_at + _FOOTER.size - 4 - summary_at
-        while left:
-            piece = stream.read(min(left, 2**20))
+        crc = 0
+        remaining = footer_at + _FOOTER.size - 4 - summary_at
+        while remaining:
+            piece = stream.read(min(remaining, 2**20))
             if not piece:
                 raise DamageError(CUT)
-            crc, left = zlib.crc32(piece, crc), left - len(piece)
+            crc = zlib.crc32(piece, crc)
+            remaining -= len(piece)
         if crc != announced:
             raise DamageError("the index at its end is damaged: its checksum is wrong")
     stream.seek(end)

@@ -1,4 +1,4 @@
-"""Which episodes of a log count: those that the results of its run are made of.
+"""Which episodes of a log count: those that make up the results of its run.
 
 `run` and `eval` count the first episodes of each environment: the header says how many (`quota`).
 `collect` decides later, so the channel `/counted` lists them (`Header.lists_counted`).
@@ -34,14 +34,15 @@ def encode_counted(env_ids: Sequence[int], episodes: Sequence[int]) -> bytes:
 
 
 class Counting:
-    """Says of episodes of a log whether they count.
+    """Marks which episodes of a log count.
 
     Args:
         header: The log's header.
     """
 
     def __init__(self, header: Header) -> None:
-        self._quota, self._lists = header.quota, header.lists_counted
+        self._quota = header.quota
+        self._lists_counted = header.lists_counted
         self._listed: set[tuple[int, int]] = set()
 
     def add(self, data: bytes | memoryview) -> None:
@@ -62,7 +63,7 @@ class Counting:
         return [replace(episode, counted=self._counts(episode)) for episode in episodes]
 
     def _counts(self, episode: LogEpisode) -> bool | None:
-        if self._lists:
+        if self._lists_counted:
             return (episode.env, episode.episode) in self._listed
         if not self._quota or episode.env >= len(self._quota):
             return None

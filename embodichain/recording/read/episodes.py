@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf.message import DecodeError
@@ -35,8 +35,17 @@ EPISODE_TOPIC = "/episode"
 _OUTCOMES = {"success": "success_terminated", "fail": "fail", "diverged": "diverged"}
 """Reason of an end -> the entry of ``info`` that says so."""
 
-Table = tuple[list[str], NDArray[Any]]
-"""Names, and a column for each: (n, K)."""
+
+class Table(NamedTuple):
+    """K named values of each of n episodes.
+
+    Attributes:
+        names: The K names.
+        values: (n, K).
+    """
+
+    names: list[str]
+    values: NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,25 +82,32 @@ class Ends:
         # Searching the bytes is 10 times faster than `any`, and this runs in every step.
         if 1 not in step.terminated.tobytes() and 1 not in step.truncated.tobytes():
             return None
-        ids, info = np.flatnonzero(step.terminated | step.truncated), step.info
-        success = info.get("success") if judged else None
-        reasons = {**terms, **{name: info[key] for name, key in _OUTCOMES.items() if key in info}}
+        env_ids = np.flatnonzero(step.terminated | step.truncated)
+        info = step.info
+        success = None
+        if judged and info.get("success") is not None:
+            success = np.asarray(info["success"])[env_ids] != 0
+        reasons = dict(terms)
+        for reason, key in _OUTCOMES.items():
+            if key in info:
+                reasons[reason] = info[key]
         return cls(
-            ids,
-            step.terminated[ids],
-            step.truncated[ids],
-            None if success is None else np.asarray(success)[ids] != 0,
-            _table(reasons, ids, np.bool_),
-            _table(info.get("episode_sums", {}), ids, np.float64),
-            _table(info.get("metrics", {}), ids, np.float64),
+            env_ids=env_ids,
+            terminated=step.terminated[env_ids],
+            truncated=step.truncated[env_ids],
+            success=success,
+            reasons=_table(reasons, env_ids, np.bool_),
+            rewards=_table(info.get("episode_sums", {}), env_ids, np.float64),
+            metrics=_table(info.get("metrics", {}), env_ids, np.float64),
         )
 
 
-def _table(values: Mapping[str, Any], ids: NDArray[np.int64], dtype: Any) -> Table:
-    found = np.empty((len(ids), len(values)), dtype)
-    for column, value in enumerate(values.values()):
-        found[:, column] = np.asarray(value)[ids]
-    return list(values), found
+def _table(values: Mapping[str, Any], env_ids: NDArray[np.int64], dtype: Any) -> Table:
+    """The values of some environments, of (N,) values by name."""
+    columns = np.empty((len(env_ids), len(values)), dtype)
+    for index, value in enumerate(values.values()):
+        columns[:, index] = np.asarray(value)[env_ids]
+    return Table(list(values), columns)
 
 
 class EpisodeSums:
@@ -103,7 +119,7 @@ class EpisodeSums:
 
     def __init__(self, num_envs: int) -> None:
         self._episodes = np.full(num_envs, -1, np.int64)
-        self._known = self._episodes.tobytes()
+        self._episode_bytes = self._episodes.tobytes()
         self.returns = np.zeros(num_envs)
         """(N,) sums of rewards, in the order of the steps."""
         self.lengths = np.zeros(num_envs, np.int64)
@@ -118,16 +134,20 @@ class EpisodeSums:
         self, episodes: NDArray[np.int64], returns: NDArray[Any], lengths: NDArray[np.int64]
     ) -> None:
         """Continue with these episodes, sums and numbers, (N,) each."""
-        self._episodes, self._known = episodes.copy(), episodes.tobytes()
-        self.returns[:], self.lengths[:] = returns, lengths
+        self._episodes = episodes.copy()
+        self._episode_bytes = episodes.tobytes()
+        self.returns[:] = returns
+        self.lengths[:] = lengths
 
     def add(self, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
         """Add a control step: (N,) rewards, and the episodes it belongs to."""
-        if episode_ids.tobytes() != self._known:  # faster than comparing small arrays
-            self._known = episode_ids.tobytes()
-            new = self._episodes != episode_ids
-            self.returns[new] = self.lengths[new] = 0
+        episode_bytes = episode_ids.tobytes()  # comparing them is faster than comparing arrays
+        if episode_bytes != self._episode_bytes:
+            is_new = self._episodes != episode_ids
+            self.returns[is_new] = 0
+            self.lengths[is_new] = 0
             self._episodes = episode_ids.copy()
+            self._episode_bytes = episode_bytes
         self.returns += reward
         self.lengths += 1
 
@@ -151,12 +171,12 @@ def encode_ends(step: int, ends: Ends, sums: EpisodeSums, episode_ids: NDArray[n
         terminated=ends.terminated.tobytes(),
         truncated=ends.truncated.tobytes(),
         success=b"" if ends.success is None else ends.success.tobytes(),
-        reason=ends.reasons[0],
-        reasons=ends.reasons[1].tobytes(),
-        reward_term=ends.rewards[0],
-        reward_sums=ends.rewards[1].ravel().tolist(),
-        metric=ends.metrics[0],
-        metrics=ends.metrics[1].ravel().tolist(),
+        reason=ends.reasons.names,
+        reasons=ends.reasons.values.tobytes(),
+        reward_term=ends.rewards.names,
+        reward_sums=ends.rewards.values.ravel().tolist(),
+        metric=ends.metrics.names,
+        metrics=ends.metrics.values.ravel().tolist(),
     )
     data: bytes = message.SerializeToString()
     return data
@@ -181,9 +201,9 @@ class LogEpisode:
             if it reached the time limit or the log ended first.
         rewards: Term to its weighted sum over the episode; empty if the log ended first.
         metrics: Metric to its value at the episode's end; empty if the log ended first.
-        counted: Whether the run's results have it: `run` and `eval` count the first episodes of
-            each environment, `collect` what it lists as success or failure; None if the log does
-            not say (a program's own, or an older one).
+        counted: Whether it is part of the run's results: `run` and `eval` count the first episodes
+            of each environment, `collect` those that it lists as success or failure; None if the
+            log does not say, as one of a user's program or of an older version.
     """
 
     env: int
@@ -216,41 +236,59 @@ def decode_ends(data: bytes | memoryview) -> list[LogEpisode]:
         message.ParseFromString(bytes(data))
     except DecodeError as error:
         raise DamageError(f"an end of episodes is damaged: {error}") from error
-    n, last = len(message.env_ids), message.step
-    success: list[bool | None] = [*_flags(message.success)] or [None] * n
-    fired = _rows(message.reason, _flags(message.reasons), n)
-    metrics = _rows(message.metric, message.metrics, n)
+    count = len(message.env_ids)
+    terminated = _flags(message.terminated)
+    truncated = _flags(message.truncated)
+    reasons = _rows(message.reason, _flags(message.reasons), count)
+    rewards = _rows(message.reward_term, message.reward_sums, count)
+    metrics = _rows(message.metric, message.metrics, count)
+    success: list[bool | None] = [None] * count
+    if message.success:
+        success = list(_flags(message.success))
     if "success" in message.metric:  # logs of older versions have the termination in `success`
         success = [row["success"] > 0 for row in metrics]
     columns = (
-        message.env_ids,
         message.episode_id,
-        [last - length + 1 for length in message.length],
-        [last] * n,
+        message.length,
         message.total_reward,
-        _flags(message.terminated),
-        _flags(message.truncated),
+        terminated,
+        truncated,
         success,
-        [tuple(name for name, value in row.items() if value) for row in fired],
-        _rows(message.reward_term, message.reward_sums, n),
-        metrics,
     )
-    if any(len(column) != n for column in columns):
+    if any(len(column) != count for column in columns):
         raise DamageError("an end of episodes lacks some of them")
-    return [LogEpisode(*values) for values in zip(*columns, strict=True)]
+    return [
+        LogEpisode(
+            env=message.env_ids[i],
+            episode=message.episode_id[i],
+            first_step=message.step - message.length[i] + 1,
+            last_step=message.step,
+            total_reward=message.total_reward[i],
+            terminated=terminated[i],
+            truncated=truncated[i],
+            success=success[i],
+            reasons=tuple(name for name, ended_it in reasons[i].items() if ended_it),
+            rewards=rewards[i],
+            metrics=metrics[i],
+        )
+        for i in range(count)
+    ]
 
 
 def _flags(data: bytes) -> list[bool]:
-    flags: list[bool] = (np.frombuffer(data, np.uint8) != 0).tolist()
-    return flags
+    return [byte != 0 for byte in data]
 
 
-def _rows(names: Sequence[str], values: Sequence[Any], n: int) -> list[dict[str, Any]]:
-    """Name to value for each of n episodes; `values` is (n, names), row-major."""
+def _rows(names: Sequence[str], values: Sequence[Any], count: int) -> list[dict[str, Any]]:
+    """Name to value for each of some episodes; `values` is (count, names), row-major."""
     width = len(names)
-    if len(values) != n * width:
-        raise DamageError(f"{len(values)} values of {width} names in {n} episodes")
-    return [dict(zip(names, values[i * width : (i + 1) * width], strict=True)) for i in range(n)]
+    if len(values) != count * width:
+        raise DamageError(f"{len(values)} values of {width} names in {count} episodes")
+    rows = []
+    for index in range(count):
+        row = values[index * width : (index + 1) * width]
+        rows.append(dict(zip(names, row, strict=True)))
+    return rows
 
 
 def episode_of(episodes: Sequence[LogEpisode], env: int, episode: int) -> LogEpisode:
@@ -259,11 +297,13 @@ def episode_of(episodes: Sequence[LogEpisode], env: int, episode: int) -> LogEpi
     Raises:
         ConfigError: If there is none.
     """
-    mine = {e.episode: e for e in episodes if e.env == env}
-    if episode not in mine:
-        there = f"there are {min(mine)} to {max(mine)}" if mine else "there is none"
-        raise ConfigError(f"no episode {episode} of environment {env} in the log: {there}")
-    return mine[episode]
+    by_id = {e.episode: e for e in episodes if e.env == env}
+    if episode not in by_id:
+        available = "there is none"
+        if by_id:
+            available = f"there are {min(by_id)} to {max(by_id)}"
+        raise ConfigError(f"no episode {episode} of environment {env} in the log: {available}")
+    return by_id[episode]
 
 
 def find_episodes(
@@ -277,13 +317,16 @@ def find_episodes(
             a log without steps.
         every: k if only every k-th episode was recorded; the others are listed too.
     """
-    ended: dict[tuple[int, int], LogEpisode] = {}
+    ended: dict[tuple[int, int], LogEpisode] = {}  # by environment and episode
     for end in ends:
         ended.setdefault((end.env, end.episode), end)
-    found = {} if data is None else {(e.env, e.episode): e for e in _in_steps(data, ended)}
+    episodes: dict[tuple[int, int], LogEpisode] = {}
+    if data is not None:
+        for episode in _in_steps(data, ended):
+            episodes[episode.env, episode.episode] = episode
     if data is None or every > 1:
-        found |= ended
-    return [found[key] for key in sorted(found)]
+        episodes |= ended
+    return [episodes[key] for key in sorted(episodes)]
 
 
 def _in_steps(data: LogArrays, ended: Mapping[tuple[int, int], LogEpisode]) -> Iterator[LogEpisode]:
@@ -295,14 +338,16 @@ def _in_steps(data: LogArrays, ended: Mapping[tuple[int, int], LogEpisode]) -> I
         starts = np.concatenate([[0], np.flatnonzero(np.diff(ids)) + 1])
         lasts = np.concatenate([starts[1:], [len(ids)]]) - 1
         for first, last in zip(starts.tolist(), lasts.tolist(), strict=True):
+            rewards = data["rewards"][first : last + 1, column]
             episode = LogEpisode(
-                env,
-                int(ids[first]),
-                int(data.steps[first]),
-                int(data.steps[last]),
-                float(np.add.accumulate(data["rewards"][first : last + 1, column])[-1]),
-                bool(data["terminated"][last, column]),
-                bool(data["truncated"][last, column]),
+                env=env,
+                episode=int(ids[first]),
+                first_step=int(data.steps[first]),
+                last_step=int(data.steps[last]),
+                # Step after step, as the recorder added them: `sum` rounds otherwise.
+                total_reward=float(np.add.accumulate(rewards)[-1]),
+                terminated=bool(data["terminated"][last, column]),
+                truncated=bool(data["truncated"][last, column]),
             )
             end = ended.get((env, episode.episode))
             if end is not None:

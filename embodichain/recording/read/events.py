@@ -69,9 +69,9 @@ def read_events(reader: LogReader) -> Iterator[LogEvent]:
         LogError: If a message is damaged.
     """
     for step, kind, arrays in _calls(reader, "event"):
-        ids = arrays.pop("env_ids", None)
+        env_ids = arrays.pop("env_ids", None)
         drawn = {name.removeprefix(DRAWN): values for name, values in arrays.items()}
-        yield LogEvent(step, kind.name, kind.mode, ids, drawn)
+        yield LogEvent(step, term=kind.name, mode=kind.mode, env_ids=env_ids, drawn=drawn)
 
 
 def read_writes(reader: LogReader) -> Iterator[LogWrite]:
@@ -81,13 +81,19 @@ def read_writes(reader: LogReader) -> Iterator[LogWrite]:
         LogError: If a message is damaged.
     """
     for step, kind, arrays in _calls(reader, "write"):
-        ids, columns, values = arrays.get("env_ids"), columns_of(kind.columns), arrays.get("values")
-        yield LogWrite(step, kind.mode, kind.name, ids, columns, values)
+        yield LogWrite(
+            step,
+            op=kind.mode,
+            field=kind.name,
+            env_ids=arrays.get("env_ids"),
+            columns=columns_of(kind.columns),
+            values=arrays.get("values"),
+        )
 
 
 def _calls(reader: LogReader, kind: str) -> Iterator[tuple[int, CallKind, dict[str, Any]]]:
     """Control step, kind and arrays of every call of a kind."""
-    for run in runs(reader, wanted=lambda call: call.kind == kind):
+    for run in runs(reader, is_read=lambda call: call.kind == kind):
         calls = run.of_kind(kind)
         for t in range(run.count):
             for call in calls:
@@ -103,29 +109,38 @@ def read_metrics(
     Raises:
         LogError: If a message or the schema is damaged.
     """
-    header, topic = reader.require_header(), f"/env_{env}/metrics"
-    found = [(time_ns, data) for this, time_ns, data in reader.messages() if this == topic]
+    header = reader.require_header()
+    topic = f"/env_{env}/metrics"
+    times_ns = []
+    messages = []
+    for message_topic, time_ns, data in reader.messages():
+        if message_topic == topic:
+            times_ns.append(time_ns)
+            messages.append(data)
     try:
-        names = _names(reader, topic)
-        message = scalars_class("Metrics", names)
-        rows = [message.FromString(bytes(data)) for _, data in found]
+        names = _field_names(reader, topic)
+        message_type = scalars_class("Metrics", names)
+        rows = [message_type.FromString(bytes(data)) for data in messages]
     except (DecodeError, TypeError, ValueError) as error:
         raise LogError(f"{reader.path}: a message of {topic} is damaged: {error}") from error
-    times = np.array([time_ns for time_ns, _ in found], np.uint64).astype(np.int64)
+    # A damaged time may need all 64 bits.
+    times = np.array(times_ns, np.uint64).astype(np.int64)
+    steps = (times - header.start_ns) // header.period_ns
     values = {name: np.array([getattr(row, name) for row in rows], np.float64) for name in names}
-    return (times - header.start_ns) // header.period_ns, values
+    return steps, values
 
 
-def _names(reader: LogReader, topic: str) -> Sequence[str]:
+def _field_names(reader: LogReader, topic: str) -> Sequence[str]:
     """Names of the fields, in order of their numbers, from the schema of a channel."""
     for channel in reader.channels.values():
-        if channel.topic == topic and channel.schema_id in reader.schemas:
-            declared = descriptor_pb2.FileDescriptorSet()
-            declared.ParseFromString(reader.schemas[channel.schema_id].data)
-            if len(declared.file) != 1 or len(declared.file[0].message_type) != 1:
-                raise ValueError("its schema is not of one message")
-            fields = declared.file[0].message_type[0].field
-            if [field.number for field in fields] != list(range(1, len(fields) + 1)):
-                raise ValueError("the fields of its schema are not numbered from 1")
-            return [field.name for field in fields]
+        if channel.topic != topic or channel.schema_id not in reader.schemas:
+            continue
+        descriptors = descriptor_pb2.FileDescriptorSet()
+        descriptors.ParseFromString(reader.schemas[channel.schema_id].data)
+        if len(descriptors.file) != 1 or len(descriptors.file[0].message_type) != 1:
+            raise ValueError("its schema is not of one message")
+        fields = descriptors.file[0].message_type[0].field
+        if [field.number for field in fields] != list(range(1, len(fields) + 1)):
+            raise ValueError("the fields of its schema are not numbered from 1")
+        return [field.name for field in fields]
     return ()

@@ -6,6 +6,7 @@ The engine has the recorded rows and model fields; only states between keyframes
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +17,42 @@ from embodichain.recording.read.simulation import Simulation, always, never
 from embodichain.recording.read.trajectory import Span, follow
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["Playback", "Span", "follower_of", "span_of"]
+__all__ = ["Playback", "Span", "Stretch", "follower_of", "span_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Which part of a log is played.
+
+    Attributes:
+        env: The environment.
+        episode: One of its episodes; None is all.
+        first: First control step, counted from the start of the log; None is the first.
+        last: Last control step, included; None is the last.
+    """
+
+    env: int = 0
+    episode: int | None = None
+    first: int | None = None
+    last: int | None = None
+
+    def span_in(self, log: RecordedLog) -> Span:
+        """The control steps of this stretch in a log.
+
+        Raises:
+            ConfigError: If the environment or the episode does not exist, or the range is empty.
+        """
+        log.header.check_env(self.env)
+        first = 0 if self.first is None else self.first
+        last = self.last
+        if self.episode is not None:
+            episode = episode_of(log.episodes, self.env, self.episode)
+            first = max(first, episode.first_step)
+            if last is None or last > episode.last_step:
+                last = episode.last_step
+        if first < 0 or (last is not None and last < first):
+            raise ConfigError(f"no control steps from {first} to {last}")
+        return Span(first, last)
 
 
 def span_of(
@@ -26,27 +62,8 @@ def span_of(
     first: int | None = None,
     last: int | None = None,
 ) -> Span:
-    """The selected control steps.
-
-    Args:
-        log: The log.
-        env: The environment.
-        episode: One of its episodes; None is all.
-        first: First control step, counted from the start of the log; None is the first.
-        last: Last control step, included; None is the last.
-
-    Raises:
-        ConfigError: If the environment or the episode does not exist, or the range is empty.
-    """
-    log.header.check_env(env)
-    start, end = first or 0, last
-    if episode is not None:
-        found = episode_of(log.episodes, env, episode)
-        start = max(start, found.first_step)
-        end = found.last_step if end is None else min(end, found.last_step)
-    if start < 0 or (end is not None and end < start):
-        raise ConfigError(f"no control steps from {start} to {end}")
-    return Span(start, end)
+    """The control steps of a `Stretch`, given by its attributes."""
+    return Stretch(env, episode, first, last).span_in(log)
 
 
 def follower_of(log: RecordedLog, env: int) -> Simulation:
@@ -59,10 +76,14 @@ def follower_of(log: RecordedLog, env: int) -> Simulation:
     log.header.check_env(env)
     log, env = log.part_of(env)
     log.header.require_states(log.path)
-    simulates = log.header.keyframe_every > 0
-    model = log.model_to_simulate if simulates else log.model
-    active = always(1) if simulates else never(1)
-    return Simulation(log.reader, model, np.array([env], np.int64), active, num_threads=1)
+    if log.header.keyframe_every > 0:
+        model = log.model_to_simulate
+        active = always(1)
+    else:
+        model = log.model
+        active = never(1)
+    env_ids = np.array([env], np.int64)
+    return Simulation(log.reader, model, env_ids=env_ids, active=active, num_threads=1)
 
 
 class Playback:
@@ -106,5 +127,5 @@ class Playback:
         """
         for run, t in follow(self.log.reader, self._simulation, span):
             step = run.first + t
-            if not (step - span.first) % every:
+            if (step - span.first) % every == 0:
                 yield step

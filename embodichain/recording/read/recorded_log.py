@@ -126,16 +126,18 @@ class RecordedLog:
             return [f"recovered from a broken file: {self.reader.recovered}"]
         if not self.reader.finished:
             return ["the recorder did not close this log: its last steps may be missing"]
-        return [self.reader.part_note] if self.reader.part_note else []
+        if self.reader.part_note:
+            return [self.reader.part_note]
+        return []
 
     @cached_property
     def versions(self) -> dict[str, str]:
         """Versions of the software that determines a run's results."""
         try:
-            found: dict[str, str] = json.loads(self.attachment("versions.json"))
+            versions: dict[str, str] = json.loads(self.attachment("versions.json"))
         except ValueError as error:
             raise LogError(f"{self.path}: versions.json is damaged: {error}") from error
-        return found
+        return versions
 
     @property
     def config_yaml(self) -> str:
@@ -161,8 +163,8 @@ class RecordedLog:
     @cached_property
     def config(self) -> dict[str, Any]:
         """The resolved config as a tree, with ``<env NAME>`` for text of the environment."""
-        found: dict[str, Any] = shown(self.written_config)
-        return found
+        tree: dict[str, Any] = shown(self.written_config)
+        return tree
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -171,10 +173,12 @@ class RecordedLog:
         Raises:
             LogError: If it is missing, or this version of MuJoCo cannot read it.
         """
-        same = self.header.mujoco_version == mujoco.__version__
-        data = self.attachment(MODEL if same else "scene.mjz")
+        is_same_mujoco = self.header.mujoco_version == mujoco.__version__
+        data = self.attachment(MODEL if is_same_mujoco else "scene.mjz")
         try:
-            return (exact_model if same else approximate_model)(self.header, data)
+            if is_same_mujoco:
+                return exact_model(self.header, data)
+            return approximate_model(self.header, data)
         except LogError as error:
             raise LogError(f"{self.path}: {error}") from error
 
@@ -196,27 +200,33 @@ class RecordedLog:
     @cached_property
     def columns(self) -> dict[str, list[Column]]:
         """Every field that `read` accepts, with the name and unit of each column."""
-        single = ("rewards", "terminated", "truncated", "episodes")
-        found = {name: [Column(name, "")] for name in single}
-        if self.header.state != "none":
-            found = state_columns(self.model, self.header.layout) | found
-            found["actions"] = self._action_columns()
-        return found
+        outcome_columns = {}
+        for name in ("rewards", "terminated", "truncated", "episodes"):
+            outcome_columns[name] = [Column(name, "")]
+        if self.header.state == "none":
+            return outcome_columns
+        columns = state_columns(self.model, self.header.layout)
+        columns |= outcome_columns
+        columns["actions"] = self._action_columns()
+        return columns
 
     def _action_columns(self) -> list[Column]:
-        """Names of an action's numbers, which are without unit; else their indices."""
-        width, known = self._action_width(), self.header.action
-        if len(known) == width:
-            return [Column(column["name"], "") for column in known]
+        """Columns of an action, without unit; their indices if the log has no names for them."""
+        width = self._action_width()
+        named_columns = self.header.action
+        if len(named_columns) == width:
+            return [Column(column["name"], "") for column in named_columns]
         return [Column(str(i), "") for i in range(width)]
 
     def _action_width(self) -> int:
         """Number of columns of an action; 0 if the log has no steps."""
-        first = next((run for run in runs(self.reader, wanted=outcomes) if run.steps), None)
-        return 0 if first is None else first.calls[-1].arrays["action"].shape[-1]
+        for run in runs(self.reader, is_read=outcomes):
+            if run.steps:
+                return int(run.calls[-1].arrays["action"].shape[-1])
+        return 0
 
     @property
-    def _usual(self) -> list[str]:
+    def _default_fields(self) -> list[str]:
         """Fields that are read by default: all but hidden inputs of physics."""
         hidden = {"time", "qacc_warmstart", "qfrc_applied", "xfrc_applied", "eq_active"}
         return [name for name in self.columns if name not in hidden]
@@ -249,16 +259,18 @@ class RecordedLog:
             LogError: If the log has no states, or is inconsistent.
         """
         self.header.require_states(self.path)
-        names, ids = self._fields(fields), self._envs(env)
+        names = self._fields(fields)
+        env_ids = self._envs(env)
         if start < 0 or (stop is not None and stop < start):
             raise ConfigError(f"steps from {start} to {stop}: give 0 <= from <= to")
         span = Span(start, None if stop is None else stop - 1)
         if episode is not None:
-            span = self._span_of(ids, episode, span)
-        rows = Rows(self.reader, ids)
+            span = self._span_of(env_ids, episode, span)
         simulates = self._simulate and self.header.keyframe_every > 0
         if simulates and any(name in self.header.layout for name in names):
-            rows = Simulation(self.reader, self.model_to_simulate, ids)
+            rows: Rows = Simulation(self.reader, self.model_to_simulate, env_ids)
+        else:
+            rows = Rows(self.reader, env_ids)
         return gather(self.reader, rows, span, names, self.columns)
 
     @property
@@ -289,20 +301,25 @@ class RecordedLog:
         if episode is not None:
             span = Span(start, None if stop is None else stop - 1)
             span = self._span_of(self._envs(env), episode, span)
-            start, stop = span.first, None if span.last is None else span.last + 1
-        at: int | None = start
-        while at is not None and (stop is None or at < stop):
-            end = at + steps if stop is None else min(at + steps, stop)
-            part = self.read(names, env, None, at, end)
+            start = span.first
+            stop = None if span.last is None else span.last + 1
+        last = None if stop is None else stop - 1
+        next_step: int | None = start
+        while next_step is not None and (stop is None or next_step < stop):
+            end = next_step + steps
+            if stop is not None:
+                end = min(end, stop)
+            part = self.read(names, env, start=next_step, stop=end)
             if len(part):
                 yield part
-            # After a gap, continue at the next step that was recorded.
-            last = None if stop is None else stop - 1
-            at = end if len(part) else first_step(self.reader, Span(end, last))
+                next_step = end
+            else:
+                # After a gap, continue at the next step that was recorded.
+                next_step = first_step(self.reader, Span(end, last))
 
     def _fields(self, fields: str | Iterable[str] | None) -> list[str]:
         if fields is None:
-            return self._usual
+            return self._default_fields
         names = [fields] if isinstance(fields, str) else list(fields)
         for name in names:
             if name not in self.columns:
@@ -314,19 +331,23 @@ class RecordedLog:
     def _envs(self, env: int | Sequence[int] | None) -> EnvIds:
         if env is None:
             return np.arange(self.num_envs)
-        ids = np.atleast_1d(np.asarray(env, np.int64))
-        for one in ids.tolist():
-            self.header.check_env(one)
-        if (np.diff(ids) <= 0).any():
-            raise ConfigError(f"environments must be in ascending order, not {ids.tolist()}")
-        return ids
+        env_ids = np.atleast_1d(np.asarray(env, np.int64))
+        for env_id in env_ids.tolist():
+            self.header.check_env(env_id)
+        if (np.diff(env_ids) <= 0).any():
+            raise ConfigError(f"environments must be in ascending order, not {env_ids.tolist()}")
+        return env_ids
 
-    def _span_of(self, ids: EnvIds, episode: int, span: Span) -> Span:
-        if len(ids) != 1:
+    def _span_of(self, env_ids: EnvIds, episode: int, span: Span) -> Span:
+        """The steps of a span that belong to an episode."""
+        if len(env_ids) != 1:
             raise ConfigError(f"episode {episode} has other steps in each environment: name one")
-        found = episode_of(self.episodes, int(ids[0]), episode)
-        last = found.last_step if span.last is None else min(found.last_step, span.last)
-        return Span(max(found.first_step, span.first), last)
+        steps = episode_of(self.episodes, int(env_ids[0]), episode)
+        first = max(steps.first_step, span.first)
+        last = steps.last_step
+        if span.last is not None:
+            last = min(last, span.last)
+        return Span(first, last)
 
     # -- the rest ----------------------------------------------------------------------------------
 
@@ -337,7 +358,8 @@ class RecordedLog:
         With `record.state=none`, only episodes that ended are listed. With `record.every`,
         episodes that were not recorded are listed too, without their steps.
         """
-        counting, data = Counting(self.header), None
+        counting = Counting(self.header)
+        data = None
         ended = self._ended(counting)
         if self.header.state != "none":
             data = self.read(["episodes", "rewards", "terminated", "truncated"])
@@ -356,8 +378,8 @@ class RecordedLog:
             ConfigError: If the environment was not viewed.
         """
         if env not in self.header.view_envs:
-            there = ", ".join(map(str, self.header.view_envs)) or "none"
-            raise ConfigError(f"environment {env} was not viewed; viewed were: {there}")
+            viewed = ", ".join(map(str, self.header.view_envs)) or "none"
+            raise ConfigError(f"environment {env} was not viewed; viewed were: {viewed}")
         return read_metrics(self.reader, env)
 
     def events(self) -> Iterator[LogEvent]:
@@ -374,13 +396,13 @@ class RecordedLog:
 
     def _ended(self, counting: Counting) -> list[LogEpisode]:
         """Episodes that ended; `counting` receives what the log lists as counted."""
-        found: list[LogEpisode] = []
+        ended: list[LogEpisode] = []
         for topic, _, payload in self.reader.messages():
             try:
                 if topic == EPISODE_TOPIC:
-                    found += decode_ends(payload)
+                    ended += decode_ends(payload)
                 elif topic == COUNTED_TOPIC:
                     counting.add(payload)
             except DamageError as error:
                 raise LogError(f"{self.path}: a message is damaged: {error}") from error
-        return found
+        return ended

@@ -65,11 +65,11 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         LogError: If the metadata of `source` cannot be read.
         OSError: If the new file cannot be written; the partial file is removed.
     """
-    source, target = first_file(source), Path(target)
+    source = first_file(source)
+    target = Path(target)
     with LogReader(source) as reader:
-        taken = f"{target} exists; recover writes a new file"
         if os.path.lexists(target):
-            raise ConfigError(taken)
+            raise ConfigError(f"{target} exists; recover writes a new file")
         if not target.parent.is_dir():
             raise ConfigError(f"the folder {target.parent} does not exist")
         try:
@@ -77,23 +77,39 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
                 copy = _Copy(reader, McapWriter(stream, "lz4", LIBRARIES[1]))
                 copy.all_records()
         except FileExistsError:
-            raise ConfigError(taken) from None
-        lost = 0 if reader.complete else reader.total_bytes - reader.good_bytes
-        names = copy.attachments
-        nbytes = target.stat().st_size
-        return Recovery(source, target, copy.messages, copy.steps, names, nbytes, copy.why, lost)
+            # Another program has created it in the meantime.
+            raise ConfigError(f"{target} exists; recover writes a new file") from None
+        return Recovery(
+            source=source,
+            path=target,
+            messages=copy.messages,
+            steps=copy.steps,
+            attachments=copy.attachments,
+            nbytes=target.stat().st_size,
+            damage=copy.damage,
+            lost_bytes=0 if reader.complete else reader.total_bytes - reader.good_bytes,
+        )
 
 
 class _Copy:
-    """Copies what a reader finds to a new file."""
+    """Copies the readable records of a log to a new file.
+
+    Attributes:
+        attachments: Names of the copied attachments.
+        messages: Number of copied messages.
+        steps: Number of control steps in them.
+        damage: Why no more was copied; empty if the log was complete.
+    """
 
     def __init__(self, reader: LogReader, writer: McapWriter) -> None:
-        self._reader, self._writer = reader, writer
-        self._schemas: dict[int, int] = {}
-        self._channels: dict[str, int] = {}
+        self._reader = reader
+        self._writer = writer
+        self._schemas: dict[int, int] = {}  # id in the log to id in the new file
+        self._channels: dict[str, int] = {}  # topic to id in the new file
         self.attachments: list[str] = []
-        self.messages = self.steps = 0
-        self.why = ""
+        self.messages = 0
+        self.steps = 0
+        self.damage = ""
 
     def all_records(self) -> None:
         """Copy up to the first damage, and close the file.
@@ -101,29 +117,35 @@ class _Copy:
         Raises:
             LogError: If there is no metadata, or a channel does not belong to a log.
         """
-        reader, writer = self._reader, self._writer
+        reader = self._reader
+        writer = self._writer
         header = reader.require_header()
-        sizes = header.num_envs, header.moved_width, header.nstate
         damaged = [name for name in reader.attachments if not self._attach(name)]
         writer.metadata(METADATA, self._metadata())
         try:
             for topic, time_ns, data in reader.messages():
                 if topic == STEPS_TOPIC:
-                    found = unpack_steps(data, *sizes, outcomes)
-                    self.steps += sum(run.steps for run in found)
+                    message_runs = unpack_steps(
+                        data,
+                        num_envs=header.num_envs,
+                        moved=header.moved_width,
+                        nstate=header.nstate,
+                        is_read=outcomes,
+                    )
+                    self.steps += sum(run.steps for run in message_runs)
                 writer.message(self._channel(topic), time_ns, bytes(data))
                 self.messages += 1
-            self.why = reader.cut
+            self.damage = reader.cut
         except DamageError as error:
-            self.why = f"a message is damaged: {error}"
-        if not self.why and damaged:
-            self.why = f"the attachment {damaged[0]} is damaged"
+            self.damage = f"a message is damaged: {error}"
+        if not self.damage and damaged:
+            self.damage = f"the attachment {damaged[0]} is damaged"
         if reader.recovered:
             writer.metadata(METADATA_RECOVERED, reader.metadata[METADATA_RECOVERED])
         if reader.finished:
             writer.metadata(METADATA_END, reader.metadata[METADATA_END])
-        if self.why:
-            values = {"why": self.why, "steps": str(self.steps), "source": reader.path.name}
+        if self.damage:
+            values = {"why": self.damage, "steps": str(self.steps), "source": reader.path.name}
             writer.metadata(METADATA_RECOVERED, sealed(METADATA_RECOVERED, values))
         writer.finish()
 
@@ -133,16 +155,16 @@ class _Copy:
         if SEAL not in values:
             return values  # of an earlier version, which listed none
         listed = self._reader.require_header().attachments
-        kept = {name: listed[name] for name in listed if name in self.attachments}
-        return sealed(METADATA, {**values, "attachments": json.dumps(kept)})
+        copied = {name: listed[name] for name in listed if name in self.attachments}
+        return sealed(METADATA, {**values, "attachments": json.dumps(copied)})
 
     def _attach(self, name: str) -> bool:
         """Copy an attachment; return whether it is undamaged."""
         try:
-            found = self._reader.attachment_record(name)
+            record = self._reader.attachment_record(name)
         except LogError:
             return False
-        self._writer.attachment(found.name, found.media_type, found.data, found.log_time)
+        self._writer.attachment(record.name, record.media_type, record.data, record.log_time)
         self.attachments.append(name)
         return True
 
@@ -158,8 +180,9 @@ class _Copy:
             if channel.message_encoding != "protobuf" or schema is None:
                 raise LogError(f"{self._reader.path}: the channel {topic} is not a log's")
             if schema.id not in self._schemas:
-                declared = schema.name, schema.encoding, schema.data
-                self._schemas[schema.id] = self._writer.schema(*declared)
-            declared_as = self._schemas[schema.id]
-            self._channels[topic] = self._writer.channel(topic, "protobuf", declared_as)
+                self._schemas[schema.id] = self._writer.schema(
+                    schema.name, schema.encoding, schema.data
+                )
+            schema_id = self._schemas[schema.id]
+            self._channels[topic] = self._writer.channel(topic, "protobuf", schema_id)
         return self._channels[topic]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 import mujoco
 import numpy as np
@@ -68,7 +67,7 @@ class DifferenceFound(LogError):
     """
 
     def __init__(self, path: Path, difference: Difference) -> None:
-        super().__init__(f"{path} does not simulate to what it says: {difference}")
+        super().__init__(f"{path} does not give the recorded states when simulated: {difference}")
         self.difference = difference
 
 
@@ -121,17 +120,29 @@ class Simulation(Rows):
         repeats: bool = True,
     ) -> None:
         super().__init__(reader, env_ids)
-        header = self.header
-        check_rows(header, model)
-        n = len(self.env_ids)
-        self.engine = CpuEngine(model, n, num_threads)
+        check_rows(self.header, model)
+        num_envs = len(self.env_ids)
+        self.engine = CpuEngine(model, num_envs, num_threads)
         self.changes = 0
         self.largest_error: dict[str, float] = {}
-        self.measured = self.outside = 0
+        self.measured = 0
+        self.outside = 0
         self._rows = self.engine.rows
-        self._layout = header.slices()
-        self._active = active or always(n)
-        self._exact, self._repeats = exact, exact and repeats
+        self._layout = self.header.slices()
+        self._active = active or always(num_envs)
+        self._exact = exact
+        self._exact_physics = exact and repeats
+
+    def is_compared(self, step: int) -> bool:
+        """Whether any environment is compared in a control step."""
+        return bool(self._active(step).any())
+
+    def _active_of(self, step: int, local: EnvIds | None) -> NDArray[np.bool_]:
+        """Which of some environments (None: all) are compared in a control step."""
+        active = self._active(step)
+        if local is None:
+            return active
+        return active[local]
 
     def begin(self, run: Run) -> None:
         """Continue from a start of the log; compare it if the preceding steps were simulated.
@@ -140,29 +151,37 @@ class Simulation(Rows):
             DifferenceFound: If the simulated state differs from the start.
             LogError: If the start does not match the model.
         """
-        _, take_rows = self.chosen(None)
-        fields = {name: values[0][take_rows] for name, values in run.calls[0].arrays.items()}
+        positions = self.selection(None).positions
+        fields = {name: values[0][positions] for name, values in run.calls[0].arrays.items()}
         row = fields.pop("row")
-        if self.known and run.first == self.next_step:
-            self._compare(run.first, None, row, slice(None), self._exact)
+        if self.rows_are_known and run.first == self.next_step:
+            # The steps before this start were followed, so their result can be compared with it.
+            self._compare(run.first, None, recorded=row, columns=slice(None), exact=self._exact)
             if self._exact:
                 return
         try:
-            self._put_fields(fields)
+            self._write_fields(fields)
             self.engine.write("row", row)
         except (KeyError, ValueError, IndexError) as error:
             raise LogError(
                 f"{self.path}: step {run.first}: a start does not fit the model: {error}"
             ) from error
-        self.known, self.next_step = True, run.first
+        self.rows_are_known = True
+        self.next_step = run.first
 
-    def _put_fields(self, fields: dict[str, F64]) -> None:
-        for again in range(2 if DERIVED_FIELDS & fields.keys() else bool(fields)):
-            if again:
-                self.engine.set_const()
+    def _write_fields(self, fields: dict[str, F64]) -> None:
+        """Write model fields of every environment."""
+        if not fields:
+            return
+        for name, values in fields.items():
+            self.engine.write_model(name, values)
+        if DERIVED_FIELDS & fields.keys():
+            # `set_const` computes derived fields from all others. A derived field may have been
+            # written directly, too: then its recorded value is another one.
+            self.engine.set_const()
             for name, values in fields.items():
                 self.engine.write_model(name, values)
-        self.changes += bool(fields)
+        self.changes += 1
 
     def write(self, step: int, call: Call, local: EnvIds | None, values: F64 | None) -> None:
         """Apply a write outside physics.
@@ -170,43 +189,52 @@ class Simulation(Rows):
         Raises:
             DifferenceFound: If a reset gives other rows than recorded.
         """
-        engine, mode = self.engine, call.kind.mode
+        engine = self.engine
+        mode = call.kind.mode
         if mode == "set_const":
             engine.set_const(local)
         elif mode == "reset":
             engine.reset(local)
             if values is not None and not self.header.has_writes:
-                engine.write("row", values, local)  # after the reset's events, too
+                # These rows have what the reset's events wrote too, so they cannot be compared.
+                engine.write("row", values, local)
             elif values is not None:
-                self._settle(step, local, values, slice(None), self._exact)
+                self._compare_or_copy(
+                    step, local, recorded=values, columns=slice(None), exact=self._exact
+                )
+        elif mode == "model":
+            engine.write_model(call.kind.name, values, local, columns_of(call.kind.columns))
         else:
-            put = engine.write_model if mode == "model" else engine.write
-            put(call.kind.name, values, local, columns_of(call.kind.columns))
+            engine.write(call.kind.name, values, local, columns_of(call.kind.columns))
         self.changes += mode in ("model", "set_const")
 
     def physics(
-        self, step: int, call: Call, t: int, local: EnvIds | None, take: EnvIds | slice
+        self, step: int, call: Call, t: int, local: EnvIds | None, positions: EnvIds | slice
     ) -> None:
         """Step physics and compare the result.
 
         Raises:
             DifferenceFound: If it differs from the recorded one.
         """
-        engine, nstep = self.engine, call.kind.nstep
+        nstep = call.kind.nstep
         if "hashes" in call.arrays:
-            engine.step(nstep, local)
-            if self._repeats:
-                self._compare_hashes(step, local, call.arrays["hashes"][t][take])
+            # The log has no states to continue from: all environments are simulated.
+            self.engine.step(nstep, local)
+            if self._exact_physics:
+                self._compare_hashes(step, local, call.arrays["hashes"][t][positions])
             return
-        recorded = call.arrays["rows"][t][take]
-        active = self._active(step)
-        active = active if local is None else active[local]
-        if active.any():
-            ids = np.arange(len(active)) if local is None else local
-            engine.step(nstep, None if local is None and active.all() else ids[active])
-        self._settle(step, local, recorded, self.moved.columns, self._repeats)
+        recorded = call.arrays["rows"][t][positions]
+        active = self._active_of(step, local)
+        if local is None and active.all():
+            self.engine.step(nstep, None)
+        elif active.any():
+            env_ids = np.arange(len(active)) if local is None else local
+            self.engine.step(nstep, env_ids[active])
+        self._compare_or_copy(
+            step, local, recorded, columns=self.moved.columns, exact=self._exact_physics
+        )
 
-    def _settle(
+    def _compare_or_copy(
         self,
         step: int,
         local: EnvIds | None,
@@ -215,9 +243,8 @@ class Simulation(Rows):
         exact: bool,
     ) -> None:
         """Compare rows with the recorded ones; copy the recorded ones if not all are compared."""
-        self._compare(step, local, recorded, columns, exact)
-        active = self._active(step)
-        if not exact or not active.all():
+        self._compare(step, local, recorded=recorded, columns=columns, exact=exact)
+        if not exact or not self._active(step).all():
             self.engine.write("row", recorded, local, columns)
 
     def _compare(
@@ -228,25 +255,38 @@ class Simulation(Rows):
         columns: NDArray[np.int64] | slice,
         exact: bool,
     ) -> None:
-        active = self._active(step)
-        active = active if local is None else active[local]
+        """Compare simulated rows with the recorded ones, where environments are compared.
+
+        Args:
+            step: The control step.
+            local: (n,) environments of the engine; None is all.
+            recorded: (n, k) recorded columns of their rows.
+            columns: The k columns.
+            exact: Raise at the first bit that differs; else measure the errors.
+        """
+        active = self._active_of(step, local)
         if not active.any():
             return
-        here = self._taken(local, columns)
+        simulated = self._simulated(local, columns)
         if not exact:
-            self._measure(here[active], recorded[active], columns)
+            self._measure(simulated[active], recorded[active], columns)
             return
-        there = np.ascontiguousarray(recorded).view(np.uint64)
-        differs = here.view(np.uint64) != there
+        recorded_bits = np.ascontiguousarray(recorded).view(np.uint64)
+        differs = simulated.view(np.uint64) != recorded_bits
         differs &= active[:, None]
         if not differs.any():
             return
-        row, at = divmod(int(np.flatnonzero(differs)[0]), differs.shape[1])
-        column = int(np.arange(self.header.nstate)[columns][at])
-        name = column_name(self._layout, column)
-        self._differ(step, local, row, name, float(recorded[row, at]), float(here[row, at]))
+        row, index = divmod(int(np.flatnonzero(differs)[0]), differs.shape[1])
+        column = int(np.arange(self.header.nstate)[columns][index])
+        raise self._difference(
+            step,
+            env=self._env_of(local, row),
+            field=column_name(self._layout, column),
+            recorded=float(recorded[row, index]),
+            simulated=float(simulated[row, index]),
+        )
 
-    def _taken(self, local: EnvIds | None, columns: NDArray[np.int64] | slice) -> F64:
+    def _simulated(self, local: EnvIds | None, columns: NDArray[np.int64] | slice) -> F64:
         """(n, k) columns of the simulated rows, contiguous."""
         rows = self.rows if local is None else self.rows[local]
         if isinstance(columns, slice):
@@ -256,29 +296,40 @@ class Simulation(Rows):
     def _compare_hashes(
         self, step: int, local: EnvIds | None, recorded: NDArray[np.uint64]
     ) -> None:
-        active = self._active(step)
-        hashes = row_hashes(self.moved.take(self.rows if local is None else self.rows[local]))
-        wrong = np.flatnonzero((hashes != recorded) & (active if local is None else active[local]))
-        if len(wrong):
-            row = int(wrong[0])
-            self._differ(step, local, row, "hash", int(recorded[row]), int(hashes[row]))
+        rows = self.rows if local is None else self.rows[local]
+        hashes = row_hashes(self.moved.take(rows))
+        differs = np.flatnonzero((hashes != recorded) & self._active_of(step, local))
+        if len(differs):
+            row = int(differs[0])
+            raise self._difference(
+                step,
+                env=self._env_of(local, row),
+                field="hash",
+                recorded=int(recorded[row]),
+                simulated=int(hashes[row]),
+            )
 
-    def _differ(
-        self, step: int, local: EnvIds | None, row: int, field: str, *values: float
-    ) -> NoReturn:
-        env = int(self.env_ids[row if local is None else local[row]])
-        raise DifferenceFound(self.path, Difference(step, env, field, *values))
+    def _env_of(self, local: EnvIds | None, row: int) -> int:
+        """The log's number of the environment of a row of a call."""
+        index = row if local is None else int(local[row])
+        return int(self.env_ids[index])
 
-    def _measure(self, here: F64, there: F64, columns: NDArray[np.int64] | slice) -> None:
+    def _difference(
+        self, step: int, env: int, field: str, recorded: float, simulated: float
+    ) -> DifferenceFound:
+        return DifferenceFound(self.path, Difference(step, env, field, recorded, simulated))
+
+    def _measure(self, simulated: F64, recorded: F64, columns: NDArray[np.int64] | slice) -> None:
         """Update the largest errors of positions and velocities, and count large ones."""
-        index = np.arange(self.header.nstate)[columns]
-        outside = np.zeros(len(here), np.bool_)
+        column_ids = np.arange(self.header.nstate)[columns]
+        outside = np.zeros(len(simulated), np.bool_)
         for name in ("qpos", "qvel"):
             component = self._layout[name]
-            mine = (index >= component.start) & (index < component.stop)
-            error = np.abs(here[:, mine] - there[:, mine])
+            is_component = (column_ids >= component.start) & (column_ids < component.stop)
+            error = np.abs(simulated[:, is_component] - recorded[:, is_component])
             largest = float(error.max()) if error.size else 0.0
             self.largest_error[name] = max(self.largest_error.get(name, 0.0), largest)
+            # Written so that NaN is outside too.
             outside |= ~(error <= TOLERANCE[name]).all(axis=1)
-        self.measured += len(here)
+        self.measured += len(simulated)
         self.outside += int(outside.sum())

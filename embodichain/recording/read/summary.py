@@ -93,41 +93,57 @@ def inspect(path: str | Path) -> LogSummary:
         ConfigError: If the file is missing, empty or not MCAP.
         LogError: If it is not an embodichain log.
     """
-    counts: Counter[str] = Counter()
-    steps, last_step = 0, -1
+    num_messages: Counter[str] = Counter()  # by topic
+    steps = 0
+    last_step = -1
     episodes: list[LogEpisode] = []
     with LogReader(path) as reader:
         header = reader.require_header()
-        sizes = header.num_envs, header.moved_width, header.nstate
         counting = Counting(header)
         try:
             for topic, _, data in reader.messages():
-                counts[topic] += 1
+                num_messages[topic] += 1
                 if topic == STEPS_TOPIC:
-                    for run in unpack_steps(data, *sizes, outcomes):
+                    message_runs = unpack_steps(
+                        data,
+                        num_envs=header.num_envs,
+                        moved=header.moved_width,
+                        nstate=header.nstate,
+                        is_read=outcomes,
+                    )
+                    for run in message_runs:
                         if run.steps:
-                            steps, last_step = steps + run.steps, run.first + run.count - 1
+                            steps += run.steps
+                            last_step = run.first + run.count - 1
                 elif topic == EPISODE_TOPIC:
                     episodes += decode_ends(data)
                 elif topic == COUNTED_TOPIC:
                     counting.add(data)
         except DamageError as error:
-            reader.complete, reader.damage = False, f"a message is damaged: {error}"
+            reader.complete = False
+            reader.damage = f"a message is damaged: {error}"
         # A log that ends early may list an episode although its last steps are missing.
-        cut = not reader.complete and header.state != "none" and header.every == 1
+        if not reader.complete and header.state != "none" and header.every == 1:
+            episodes = [episode for episode in episodes if episode.last_step <= last_step]
         attachments, warnings = _attachments(reader)
         channels = []
-        for channel in sorted(reader.channels.values(), key=lambda c: c.topic):
+        for channel in sorted(reader.channels.values(), key=lambda channel: channel.topic):
             schema = reader.schemas.get(channel.schema_id)
-            name, encoding = schema.name if schema is not None else "", channel.message_encoding
-            channels.append(ChannelInfo(channel.topic, name, encoding, counts[channel.topic]))
+            channels.append(
+                ChannelInfo(
+                    topic=channel.topic,
+                    schema="" if schema is None else schema.name,
+                    encoding=channel.message_encoding,
+                    messages=num_messages[channel.topic],
+                )
+            )
         return LogSummary(
             path=reader.path,
             nbytes=reader.total_bytes,
             header=header,
             channels=channels,
             steps=steps,
-            episodes=counting.marked(e for e in episodes if not cut or e.last_step <= last_step),
+            episodes=counting.marked(episodes),
             attachments=attachments,
             compressions=sorted(reader.compressions),
             complete=reader.complete and reader.finished,
@@ -138,7 +154,9 @@ def inspect(path: str | Path) -> LogSummary:
 
 def _attachments(reader: LogReader) -> tuple[dict[str, int], list[str]]:
     """Sizes of the attachments, and warnings about damaged ones."""
-    sizes, warnings, model = {}, [], b""
+    sizes = {}
+    warnings = []
+    model = b""
     for name in reader.attachments:
         try:
             data = reader.attachment(name)
@@ -147,13 +165,14 @@ def _attachments(reader: LogReader) -> tuple[dict[str, int], list[str]]:
             warnings.append(str(error).removeprefix(f"{reader.path}: "))
             continue
         sizes[name] = len(data)
-        model = data if name == MODEL else model
+        if name == MODEL:
+            model = data
     try:
         header = reader.require_header()
-        same = model_digest(unpack_model(model, header)) == header.model
+        is_recorded_model = model_digest(unpack_model(model, header)) == header.model
     except LogError:
-        same = False
-    if not same:
+        is_recorded_model = False
+    if not is_recorded_model:
         warnings.append(f"the attachment {MODEL} is not the model that was recorded")
     return sizes, warnings
 
@@ -162,12 +181,16 @@ def _end(reader: LogReader, last_step: int) -> list[str]:
     """Warnings about where a log ends, if it is incomplete."""
     warnings = []
     if not reader.complete:
-        missing = f"what followed step {last_step} is missing"
-        missing = missing if last_step >= 0 else "no step is in it"
+        if last_step >= 0:
+            missing = f"what followed step {last_step} is missing"
+        else:
+            missing = "no step is in it"
         warnings.append(f"incomplete: {reader.cut}; {missing}")
     elif reader.recovered:
         where = f"after step {last_step}" if last_step >= 0 else "before its first step is complete"
         warnings.append(f"recovered from a broken file; it ends {where}: {reader.recovered}")
     elif not reader.finished:
         warnings.append("the recorder did not close this log: its last steps may be missing")
-    return [*warnings, *([reader.part_note] if reader.part_note else [])]
+    if reader.part_note:
+        warnings.append(reader.part_note)
+    return warnings

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ __all__ = [
     "Span",
     "columns_of",
     "follow",
-    "own_physics",
+    "physics_call",
     "runs",
 ]
 
@@ -50,7 +50,8 @@ class Span:
         return self.last is not None and step > self.last
 
 
-Wanted = Callable[[CallKind], bool]
+CallFilter = Callable[[CallKind], bool]
+"""Whether a call is read."""
 
 
 def outcomes(kind: CallKind) -> bool:
@@ -66,52 +67,66 @@ def changes(kind: CallKind) -> bool:
 _ALL = Span()
 
 
-def runs(reader: LogReader, span: Span = _ALL, wanted: Wanted | None = None) -> Iterator[Run]:
+def runs(reader: LogReader, span: Span = _ALL, is_read: CallFilter | None = None) -> Iterator[Run]:
     """Yield the starts and runs needed to follow some steps, from the last start before them.
 
     Args:
         reader: The log; its `damage` describes damage that is found.
         span: The control steps.
-        wanted: Whether a call is read; None reads all. A ``start`` is always read; a ``step`` that
+        is_read: Whether a call is read; None reads all. A ``start`` is always read; a ``step`` that
             is not read has no arrays.
 
     Raises:
         LogError: If a message is damaged, or a chunk is in the wrong place.
     """
     header = reader.require_header()
-    sizes = header.num_envs, header.moved_width, header.nstate
-    expected: int | None = None
+    next_step: int | None = None  # None before the first start
 
-    def reads(kind: CallKind) -> bool:
-        return wanted is None or kind.kind == "start" or wanted(kind)
+    def is_read_or_start(kind: CallKind) -> bool:
+        return is_read is None or kind.kind == "start" or is_read(kind)
 
     for topic, time_ns, payload in reader.messages(_needed(reader, span)):
         is_start = topic == START_TOPIC
-        if not is_start and (topic != STEPS_TOPIC or expected is None):
+        if not is_start and (topic != STEPS_TOPIC or next_step is None):
             continue
         try:
-            found = unpack_steps(payload, *sizes, reads)
+            message_runs = unpack_steps(
+                payload,
+                num_envs=header.num_envs,
+                moved=header.moved_width,
+                nstate=header.nstate,
+                is_read=is_read_or_start,
+            )
         except DamageError as error:
             raise LogError(f"{reader.path}: a message is damaged: {error}") from error
-        for run in found:
-            why = _wrong(run, is_start, header)
-            if run is found[0] and time_ns != header.start_ns + run.first * header.period_ns:
-                why = f"step {run.first} has another's time"
-            if why:
-                raise LogError(f"{reader.path}: a message is damaged: {why}")
-            gap = is_start and header.every > 1
-            if expected is not None and (run.first < expected if gap else run.first != expected):
-                why = "is missing" if run.first > expected else "was moved"
-                raise LogError(
-                    f"{reader.path}: a chunk {why}: step {run.first} follows step {expected - 1}"
-                )
+        for run in message_runs:
+            error_text = _run_error(run, is_start, header)
+            is_first = run is message_runs[0]
+            if is_first and time_ns != header.start_ns + run.first * header.period_ns:
+                error_text = f"step {run.first} has another's time"
+            if error_text:
+                raise LogError(f"{reader.path}: a message is damaged: {error_text}")
+            if next_step is not None:
+                # With `record.every`, recording pauses, and resumes with a start.
+                may_skip_steps = is_start and header.every > 1
+                _check_order(reader, run, next_step, may_skip_steps)
             yield run
-            expected = run.first + run.steps
-            if span.ends_before(expected):
+            next_step = run.first + run.steps
+            if span.ends_before(next_step):
                 return
 
 
-def _wrong(run: Run, is_start: bool, header: Header) -> str:
+def _check_order(reader: LogReader, run: Run, next_step: int, may_skip_steps: bool) -> None:
+    """Raise `LogError` if a run does not continue the steps before it."""
+    if run.first == next_step or (may_skip_steps and run.first > next_step):
+        return
+    change = "is missing" if run.first > next_step else "was moved"
+    raise LogError(
+        f"{reader.path}: a chunk {change}: step {run.first} follows step {next_step - 1}"
+    )
+
+
+def _run_error(run: Run, is_start: bool, header: Header) -> str:
     """How a run is inconsistent with the rest of the log; empty if it is not."""
     if bool(run.of_kind("start")) != is_start:
         return "it belongs to another channel"
@@ -122,18 +137,18 @@ def _wrong(run: Run, is_start: bool, header: Header) -> str:
 
 def _needed(reader: LogReader, span: Span) -> list[ChunkPlace] | None:
     """The chunks from that of the last start before the steps; None for all chunks."""
-    header, chunks = reader.require_header(), reader.chunks
+    header = reader.require_header()
+    chunks = reader.chunks
     time_ns = header.start_ns + span.first * header.period_ns
-    at = max((i for i, c in enumerate(chunks) if c.start_ns <= time_ns), default=0)
-    while at > 0:
-        found = reader.messages(chunks[at : at + 1])
-        if any(topic == START_TOPIC and time <= time_ns for topic, time, _ in found):
-            return chunks[at:]
-        at -= 1
+    last_chunk = max((i for i, c in enumerate(chunks) if c.start_ns <= time_ns), default=0)
+    for index in range(last_chunk, 0, -1):
+        for topic, message_ns, _ in reader.messages([chunks[index]]):
+            if topic == START_TOPIC and message_ns <= time_ns:
+                return chunks[index:]
     return None
 
 
-def own_physics(reader: LogReader, run: Run) -> int:
+def physics_call(reader: LogReader, run: Run) -> int:
     """Index of the call of a run with which the physics of the control step begins.
 
     It is the first physics call for all environments with `Header.call_steps` as its number of
@@ -145,18 +160,19 @@ def own_physics(reader: LogReader, run: Run) -> int:
     """
     header = reader.require_header()
     nstep = header.call_steps or header.substeps
-    found = [i for i, call in enumerate(run.calls) if _is_whole(call, nstep)]
-    count = header.substeps // nstep
-    if len(found) < count:
-        why = f"control step {run.first} has no physics of {header.substeps} steps"
-        raise LogError(f"{reader.path}: {why}")
-    return found[-count if run.first == header.first_step else 0]
-
-
-def _is_whole(call: Call, nstep: int) -> bool:
-    """Whether a call is physics of all environments with this number of steps."""
-    whole = call.kind.kind == "physics" and "env_ids" not in call.arrays
-    return whole and call.kind.nstep == nstep
+    physics_calls = [
+        index
+        for index, call in enumerate(run.calls)
+        if call.kind.kind == "physics" and call.kind.nstep == nstep and "env_ids" not in call.arrays
+    ]
+    num_calls = header.substeps // nstep
+    if len(physics_calls) < num_calls:
+        raise LogError(
+            f"{reader.path}: control step {run.first} has no physics of {header.substeps} steps"
+        )
+    if run.first == header.first_step:
+        return physics_calls[-num_calls]
+    return physics_calls[0]
 
 
 @lru_cache(maxsize=256)
@@ -164,10 +180,22 @@ def columns_of(columns: tuple[int, ...] | None) -> NDArray[np.int64] | slice:
     """Columns of a call as an index: a slice if they are adjacent, to get views, not copies."""
     if columns is None:
         return slice(None)
-    found = np.array(columns, np.int64)
-    if len(found) and (np.diff(found) == 1).all():
-        return slice(int(found[0]), int(found[-1]) + 1)
-    return found
+    indices = np.array(columns, np.int64)
+    if len(indices) and (np.diff(indices) == 1).all():
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
+
+
+class Selection(NamedTuple):
+    """Which environments of a call are among the selected ones.
+
+    Attributes:
+        local: (n,) their numbers among the selected ones; None if these are all selected ones.
+        positions: Where they are in the call's arrays.
+    """
+
+    local: EnvIds | None
+    positions: EnvIds | slice
 
 
 class Rows:
@@ -181,23 +209,24 @@ class Rows:
         header: The log's metadata.
         path: The log, for messages.
         env_ids: (n,) selected environments.
-        known: Whether `rows` are recorded ones; between keyframes they are not.
+        rows_are_known: Whether `rows` are recorded ones; between keyframes they are not.
         next_step: The next control step.
         moved: The columns that physics writes.
     """
 
     def __init__(self, reader: LogReader, env_ids: EnvIds | None = None) -> None:
-        self.header = header = reader.require_header()
+        self.header = reader.require_header()
         self.path = reader.path
-        n = header.num_envs
-        self.env_ids = np.arange(n, dtype=np.int64) if env_ids is None else env_ids
-        self.known = False
+        num_envs = self.header.num_envs
+        self.env_ids = np.arange(num_envs, dtype=np.int64) if env_ids is None else env_ids
+        self.rows_are_known = False
         self.next_step = -1
-        self._all = len(self.env_ids) == n
-        self._local = np.full(n, -1, np.int64)
-        self._local[self.env_ids] = np.arange(len(self.env_ids))
-        self._rows: F64 = np.zeros((len(self.env_ids), header.nstate))
-        self.moved = Moved(header.moved)
+        self.moved = Moved(self.header.moved)
+        self._all_are_selected = len(self.env_ids) == num_envs
+        # Environment of the log to its number among the selected ones, or -1.
+        self._local_ids = np.full(num_envs, -1, np.int64)
+        self._local_ids[self.env_ids] = np.arange(len(self.env_ids))
+        self._rows: F64 = np.zeros((len(self.env_ids), self.header.nstate))
 
     @property
     def rows(self) -> F64:
@@ -210,9 +239,10 @@ class Rows:
         Raises:
             LogError: If its shape is wrong.
         """
-        _, take = self.chosen(None)
-        self._rows[:] = run.calls[0].arrays["row"][0][take]
-        self.known, self.next_step = True, run.first
+        positions = self.selection(None).positions
+        self._rows[:] = run.calls[0].arrays["row"][0][positions]
+        self.rows_are_known = True
+        self.next_step = run.first
 
     def apply(self, step: int, call: Call, t: int) -> None:
         """Apply a call.
@@ -231,33 +261,35 @@ class Rows:
         if kind not in ("write", "physics"):
             return
         arrays = call.arrays
-        local, take = self.chosen(arrays["env_ids"][t] if "env_ids" in arrays else None)
+        local, positions = self.selection(arrays["env_ids"][t] if "env_ids" in arrays else None)
         if local is not None and not len(local):
             return
         try:
             if kind == "write":
-                values = arrays["values"][t][take] if "values" in arrays else None
+                values = arrays["values"][t][positions] if "values" in arrays else None
                 self.write(step, call, local, values)
             else:
-                self.physics(step, call, t, local, take)
+                self.physics(step, call, t, local, positions)
         except LogError:
             raise  # it is a ValueError
         except (KeyError, ValueError, IndexError) as error:
-            what = "physics" if kind == "physics" else f"a write to {call.kind.name!r}"
+            label = "physics" if kind == "physics" else f"a write to {call.kind.name!r}"
             raise LogError(
-                f"{self.path}: step {step}: {what} does not fit the model: {error}"
+                f"{self.path}: step {step}: {label} does not fit the model: {error}"
             ) from error
 
-    def chosen(self, ids: EnvIds | None) -> tuple[EnvIds | None, EnvIds | slice]:
-        """Indices of a call's environments in `rows` (None for all), and in the call's arrays."""
+    def selection(self, ids: EnvIds | None) -> Selection:
+        """Which of a call's environments (None: all of the log) are selected."""
         if ids is None:
-            return None, slice(None) if self._all else self.env_ids
-        local = self._local[ids]
-        if self._all:
-            return local, slice(None)
-        take = np.flatnonzero(local >= 0)
-        local = local[take]
-        return (None if len(local) == len(self.env_ids) else local), take
+            return Selection(None, slice(None) if self._all_are_selected else self.env_ids)
+        local = self._local_ids[ids]
+        if self._all_are_selected:
+            return Selection(local, slice(None))
+        positions = np.flatnonzero(local >= 0)
+        local = local[positions]
+        if len(local) == len(self.env_ids):
+            return Selection(None, positions)
+        return Selection(local, positions)
 
     def write(self, step: int, call: Call, local: EnvIds | None, values: F64 | None) -> None:
         """Apply a write outside physics."""
@@ -275,21 +307,21 @@ class Rows:
         view[entries(local, columns_of(call.kind.columns))] = values
 
     def physics(
-        self, step: int, call: Call, t: int, local: EnvIds | None, take: EnvIds | slice
+        self, step: int, call: Call, t: int, local: EnvIds | None, positions: EnvIds | slice
     ) -> None:
         """Apply the recorded result of physics."""
         if "rows" not in call.arrays:
-            self.known = False
+            self.rows_are_known = False
             return
-        returned, rows = call.arrays["rows"][t], self._rows
-        whole = isinstance(take, slice)
-        for here, there in self.moved.spans:
-            found = returned[:, there]
-            rows[entries(local, here)] = found if whole else found[take]
+        result = call.arrays["rows"][t]
+        for row_columns, result_columns in self.moved.spans:
+            # A view first, then the selected environments: this copies the fewest numbers.
+            values = result[:, result_columns][positions]
+            self._rows[entries(local, row_columns)] = values
 
 
 def follow(
-    reader: LogReader, rows: Rows, span: Span = _ALL, wanted: Wanted = changes
+    reader: LogReader, rows: Rows, span: Span = _ALL, is_read: CallFilter = changes
 ) -> Iterator[tuple[Run, int]]:
     """Yield each finished control step, while `rows` are the input of its physics.
 
@@ -299,7 +331,7 @@ def follow(
         reader: The log.
         rows: The rows that are updated.
         span: The control steps.
-        wanted: Which calls are read: at least those that change the needed columns of the rows.
+        is_read: Which calls are read: at least those that change the needed columns of the rows.
 
     Returns:
         A run, and the index of the step within it.
@@ -307,23 +339,24 @@ def follow(
     Raises:
         LogError: If a message is damaged.
     """
-    for run in runs(reader, span, wanted):
+    for run in runs(reader, span, is_read):
         if run.of_kind("start"):
             rows.begin(run)
-        else:
-            yield from ((run, t) for t in _steps_of(reader, rows, run, span))
+            continue
+        for t in _steps_of(reader, rows, run, span):
+            yield run, t
 
 
 def _steps_of(reader: LogReader, rows: Rows, run: Run, span: Span) -> Iterator[int]:
     """Like `follow`, for the steps of one run; yields indices within it."""
-    own = own_physics(reader, run) if run.steps else len(run.calls)
+    physics_index = physics_call(reader, run) if run.steps else len(run.calls)
     for t in range(run.count):
         step = run.first + t
-        for call in run.calls[:own]:
+        for call in run.calls[:physics_index]:
             rows.apply(step, call, t)
-        if span.first <= step and run.steps and rows.known:
+        if span.first <= step and run.steps and rows.rows_are_known:
             yield t
         if step == span.last:
             return
-        for call in run.calls[own:]:
+        for call in run.calls[physics_index:]:
             rows.apply(step, call, t)

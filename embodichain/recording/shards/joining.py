@@ -19,8 +19,10 @@ def shards_of(path: str | Path) -> Path | None:
     path = Path(path)
     if path.name.endswith(SHARDS_SUFFIX):
         return path
-    found = path / SHARDS
-    return found if path.is_dir() and not (path / LOG).exists() and found.exists() else None
+    manifest = path / SHARDS
+    if path.is_dir() and not (path / LOG).exists() and manifest.exists():
+        return manifest
+    return None
 
 
 def open(path: str | Path, simulate: bool = False) -> Log:
@@ -67,7 +69,21 @@ def verify(
     """Simulate a log again and compare every row; see `recording.check.verification.verify`."""
     manifest = shards_of(path)
     if manifest is None:
-        return verification.verify(path, env, episode, num_threads, progress, images)
+        return verification.verify(
+            path,
+            env=env,
+            episode=episode,
+            num_threads=num_threads,
+            progress=progress,
+            images=images,
+        )
     from embodichain.recording.shards.sharded_log import verify_shards
 
-    return verify_shards(manifest, env, episode, num_threads, progress, images)
+    return verify_shards(
+        manifest,
+        env=env,
+        episode=episode,
+        num_threads=num_threads,
+        progress=progress,
+        images=images,
+    )

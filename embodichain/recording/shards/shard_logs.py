@@ -1,9 +1,9 @@
 """The logs of a batch in shards: one for each shard, and a manifest that joins them.
 
 `rollout.mcap` of one process becomes `rollout.shard0.mcap`, `rollout.shard1.mcap`, ... and
-`rollout.shards.json`. A shard's log is one like any other, in several files where the shard was
-saved. The files of a lost shard since it was saved last are kept as `*.lostN.mcap`; the rebuilt
-shard writes these steps again.
+`rollout.shards.json`. A shard's log is a log like any other; a new file begins in it whenever the
+shard is saved. If a shard is lost, its files since the last save are renamed to `*.lostN.mcap`, and
+the rebuilt shard writes these steps again.
 """
 
 from __future__ import annotations
@@ -66,21 +66,34 @@ class ShardRecorder:
     _recorder: McapRecorder | None = field(default=None, repr=False)
 
     def begin(self, env: BaseEnv, place: LogPlace | None) -> None:
-        """Begin the log, or continue it at a place; what a lost shard wrote there is renamed."""
+        """Begin the log, or continue it at a place and rename a lost shard's files from there."""
         if self.losses:
-            self._set_aside(0 if place is None else place.part)
-        about = self.config, self.overrides, self.options, self.task, self.policy
-        self._recorder = McapRecorder(self.path, env, *about, place, self.quota)
+            self._rename_lost_files(0 if place is None else place.part)
+        self._recorder = McapRecorder(
+            self.path,
+            env,
+            config=self.config,
+            overrides=self.overrides,
+            options=self.options,
+            task=self.task,
+            policy=self.policy,
+            place=place,
+            quota=self.quota,
+        )
         env.add_observer(self._recorder)
 
-    def _set_aside(self, part: int) -> None:
-        while (path := self.path.with_name(part_name(self.path.name, part))).exists():
+    def _rename_lost_files(self, part: int) -> None:
+        path = self.path.with_name(part_name(self.path.name, part))
+        while path.exists():
             path.rename(path.with_name(f"{path.stem}.lost{self.losses}{path.suffix}"))
             part += 1
+            path = self.path.with_name(part_name(self.path.name, part))
 
     def save(self) -> LogPlace | None:
         """Write everything so far, and continue in another file."""
-        return None if self._recorder is None else self._recorder.begin_part()
+        if self._recorder is None:
+            return None
+        return self._recorder.begin_part()
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,25 +137,27 @@ class ShardLogs:
         policy: str = "",
         quota: Sequence[int] | None = None,
     ) -> None:
-        self._path, self._env = path, env
+        self._path = path
+        self._env = env
         pool = env.pool
         self.entries = [
-            ShardEntry(shard_log(path.name, k), first, count)
-            for k, (first, count) in enumerate(zip(pool.firsts, pool.counts, strict=True))
+            ShardEntry(shard_log(path.name, shard), first, count)
+            for shard, (first, count) in enumerate(zip(pool.firsts, pool.counts, strict=True))
         ]
-        about = overrides, task, policy
         recorders = [
             ShardRecorder(
                 path.with_name(entry.log).resolve(),
                 _local_options(options, entry),
-                config_of(entry.first_env, entry.num_envs),
-                *about,
+                config=config_of(entry.first_env, entry.num_envs),
+                overrides=overrides,
+                task=task,
+                policy=policy,
                 quota=_local_quota(quota, entry),
             )
             for entry in self.entries
         ]
         self._write(complete=False)
-        pool.record(lambda k, losses: replace(recorders[k], losses=losses))
+        pool.record(lambda shard, losses: replace(recorders[shard], losses=losses))
         env.at_close.append(lambda: self._write(complete=True))
 
     @property
@@ -153,21 +168,28 @@ class ShardLogs:
     @property
     def stats(self) -> RecordStats:
         """What has been recorded: the manifest, steps, and bytes of all files of the logs."""
-        names = [Path(entry.log).stem for entry in self.entries]
-        files = [file for name in names for file in self._path.parent.glob(f"{name}*.mcap")]
-        written = sum(file.stat().st_size for file in files if ".lost" not in file.name)
-        return RecordStats(self.manifest, self._env.pool.steps, written)
+        nbytes = 0
+        for entry in self.entries:
+            for file in self._path.parent.glob(f"{Path(entry.log).stem}*.mcap"):
+                if ".lost" not in file.name:
+                    nbytes += file.stat().st_size
+        return RecordStats(self.manifest, steps=self._env.pool.steps, nbytes=nbytes)
 
     def _write(self, complete: bool) -> None:
         pool = self._env.pool
         shards = [
-            {"log": entry.log, "first_env": entry.first_env, "num_envs": entry.num_envs}
-            for entry in self.entries
+            {
+                "log": entry.log,
+                "first_env": entry.first_env,
+                "num_envs": entry.num_envs,
+                "node": node,
+            }
+            for entry, node in zip(self.entries, pool.nodes, strict=True)
         ]
         content = {
             "num_envs": self._env.num_envs,
             "complete": complete,
-            "shards": [{**s, "node": n} for s, n in zip(shards, pool.nodes, strict=True)],
+            "shards": shards,
             "rebuilt": pool.rebuilt,
         }
         write_text(self.manifest, json.dumps(content, indent=1) + "\n")
@@ -175,12 +197,12 @@ class ShardLogs:
 
 def _local_options(options: RecordOptions, entry: ShardEntry) -> RecordOptions:
     """The options with the shard's own numbers of environments."""
-    span, images = (entry.first_env, entry.num_envs), options.images
+    images = options.images
     if images is not None:
-        mine = numbers_in_shard(images.envs, *span)
-        images = replace(images, envs=mine) if mine else None
-    viewed = numbers_in_shard(options.view_envs, *span)
-    return replace(options, view_envs=viewed, images=images)
+        envs = numbers_in_shard(images.envs, entry.first_env, entry.num_envs)
+        images = replace(images, envs=envs) if envs else None
+    view_envs = numbers_in_shard(options.view_envs, entry.first_env, entry.num_envs)
+    return replace(options, view_envs=view_envs, images=images)
 
 
 def _local_quota(quota: Sequence[int] | None, entry: ShardEntry) -> Sequence[int] | None:
@@ -201,22 +223,26 @@ def read_shards(path: Path) -> tuple[ShardEntry, ...]:
     """
     try:
         if path.stat().st_size > _LARGEST:
-            raise ConfigError(f"{path} is no manifest of shards: it is too large")
-        found: Any = json.loads(path.read_text())
+            raise ConfigError(f"{path} is not a manifest of shards: it is too large")
+        content: Any = json.loads(path.read_text())
         entries = tuple(
-            ShardEntry(str(s["log"]), int(s["first_env"]), int(s["num_envs"]))
-            for s in found["shards"]
+            ShardEntry(
+                log=str(shard["log"]),
+                first_env=int(shard["first_env"]),
+                num_envs=int(shard["num_envs"]),
+            )
+            for shard in content["shards"]
         )
-        total = int(found["num_envs"])
+        total = int(content["num_envs"])
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}") from error
     except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is no manifest of shards: {error!r}") from error
-    at = 0
+        raise ConfigError(f"{path} is not a manifest of shards: {error!r}") from error
+    num_envs = 0
     for entry in entries:
-        if entry.first_env != at or entry.num_envs < 1 or not _NAME.match(entry.log):
-            raise ConfigError(f"{path} is no manifest of shards: {entry} does not continue it")
-        at += entry.num_envs
-    if not entries or at != total:
-        raise ConfigError(f"{path} is no manifest of shards: {at} of {total} environments")
+        if entry.first_env != num_envs or entry.num_envs < 1 or not _NAME.match(entry.log):
+            raise ConfigError(f"{path} is not a manifest of shards: {entry} does not continue it")
+        num_envs += entry.num_envs
+    if not entries or num_envs != total:
+        raise ConfigError(f"{path} is not a manifest of shards: {num_envs} of {total} environments")
     return entries

@@ -29,8 +29,17 @@ from embodichain.utils.errors import ConfigError
 
 __all__ = ["ShardedLog", "inspect_shards", "verify_shards"]
 
-_SAME = ("task", "seed", "control_dt", "physics_dt", "model", "state", "layout", "keyframe_every")
-"""What the logs of shards have in common."""
+_SHARED_FIELDS = (
+    "task",
+    "seed",
+    "control_dt",
+    "physics_dt",
+    "model",
+    "state",
+    "layout",
+    "keyframe_every",
+)
+"""Fields of the header that are equal in the logs of all shards."""
 
 
 class ShardedLog(Log):
@@ -60,9 +69,10 @@ class ShardedLog(Log):
         self._simulate = simulate
         try:
             for entry in entries:
-                self.shards.append(Log(self.path.with_name(entry.log), simulate))
-                if self.shards[-1].num_envs != entry.num_envs:
-                    raise LogError(f"{self.shards[-1].path} is not the log that {path} describes")
+                log = Log(self.path.with_name(entry.log), simulate)
+                self.shards.append(log)
+                if log.num_envs != entry.num_envs:
+                    raise LogError(f"{log.path} is not the log that {path} describes")
             self.reader = self.shards[0].reader
             self.header = _joined_header(self.shards, self.firsts)
         except BaseException:
@@ -99,20 +109,24 @@ class ShardedLog(Log):
         stop: int | None = None,
     ) -> LogArrays:
         """See `RecordedLog.read`."""
-        names, ids = self._fields(fields), self._envs(env)
+        names = self._fields(fields)
+        env_ids = self._envs(env)
         parts = []
         for log, first in zip(self.shards, self.firsts, strict=True):
-            mine = ids[(ids >= first) & (ids < first + log.num_envs)] - first
-            if len(mine):
-                found = log.read(names, mine.tolist(), episode, start, stop)
-                parts.append(replace(found, env_ids=found.env_ids + first))
-        return _beside(parts)
+            in_shard = (env_ids >= first) & (env_ids < first + log.num_envs)
+            local_ids = (env_ids[in_shard] - first).tolist()
+            if local_ids:
+                part = log.read(names, local_ids, episode, start, stop)
+                parts.append(replace(part, env_ids=part.env_ids + first))
+        return _join_environments(parts)
 
     @cached_property
     def episodes(self) -> list[LogEpisode]:
         """Every episode, complete or not, by environment."""
-        pairs = zip(self.shards, self.firsts, strict=True)
-        return [replace(e, env=e.env + first) for log, first in pairs for e in log.episodes]
+        episodes = []
+        for log, first in zip(self.shards, self.firsts, strict=True):
+            episodes += [replace(episode, env=episode.env + first) for episode in log.episodes]
+        return episodes
 
     def metrics(self, env: int) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
         """See `RecordedLog.metrics`."""
@@ -132,43 +146,53 @@ class ShardedLog(Log):
         """Yield the writes of all shards, in the order of their steps."""
         yield from self._merged(lambda log: log.writes())
 
-    def _merged(self, of: Callable[[Log], Iterator[Any]]) -> Iterator[Any]:
-        def numbered(log: Log, first: int) -> Iterator[Any]:
-            every: EnvIds = np.arange(log.num_envs)
-            for one in of(log):
-                ids = every if one.env_ids is None else one.env_ids
-                yield replace(one, env_ids=ids + first)
+    def _merged(self, records_of: Callable[[Log], Iterator[Any]]) -> Iterator[Any]:
+        """Yield events or writes of all shards with the batch's numbers of environments."""
+
+        def renumbered(log: Log, first: int) -> Iterator[Any]:
+            all_envs: EnvIds = np.arange(log.num_envs)
+            for record in records_of(log):
+                env_ids = all_envs if record.env_ids is None else record.env_ids
+                yield replace(record, env_ids=env_ids + first)
 
         streams = [
-            numbered(log, first) for log, first in zip(self.shards, self.firsts, strict=True)
+            renumbered(log, first) for log, first in zip(self.shards, self.firsts, strict=True)
         ]
-        yield from heapq.merge(*streams, key=lambda one: one.step)
+        yield from heapq.merge(*streams, key=lambda record: record.step)
 
     def raw_messages(self) -> Iterator[tuple[str, int, memoryview]]:
-        """Refuse: topics are those of a shard's log.
+        """Raise `ConfigError`: the messages of several logs cannot be read as one log's.
 
         Raises:
-            ConfigError: Always; names the files.
+            ConfigError: Always; the error names the files.
         """
         names = ", ".join(log.path.name for log in self.shards)
         raise ConfigError(f"{self.path} joins logs whose messages are read one by one: {names}")
 
 
 def _joined_header(logs: Sequence[Log], firsts: Sequence[int]) -> Header:
-    first = logs[0].header
+    first_header = logs[0].header
     for log in logs[1:]:
-        for name in _SAME:
-            mine, other = getattr(log.header, name), getattr(first, name)
-            if mine != other:
-                found = f"{name} is {mine}, not {other}"
-                raise LogError(f"{log.path} is not of the batch of {logs[0].path}: {found}")
-    viewed = [i + at for log, at in zip(logs, firsts, strict=True) for i in log.header.view_envs]
-    count = sum(log.num_envs for log in logs)
-    quota = tuple(number for log in logs for number in log.header.quota)
-    return replace(first, num_envs=count, view_envs=viewed, quota=quota)
+        for name in _SHARED_FIELDS:
+            value = getattr(log.header, name)
+            expected = getattr(first_header, name)
+            if value != expected:
+                difference = f"{name} is {value}, not {expected}"
+                raise LogError(f"{log.path} is not of the batch of {logs[0].path}: {difference}")
+    view_envs: list[int] = []
+    quota: list[int] = []
+    for log, first in zip(logs, firsts, strict=True):
+        view_envs += [env_id + first for env_id in log.header.view_envs]
+        quota += log.header.quota
+    return replace(
+        first_header,
+        num_envs=sum(log.num_envs for log in logs),
+        view_envs=view_envs,
+        quota=tuple(quota),
+    )
 
 
-def _beside(parts: Sequence[LogArrays]) -> LogArrays:
+def _join_environments(parts: Sequence[LogArrays]) -> LogArrays:
     """Join arrays of different environments, for the steps that all of them have."""
     if len(parts) == 1:
         return parts[0]
@@ -176,12 +200,12 @@ def _beside(parts: Sequence[LogArrays]) -> LogArrays:
     for part in parts[1:]:
         steps = np.intersect1d(steps, part.steps, assume_unique=True)
     rows = [np.searchsorted(part.steps, steps) for part in parts]
-    values = {
-        name: np.concatenate([p.values[name][r] for p, r in zip(parts, rows, strict=True)], axis=1)
-        for name in parts[0].values
-    }
-    ids = np.concatenate([part.env_ids for part in parts])
-    return replace(parts[0], steps=steps, env_ids=ids, values=values)
+    values = {}
+    for name in parts[0].values:
+        pieces = [part.values[name][index] for part, index in zip(parts, rows, strict=True)]
+        values[name] = np.concatenate(pieces, axis=1)
+    env_ids = np.concatenate([part.env_ids for part in parts])
+    return replace(parts[0], steps=steps, env_ids=env_ids, values=values)
 
 
 def inspect_shards(path: Path) -> LogSummary:
@@ -191,28 +215,38 @@ def inspect_shards(path: Path) -> LogSummary:
         path: The manifest.
     """
     entries = read_shards(path)
-    found = [inspect(path.with_name(entry.log)) for entry in entries]
+    summaries = [inspect(path.with_name(entry.log)) for entry in entries]
     with ShardedLog(path) as log:
         header = log.header
-    counts: Counter[tuple[str, str, str]] = Counter()
-    for one in found:
-        for c in one.channels:
-            counts[c.topic, c.schema, c.encoding] += c.messages
-    firsts = [entry.first_env for entry in entries]
-    pairs = list(zip(found, firsts, strict=True))
-    episodes = [replace(e, env=e.env + first) for one, first in pairs for e in one.episodes]
+    num_messages: Counter[tuple[str, str, str]] = Counter()
+    episodes: list[LogEpisode] = []
+    compressions: set[str] = set()
+    warnings: list[str] = []
+    files: list[str] = []
+    for entry, summary in zip(entries, summaries, strict=True):
+        for channel in summary.channels:
+            num_messages[channel.topic, channel.schema, channel.encoding] += channel.messages
+        for episode in summary.episodes:
+            episodes.append(replace(episode, env=episode.env + entry.first_env))
+        compressions.update(summary.compressions)
+        warnings += [f"{summary.path.name}: {line}" for line in summary.warnings]
+        files += summary.files
+    channels = [
+        ChannelInfo(topic, schema, encoding, messages=num_messages[topic, schema, encoding])
+        for topic, schema, encoding in sorted(num_messages)
+    ]
     return LogSummary(
         path=path,
-        nbytes=sum(one.nbytes for one in found),
+        nbytes=sum(summary.nbytes for summary in summaries),
         header=header,
-        channels=[ChannelInfo(*key, counts[key]) for key in sorted(counts)],
-        steps=min(one.steps for one in found),
-        episodes=sorted(episodes, key=lambda e: (e.last_step, e.env)),
-        attachments=found[0].attachments,
-        compressions=sorted({name for one in found for name in one.compressions}),
-        complete=all(one.complete for one in found),
-        warnings=[f"{one.path.name}: {line}" for one in found for line in one.warnings],
-        files=[name for one in found for name in one.files],
+        channels=channels,
+        steps=min(summary.steps for summary in summaries),
+        episodes=sorted(episodes, key=lambda episode: (episode.last_step, episode.env)),
+        attachments=summaries[0].attachments,
+        compressions=sorted(compressions),
+        complete=all(summary.complete for summary in summaries),
+        warnings=warnings,
+        files=files,
     )
 
 
@@ -227,50 +261,79 @@ def verify_shards(
     """Verify the logs of a batch in shards, one after another; see `verify`."""
     entries = read_shards(path)
     logs = [path.with_name(entry.log) for entry in entries]
-    checked = {log: check_bytes(log) for log in logs}
-    broken = [damaged(log, found) for log, found in checked.items() if found.damage]
-    if broken:
-        problems = [f"{r.path.name}: {line}" for r in broken for line in r.problems]
-        damage = [damage for report in broken for damage in report.damage]
-        return VerifyReport(path, False, 0, 0, problems=problems, damage=damage)
-    reports = []
-    with ShardedLog(path) as log:
+    # All bytes of all logs first: nothing of a damaged batch is simulated.
+    checked = [check_bytes(log) for log in logs]
+    damaged_logs = [
+        damaged(log, report) for log, report in zip(logs, checked, strict=True) if report.damage
+    ]
+    if damaged_logs:
+        return _damage_report(path, damaged_logs)
+    with ShardedLog(path) as batch:  # the logs are of one batch
         if env is None:
-            every = zip(log.shards, entries, strict=True)
-            chosen: list[tuple[Log, ShardEntry, int | None]] = [(one, e, None) for one, e in every]
+            shards = list(range(len(entries)))
+            local_env = None
         else:
-            mine, number = log.part_of(env)
-            chosen = [(mine, entries[log.shards.index(mine)], number)]
-    for shard, entry, only in chosen:
-        how = only, episode, num_threads, progress, images
-        found = simulate(shard.path, checked[path.with_name(entry.log)], *how)
-        if found.difference is not None:
-            at = found.difference.env + entry.first_env
-            found = replace(found, difference=replace(found.difference, env=at))
-        reports.append(found)
-    return _one_report(path, reports)
+            log, local_env = batch.part_of(env)
+            shards = [batch.shards.index(log)]
+    reports = []
+    for shard in shards:
+        report = simulate(
+            logs[shard],
+            checked[shard],
+            env=local_env,
+            episode=episode,
+            num_threads=num_threads,
+            progress=progress,
+            images=images,
+        )
+        reports.append(_with_batch_numbers(report, entries[shard]))
+    return _join_reports(path, reports)
 
 
-def _one_report(path: Path, reports: Sequence[VerifyReport]) -> VerifyReport:
-    def lines(name: str) -> list[str]:
-        told = [f"{r.path.name}: {line}" for r in reports for line in getattr(r, name)]
-        return told if len(reports) > 1 else list(getattr(reports[0], name))
+def _with_batch_numbers(report: VerifyReport, entry: ShardEntry) -> VerifyReport:
+    """A shard's report, in which environments have the numbers of the batch."""
+    difference = report.difference
+    if difference is None:
+        return report
+    env = difference.env + entry.first_env
+    return replace(report, difference=replace(difference, env=env))
 
-    differing = [r.difference for r in reports if r.difference is not None]
-    errors: dict[str, float] = {}
+
+def _damage_report(path: Path, reports: Sequence[VerifyReport]) -> VerifyReport:
+    """The report of a batch in which logs are damaged."""
+    problems = []
+    damage = []
     for report in reports:
-        for key, value in report.largest_error.items():
-            errors[key] = max(value, errors.get(key, 0.0))
+        problems += [f"{report.path.name}: {line}" for line in report.problems]
+        damage += report.damage
+    return VerifyReport(path, ok=False, steps=0, envs=0, problems=problems, damage=damage)
+
+
+def _join_reports(path: Path, reports: Sequence[VerifyReport]) -> VerifyReport:
+    """The report of a batch from those of its shards."""
+    if len(reports) == 1:
+        return replace(reports[0], path=path)
+    problems = []
+    notes = []
+    largest_error: dict[str, float] = {}
+    for report in reports:
+        problems += [f"{report.path.name}: {line}" for line in report.problems]
+        notes += [f"{report.path.name}: {line}" for line in report.notes]
+        for component, error in report.largest_error.items():
+            largest_error[component] = max(error, largest_error.get(component, 0.0))
+    differences = [report.difference for report in reports if report.difference is not None]
     return replace(
         reports[0],
         path=path,
         ok=all(report.ok for report in reports),
         steps=min(report.steps for report in reports),
         envs=sum(report.envs for report in reports),
-        difference=min(differing, key=lambda d: (d.step, d.env), default=None),
-        problems=lines("problems"),
-        largest_error=errors,
-        notes=lines("notes"),
+        difference=min(
+            differences, key=lambda difference: (difference.step, difference.env), default=None
+        ),
+        problems=problems,
+        largest_error=largest_error,
+        notes=notes,
         measured=sum(report.measured for report in reports),
         outside=sum(report.outside for report in reports),
     )

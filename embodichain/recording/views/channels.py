@@ -6,7 +6,7 @@ Frames are named ``env_I/uid/link``; their parent is ``env_I``, whose parent is 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -40,13 +40,13 @@ __all__ = [
 
 METRICS = "Metrics"
 """Name of the message with the scalars of a run."""
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _COUNTS = ("elapsed_steps", "success", "fail")
 _GROUPS = (("rewards", "reward"), ("episode_sums", "sum"), ("metrics", "metric"))
 _REASONS = {"success": "success_terminated", "fail": "fail", "diverged": "diverged"}
 """Reason of an end -> the entry of ``info`` that says so."""
-_LISTED = 8
-"""Maximum count of numbers or environments in a line of `/log`."""
+_MOST_LISTED = 8
+"""Largest count of numbers or environments in a line of `/log`."""
 
 
 def frame_names(model: mujoco.MjModel, env_id: int) -> list[str]:
@@ -58,8 +58,8 @@ def frame_names(model: mujoco.MjModel, env_id: int) -> list[str]:
 
 def scalar_joints(model: mujoco.MjModel) -> dict[str, int]:
     """Ids of the hinge and slide joints by name."""
-    ids = [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SCALAR]
-    return {model.joint(j).name or f"joint_{j}": j for j in ids}
+    joints = [joint for joint in range(model.njnt) if model.jnt_type[joint] in _SCALAR_JOINTS]
+    return {model.joint(joint).name or f"joint_{joint}": joint for joint in joints}
 
 
 class Frames:
@@ -81,7 +81,9 @@ class Frames:
         for env_id, (x, y, z) in zip(env_ids, offsets.tolist(), strict=True):
             root, *names = frame_names(model, env_id)
             base = add(parent_frame_id="world", child_frame_id=root)
-            base.translation.x, base.translation.y, base.translation.z = x, y, z
+            base.translation.x = x
+            base.translation.y = y
+            base.translation.z = z
             base.rotation.w = 1.0
             frames = [add(parent_frame_id=root, child_frame_id=name) for name in names]
             self._bodies.append([(frame.translation, frame.rotation) for frame in frames])
@@ -89,16 +91,19 @@ class Frames:
 
     def place(self, index: int, data: mujoco.MjData) -> None:
         """Copy the body poses of the index-th environment from its kinematics."""
-        positions, rotations = data.xpos[1:].tolist(), data.xquat[1:].tolist()
-        for (p, q), xyz, wxyz in zip(self._bodies[index], positions, rotations, strict=True):
-            p.x, p.y, p.z = xyz
-            q.w, q.x, q.y, q.z = wxyz
+        positions = data.xpos[1:].tolist()
+        quats = data.xquat[1:].tolist()
+        bodies = zip(self._bodies[index], positions, quats, strict=True)
+        for (translation, rotation), position, quat in bodies:
+            translation.x, translation.y, translation.z = position
+            rotation.w, rotation.x, rotation.y, rotation.z = quat
 
     def encode(self, time_ns: int) -> bytes:
         """Return the serialized message."""
         seconds, nanos = divmod(time_ns, 1_000_000_000)
         for timestamp in self._times:
-            timestamp.seconds, timestamp.nanos = seconds, nanos
+            timestamp.seconds = seconds
+            timestamp.nanos = nanos
         data: bytes = self._message.SerializeToString()
         return data
 
@@ -107,7 +112,8 @@ class Joints:
     """`/env_I/joint_states`: every hinge and slide joint, updated for each environment."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        joints, layout = scalar_joints(model), row_layout(model)
+        joints = scalar_joints(model)
+        layout = row_layout(model)
         ids = np.array(list(joints.values()), np.int64)
         self._qpos = layout["qpos"].start + model.jnt_qposadr[ids]
         self._qvel = layout["qvel"].start + model.jnt_dofadr[ids]
@@ -122,9 +128,11 @@ class Joints:
             row: (nstate,) state: positions (rad or m) and velocities (rad/s or m/s) are read.
         """
         self._message.timestamp.FromNanoseconds(time_ns)
-        positions, velocities = row[self._qpos].tolist(), row[self._qvel].tolist()
+        positions = row[self._qpos].tolist()
+        velocities = row[self._qvel].tolist()
         for joint, qpos, qvel in zip(self._joints, positions, velocities, strict=True):
-            joint.position, joint.velocity = qpos, qvel
+            joint.position = qpos
+            joint.velocity = qvel
         data: bytes = self._message.SerializeToString()
         return data
 
@@ -147,18 +155,14 @@ class Scalars:
         self._commands = [values.T for _, values in commands]
         self._counts = [key for key in _COUNTS if key in step.info]
         self._terms = {key: list(step.info.get(key, {})) for key, _ in _GROUPS}
-        self.names: list[str] = []
-        """Names of the fields."""
-        for name in map(identifier, self._titles([n for names, _ in commands for n in names])):
-            taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
-            self.names.append(f"{name}__{taken + 1}" if taken else name)
-        self._message = scalars_class(METRICS, self.names)
-
-    def _titles(self, commands: list[str]) -> Iterator[str]:
-        yield from ("reward", "terminated", "truncated", *self._counts)
+        titles = ["reward", "terminated", "truncated", *self._counts]
         for key, prefix in _GROUPS:
-            yield from (f"{prefix}_{name}" for name in self._terms[key])
-        yield from (f"command_{name}" for name in commands)
+            titles += [f"{prefix}_{name}" for name in self._terms[key]]
+        for names, _ in commands:
+            titles += [f"command_{name}" for name in names]
+        self.names: list[str] = _field_names(titles)
+        """Names of the fields."""
+        self._message = scalars_class(METRICS, self.names)
 
     @property
     def descriptor_set(self) -> bytes:
@@ -182,7 +186,8 @@ class Scalars:
                 f"a step's scalars are not those of the first one: {self.names}"
             ) from error
         factors = [weights.get(name, 1.0) for name in self._terms["rewards"]]
-        found = []
+        first_reward = 3 + len(self._counts)  # after reward, terminated, truncated and counts
+        rows = []
         for env_id in self._ids:
             values: list[float] = []
             for block in blocks:
@@ -190,10 +195,10 @@ class Scalars:
                     values.append(block.item(env_id))
                 else:
                     values += block[:, env_id].tolist()
-            for at, weight in enumerate(factors, 3 + len(self._counts)):
-                values[at] *= weight
-            found.append(values)
-        return found
+            for index, weight in enumerate(factors, first_reward):
+                values[index] *= weight
+            rows.append(values)
+        return rows
 
     def encode(self, values: Sequence[float]) -> bytes:
         """Return the serialized message of values that `of` returned."""
@@ -223,6 +228,15 @@ def _array(value: Any) -> NDArray[Any]:
     return array
 
 
+def _field_names(titles: Sequence[str]) -> list[str]:
+    """Legal names of fields; of several that become equal, all but the first are numbered."""
+    names: list[str] = []
+    for name in map(identifier, titles):
+        same = [other for other in names if other == name or other.startswith(f"{name}__")]
+        names.append(f"{name}__{len(same) + 1}" if same else name)
+    return names
+
+
 def identifier(name: str) -> str:
     """Return a legal protobuf field name."""
     return re.sub(r"[^A-Za-z0-9_]", "_", name).lower()
@@ -241,21 +255,30 @@ def log_line(time_ns: int, message: str, level: str = "INFO") -> bytes:
 
 def event_text(env_id: int, term: str, mode: str, drawn: Mapping[str, NDArray[Any]]) -> str:
     """``environment 0: place_cube (reset): position 0.58 0.14 0.05, rotation 0 0 0.16``."""
-    flat = {name: np.asarray(value).reshape(-1).tolist() for name, value in drawn.items()}
-    values = ", ".join(f"{n} {_listed([f'{v:.4g}' for v in vs], ' ')}" for n, vs in flat.items())
-    return f"environment {env_id}: {term} ({mode})" + (f": {values}" if values else "")
+    text = f"environment {env_id}: {term} ({mode})"
+    draws = []
+    for name, values in drawn.items():
+        numbers = [f"{number:.4g}" for number in np.asarray(values).reshape(-1).tolist()]
+        draws.append(f"{name} {_listed(numbers, ' ')}")
+    if draws:
+        text += f": {', '.join(draws)}"
+    return text
 
 
 def ending_text(record: StepRecord, env_id: int) -> str:
     """``environment 0: episode 3 ended after 120 steps: success``."""
-    known = {name: key for name, key in _REASONS.items() if key in record.info}
-    flags = [name for name, key in known.items() if bool(record.info[key][env_id])]
-    if not flags:
-        flags = ["terminated" if record.terminated[env_id] else "out of time"]
+    reasons = [
+        reason
+        for reason, key in _REASONS.items()
+        if key in record.info and bool(record.info[key][env_id])
+    ]
+    if not reasons:
+        reasons = ["terminated" if record.terminated[env_id] else "out of time"]
+    text = f"environment {env_id}: episode {int(record.episode_ids[env_id])} ended"
     steps = record.info.get("elapsed_steps")
-    after = f" after {int(steps[env_id])} steps" if steps is not None else ""
-    episode = int(record.episode_ids[env_id])
-    return f"environment {env_id}: episode {episode} ended{after}: {', '.join(flags)}"
+    if steps is not None:
+        text += f" after {int(steps[env_id])} steps"
+    return f"{text}: {', '.join(reasons)}"
 
 
 def ids_text(ids: NDArray[np.int64]) -> str:
@@ -264,5 +287,7 @@ def ids_text(ids: NDArray[np.int64]) -> str:
 
 
 def _listed(words: list[str], separator: str) -> str:
-    more = f" (and {len(words) - _LISTED} more)" if len(words) > _LISTED else ""
-    return separator.join(words[:_LISTED]) + more
+    text = separator.join(words[:_MOST_LISTED])
+    if len(words) > _MOST_LISTED:
+        text += f" (and {len(words) - _MOST_LISTED} more)"
+    return text

@@ -43,7 +43,9 @@ def encoder_of(name: str, width: int, height: int, rate: float) -> Encoder:
     """
     if name == "h264":
         return H264Encoder(width, height, rate)
-    return jpeg if name == "jpeg" else png
+    if name == "jpeg":
+        return jpeg
+    return png
 
 
 def jpeg(rgb: NDArray[np.uint8]) -> bytes:
@@ -89,17 +91,24 @@ class H264Encoder:
         per_second = max(_SLOWEST, Fraction(rate).limit_denominator(1000))
         self._av: Any = av
         self._codec: Any = av.CodecContext.create("libx264", "w")
-        self._codec.width, self._codec.height = width, height
+        self._codec.width = width
+        self._codec.height = height
         self._codec.pix_fmt = "yuv420p"
-        self._codec.time_base, self._codec.framerate = 1 / per_second, per_second
+        self._codec.time_base = 1 / per_second
+        self._codec.framerate = per_second
         self._codec.gop_size = max(1, round(rate))
         self._codec.thread_count = 1
-        tuning = {"preset": "veryfast", "tune": "zerolatency", "crf": "20"}
-        self._codec.options = {**tuning, "x264-params": _X264}
+        self._codec.options = {
+            "preset": "veryfast",
+            "tune": "zerolatency",
+            "crf": "20",
+            "x264-params": _X264,
+        }
         self._count = 0
 
     def __call__(self, rgb: NDArray[np.uint8]) -> bytes:
         """Encode an (H, W, 3) picture: one access unit."""
         frame = self._av.VideoFrame.from_ndarray(rgb, format="rgb24")
-        frame.pts, self._count = self._count, self._count + 1
+        frame.pts = self._count
+        self._count += 1
         return b"".join(bytes(packet) for packet in self._codec.encode(frame))

@@ -41,7 +41,15 @@ _ROS_AXES = np.array([1.0, -1.0, -1.0])
 
 
 class _Feed(NamedTuple):
-    """One camera of one environment: its frame and topics, and the encoder of its colours."""
+    """One camera of one environment.
+
+    Attributes:
+        env_id: The environment.
+        name: Name of the picture.
+        shot: How it is drawn.
+        frame: Name of the camera's frame.
+        encode: Encoder of its colours.
+    """
 
     env_id: int
     name: str
@@ -51,7 +59,9 @@ class _Feed(NamedTuple):
 
     def topic(self, name: str) -> str:
         """Topic of an output, or of the calibration."""
-        return f"/{self.frame}/{'image' if name == 'color' else name}"
+        if name == "color":
+            name = "image"
+        return f"/{self.frame}/{name}"
 
 
 class Images:
@@ -84,8 +94,10 @@ class Images:
         now: Callable[[], int],
         wanted: Callable[[str], bool] | None = None,
     ) -> None:
-        self._options, self._sink, self._now = options, sink, now
-        self._wanted = wanted or (lambda topic: True)
+        self._options = options
+        self._sink = sink
+        self._now = now
+        self._is_wanted = wanted or (lambda topic: True)
         self._env_ids = sorted(set(options.envs))
         cameras = camera_sensors(env)
         self._shots = _shots(env, cameras, options)
@@ -99,30 +111,32 @@ class Images:
         if wanted is None:
             self._renderer.open()
         self.restart()
-        video = options.format == "h264"
-        image = "foxglove.CompressedVideo" if video else "foxglove.CompressedImage"
         sink.channel("/tf", "foxglove.FrameTransforms")
         for feed in self._feeds:
             sink.channel(feed.topic("calibration"), "foxglove.CameraCalibration")
             for output in feed.shot.outputs:
-                sink.channel(
-                    feed.topic(output), image if output == "color" else "foxglove.RawImage"
-                )
+                if output != "color":
+                    schema = "foxglove.RawImage"
+                elif options.format == "h264":
+                    schema = "foxglove.CompressedVideo"
+                else:
+                    schema = "foxglove.CompressedImage"
+                sink.channel(feed.topic(output), schema)
 
     def restart(self) -> None:
         """Begin new videos, so that the next pictures need none before them."""
-        how = self._options.format
-        self._feeds = [
-            _Feed(
-                env_id,
-                name,
-                shot,
-                _frame(env_id, name),
-                encoder_of(how, shot.width, shot.height, self._rate),
-            )
-            for env_id in self._env_ids
-            for name, shot in self._shots.items()
-        ]
+        self._feeds = []
+        for env_id in self._env_ids:
+            for name, shot in self._shots.items():
+                encode = encoder_of(self._options.format, shot.width, shot.height, self._rate)
+                feed = _Feed(
+                    env_id=env_id,
+                    name=name,
+                    shot=shot,
+                    frame=_frame(env_id, name),
+                    encode=encode,
+                )
+                self._feeds.append(feed)
 
     def on_reset(self, env_ids: EnvIds) -> None:
         """Draw these environments in the next step."""
@@ -135,7 +149,8 @@ class Images:
             step: The control step before its physics.
             rows: (N, nstate) rows.
         """
-        all_due, due = step % self._every == 0, self._due
+        all_due = step % self._every == 0
+        due = self._due
         self._due = set()
         self.send(rows, [i for i in self._env_ids if all_due or i in due])
 
@@ -151,36 +166,45 @@ class Images:
         """
         for env_id in self._env_ids if env_ids is None else env_ids:
             feeds = [feed for feed in self._feeds if feed.env_id == env_id]
-            outputs = [tuple(o for o in f.shot.outputs if self._wanted(f.topic(o))) for f in feeds]
-            posed = self._wanted("/tf") or any(self._wanted(f.topic("calibration")) for f in feeds)
-            if not posed and not any(outputs):
+            shots = [self._wanted_shot(feed) for feed in feeds]
+            draws_any = any(shot.outputs for shot in shots)
+            if not draws_any and not self._wants_poses(feeds):
                 continue
-            shots = [replace(f.shot, outputs=o) for f, o in zip(feeds, outputs, strict=True)]
             drawn = self._renderer.draw(env_id, rows[env_id], shots)
             time_ns = self._now()
-            messages = [
-                (topic, message.SerializeToString())
-                for feed, (view, pictures) in zip(feeds, drawn, strict=True)
-                for topic, message in self._messages(feed, view, pictures, time_ns)
-            ]
+            messages = []
+            for feed, (view, pictures) in zip(feeds, drawn, strict=True):
+                for topic, message in self._messages(feed, view, pictures, time_ns):
+                    messages.append((topic, message.SerializeToString()))
             self._sink.send(time_ns, messages)
+
+    def _wanted_shot(self, feed: _Feed) -> Shot:
+        """How a camera is drawn for the topics that have a receiver."""
+        outputs = [name for name in feed.shot.outputs if self._is_wanted(feed.topic(name))]
+        return replace(feed.shot, outputs=tuple(outputs))
+
+    def _wants_poses(self, feeds: Sequence[_Feed]) -> bool:
+        """Whether the place or the lens of a camera has a receiver."""
+        topics = ["/tf", *(feed.topic("calibration") for feed in feeds)]
+        return any(self._is_wanted(topic) for topic in topics)
 
     def _messages(
         self, feed: _Feed, view: View, pictures: Pictures, time_ns: int
     ) -> Iterator[tuple[str, Any]]:
-        how = self._options.format
-        made: list[tuple[str, Any]] = [("calibration", _calibration(feed.shot, view))]
+        """Yield topic and message of a camera's calibration, pictures and place."""
+        messages: dict[str, Any] = {"calibration": _calibration(feed.shot, view)}
         if "color" in pictures:
             data = feed.encode(np.ascontiguousarray(pictures["color"][0, ..., :3]))
-            kind = CompressedVideo if how == "h264" else CompressedImage
-            made.append(("color", kind(data=data, format=how)))
+            format_name = self._options.format
+            message_type = CompressedVideo if format_name == "h264" else CompressedImage
+            messages["color"] = message_type(data=data, format=format_name)
         if "depth" in pictures:
-            made.append(("depth", _numbers(_depth(pictures["depth"][0]))))
+            messages["depth"] = _raw_image(_depth(pictures["depth"][0]))
         if "mask" in pictures:
             entities = self._entities[feed.name][pictures["mask"][0]]
             values = np.where(entities < 0, _BACKGROUND, entities).astype(np.uint16)
-            made.append(("mask", _numbers(values)))
-        for name, message in made:
+            messages["mask"] = _raw_image(values)
+        for name, message in messages.items():
             message.frame_id = feed.frame
             message.timestamp.FromNanoseconds(time_ns)
             yield feed.topic(name), message
@@ -194,9 +218,11 @@ def image_topics(env: ObservedEnv, options: ImageOptions) -> list[str]:
         ConfigError: If there is no such camera.
     """
     shots = _shots(env, camera_sensors(env), options)
-    ids = sorted(set(options.envs))
-    coloured = [name for name, shot in shots.items() if "color" in shot.outputs]
-    return [f"/{_frame(i, name)}/image" for i in ids for name in coloured]
+    names = [name for name, shot in shots.items() if "color" in shot.outputs]
+    topics = []
+    for env_id in sorted(set(options.envs)):
+        topics += [f"/{_frame(env_id, name)}/image" for name in names]
+    return topics
 
 
 def _frame(env_id: int, name: str) -> str:
@@ -207,31 +233,42 @@ def _shots(env: ObservedEnv, cameras: list[Camera], options: ImageOptions) -> di
     """How the wanted cameras are drawn, by the name of the picture.
 
     Raises:
-        ConfigError: If there is none, or one cannot be recorded in this way.
+        ConfigError: If there is no such camera, or one cannot be recorded in this way.
     """
     model = env.sim.engine.model
-    known = {name: shot for sensor in cameras for name, shot in shots_of(sensor).items()}
-    names = list(known) if options.cameras is None else list(dict.fromkeys(options.cameras))
+    sensor_shots: dict[str, Shot] = {}
+    for sensor in cameras:
+        sensor_shots |= shots_of(sensor)
     sensors = {
         name: (int(model.camera(shot.camera).id), (shot.width, shot.height))
-        for name, shot in known.items()
+        for name, shot in sensor_shots.items()
     }
     problems = check_images(options, model, sensors)
     if problems:
         raise ConfigError(problems)
-    known = {model.camera(i).name: _scene_shot(model, i) for i in range(model.ncam)} | known
+    # A sensor comes before a camera of the scene with the same name.
+    shots = {model.camera(i).name: _scene_shot(model, i) for i in range(model.ncam)}
+    shots |= sensor_shots
+    names = sensor_shots if options.cameras is None else dict.fromkeys(options.cameras)
     if options.size is None:
-        return {name: known[name] for name in names}
+        return {name: shots[name] for name in names}
     width, height = options.size
-    return {name: replace(known[name], width=width, height=height) for name in names}
+    return {name: replace(shots[name], width=width, height=height) for name in names}
 
 
 def _scene_shot(model: mujoco.MjModel, camera: int) -> Shot:
-    """How a camera of the scene that is no sensor is drawn: in full look."""
+    """How a camera of the scene is drawn that is not a sensor: in full look."""
     width, height = camera_size(model, camera)
-    extent, planes = float(model.stat.extent), model.vis.map
-    near, far = float(planes.znear) * extent, float(planes.zfar) * extent
-    return Shot(model.camera(camera).name, width, height, near, far, "full", ("color",))
+    extent = float(model.stat.extent)
+    return Shot(
+        camera=model.camera(camera).name,
+        width=width,
+        height=height,
+        near=float(model.vis.map.znear) * extent,
+        far=float(model.vis.map.zfar) * extent,
+        look="full",
+        outputs=("color",),
+    )
 
 
 def _depth(metres: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -239,18 +276,23 @@ def _depth(metres: NDArray[np.float32]) -> NDArray[np.uint16]:
     return np.where(millimetres < 2**16, millimetres, 0).astype(np.uint16)
 
 
-def _numbers(values: NDArray[np.uint16]) -> Any:
-    """(H, W) numbers as an image; viewers reduce a PNG of 16 bits to 8."""
+def _raw_image(values: NDArray[np.uint16]) -> Any:
+    """(H, W) numbers as an image without compression: viewers reduce a PNG of 16 bits to 8."""
     height, width = values.shape
-    data = values.astype("<u2").tobytes()
-    size = {"width": width, "height": height, "step": 2 * width}
-    return RawImage(**size, encoding="16UC1", data=data)
+    return RawImage(
+        width=width,
+        height=height,
+        step=2 * width,
+        encoding="16UC1",
+        data=values.astype("<u2").tobytes(),
+    )
 
 
 def _calibration(shot: Shot, view: View) -> Any:
     """The lens as OpenCV and ROS count pixels: the middle of the first one is at (0, 0)."""
-    fx, fy, *middle = view.lens[0].tolist()
-    cx, cy = (place - 0.5 for place in middle)
+    fx, fy, cx, cy = view.lens[0].tolist()
+    cx -= 0.5
+    cy -= 0.5
     return CameraCalibration(
         width=shot.width,
         height=shot.height,
@@ -265,9 +307,9 @@ def _transform(feed: _Feed, view: View, time_ns: int) -> Any:
     message = FrameTransforms()
     frame = message.transforms.add(parent_frame_id=f"env_{feed.env_id}", child_frame_id=feed.frame)
     frame.timestamp.FromNanoseconds(time_ns)
-    x, y, z = view.position[0].tolist()
+    translation = frame.translation
+    translation.x, translation.y, translation.z = view.position[0].tolist()
     quat = matrix_to_quat(np.asarray(view.axes, np.float64)[:1] * _ROS_AXES)[0]
-    frame.translation.x, frame.translation.y, frame.translation.z = x, y, z
     rotation = frame.rotation
     rotation.w, rotation.x, rotation.y, rotation.z = quat.tolist()
     return message

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.api import F64
@@ -53,62 +54,96 @@ def foxglove_layout(
     """
     text = resources.files(__package__).joinpath("layout.json").read_text("utf-8")
     layout: dict[str, Any] = json.loads(text)
-    panels, model = layout["configById"], env.sim.engine.model
-    drawn = ("scene", "markers") if Commands(env).drawn else ("scene",)
-    topics = [f"/env_{i}/{name}" for i in view_envs for name in drawn]
-    panels["3D!scene"]["topics"] = {topic: {"visible": True} for topic in topics}
+    panels = layout["configById"]
+    model = env.sim.engine.model
+    has_markers = Commands(env).drawn
+    topics: dict[str, Any] = {}
+    for env_id in view_envs:
+        topics[f"/env_{env_id}/scene"] = {"visible": True}
+        if has_markers:
+            topics[f"/env_{env_id}/markers"] = {"visible": True}
+    panels["3D!scene"]["topics"] = topics
     extent = float(model.stat.extent)
-    where = places(env, view_envs) if view_envs else np.zeros((1, 3))
-    spread = float(np.ptp(where, axis=0).max())
+    positions = places(env, view_envs) if view_envs else np.zeros((1, 3))
+    spread = float(np.ptp(positions, axis=0).max())
     panels["3D!scene"]["cameraState"] |= {
         "distance": 1.8 * extent + 1.2 * spread,
-        "targetOffset": (model.stat.center + where.mean(axis=0)).tolist(),
+        "targetOffset": (model.stat.center + positions.mean(axis=0)).tolist(),
     }
     for number, topic in enumerate(images):
         calibration = f"{topic.rpartition('/')[0]}/calibration"
         # The frustum of the camera, with its picture at this distance.
-        shown = {"visible": True, "distance": 0.2 * extent}
-        panels["3D!scene"]["topics"] |= {calibration: shown, topic: shown}
+        frustum = {"visible": True, "distance": 0.2 * extent}
+        topics[calibration] = frustum
+        topics[topic] = frustum
         if number >= _MOST_IMAGES:
             continue
         name = f"Image!{number}"
-        # Viewers use these colours for images of one channel, such as depth in millimetres.
-        colors = {"colorMode": "colormap", "colorMap": "turbo", "minValue": 0}
-        of = {"imageTopic": topic, "calibrationTopic": calibration}
-        panels[name] = {"imageMode": {**of, **colors, "maxValue": round(2000.0 * extent)}}
-        split = {"direction": "column", "first": layout["layout"]["first"], "second": name}
-        layout["layout"]["first"] = {**split, "splitPercentage": 65}
-    first = f"/env_{view_envs[0]}" if view_envs else "/env_0"
-    joints = list(scalar_joints(model))
-    last = [name.rpartition("/")[2] for name in joints]  # `elbow` if only one robot has it
-    labels = [tail if last.count(tail) == 1 else n for n, tail in zip(joints, last, strict=True)]
-    paths = [f'{first}/joint_states.joints[:]{{name=="{n}"}}.position' for n in joints]
-    named = dict(zip(labels, paths, strict=True))
-    panels["Plot!joints"] = _plot("joint positions (rad, m)", named)
+        panels[name] = {
+            "imageMode": {
+                "imageTopic": topic,
+                "calibrationTopic": calibration,
+                # For images of one channel, such as depth in millimetres.
+                "colorMode": "colormap",
+                "colorMap": "turbo",
+                "minValue": 0,
+                "maxValue": round(2000.0 * extent),
+            }
+        }
+        layout["layout"]["first"] = {
+            "direction": "column",
+            "first": layout["layout"]["first"],
+            "second": name,
+            "splitPercentage": 65,
+        }
+    first_env = f"/env_{view_envs[0]}" if view_envs else "/env_0"
+    panels["Plot!joints"] = _plot("joint positions (rad, m)", _joint_paths(model, first_env))
     manager = getattr(env, "reward_manager", None)  # other classes may have no manager
     terms = [] if manager is None else sorted(manager.terms)
-    named = {name: f"{first}/metrics.reward_{identifier(name)}" for name in terms}
-    named = {"reward": f"{first}/metrics.reward", **named}
-    panels["Plot!reward"] = _plot("reward and its terms", named)
+    rewards = {"reward": f"{first_env}/metrics.reward"}
+    for name in terms:
+        rewards[name] = f"{first_env}/metrics.reward_{identifier(name)}"
+    panels["Plot!reward"] = _plot("reward and its terms", rewards)
     return layout
+
+
+def _joint_paths(model: mujoco.MjModel, env_topic: str) -> dict[str, str]:
+    """Message path of each joint's position by its label: `elbow` if only one robot has it."""
+    joints = list(scalar_joints(model))
+    short_names = [name.rpartition("/")[2] for name in joints]
+    paths = {}
+    for name, short_name in zip(joints, short_names, strict=True):
+        label = short_name if short_names.count(short_name) == 1 else name
+        paths[label] = f'{env_topic}/joint_states.joints[:]{{name=="{name}"}}.position'
+    return paths
 
 
 def _plot(title: str, values: Mapping[str, str]) -> dict[str, Any]:
     """Return a plot of message paths by label."""
-    common = {"enabled": True, "timestampMethod": "receiveTime"}
     paths = [
-        {"value": value, "label": label, "color": _PALETTE[i % len(_PALETTE)], **common}
+        {
+            "value": value,
+            "label": label,
+            "color": _PALETTE[i % len(_PALETTE)],
+            "enabled": True,
+            "timestampMethod": "receiveTime",
+        }
         for i, (label, value) in enumerate(values.items())
     ]
-    # Foxglove's key, and that of its open fork Lichtblick.
-    titles = {"foxglovePanelTitle": title, "lichtblickPanelTitle": title}
-    return {**_PLOT, **titles, "paths": paths}
+    return {
+        **_PLOT,
+        "foxglovePanelTitle": title,
+        "lichtblickPanelTitle": title,  # Foxglove's open fork
+        "paths": paths,
+    }
 
 
 def pitch_of(env: ObservedEnv) -> float:
     """Metres between viewed environments, from the scene's size; at most `arena_space`."""
     pitch = _EXTENTS * float(env.sim.engine.model.stat.extent)
-    return pitch if env.num_envs == 1 else min(pitch, float(env.sim.arena_offsets[1, 0]))
+    if env.num_envs == 1:
+        return pitch
+    return min(pitch, float(env.sim.arena_offsets[1, 0]))
 
 
 def places(env: ObservedEnv, env_ids: Sequence[int]) -> F64:
@@ -116,5 +151,4 @@ def places(env: ObservedEnv, env_ids: Sequence[int]) -> F64:
     side = max(1, math.ceil(math.sqrt(len(env_ids))))
     index = np.arange(len(env_ids))
     grid = np.stack([index % side, index // side, 0 * index], axis=1)
-    found: F64 = np.asarray(grid * pitch_of(env), np.float64)
-    return found
+    return np.asarray(grid * pitch_of(env), np.float64)

@@ -42,11 +42,11 @@ if TYPE_CHECKING:
 __all__ = ["FirstPictures", "RowRenderer", "Shot", "camera_sensors", "compare", "shots_of"]
 
 _PREFIXES = ("geom_", "mat_", "light_", "cam_", "body_", "jnt_", "qpos0")
-_DRAWN = tuple(sorted(name for name in MODEL_FIELDS if name.startswith(_PREFIXES)))
+_VISIBLE_FIELDS = tuple(sorted(name for name in MODEL_FIELDS if name.startswith(_PREFIXES)))
 """The model fields that pictures depend on and that can differ between environments."""
 _OUTPUTS: tuple[Output, ...] = ("color", "depth", "mask")
 _LOOKS: tuple[Look, ...] = ("fast", "full")
-_DIGEST = 32
+_DIGEST_BYTES = 32
 _log = logging.getLogger(__name__)
 
 
@@ -61,7 +61,7 @@ class Shot:
         near: Metres along its axis.
         far: Metres along its axis.
         look: ``fast`` or ``full``.
-        outputs: ``color``, ``depth`` and ``mask``, as wanted.
+        outputs: Some of ``color``, ``depth`` and ``mask``.
     """
 
     camera: str
@@ -82,12 +82,21 @@ def camera_sensors(env: ObservedEnv) -> list[Camera]:
 
 def shots_of(sensor: Camera) -> dict[str, Shot]:
     """How a camera sensor is drawn, by the name of the picture: one shot, or left and right."""
-    cfg, model, index = sensor.cfg, sensor.engine.model, sensor.index
-    how = cfg.width, cfg.height, cfg.near, cfg.far, cfg.look, sensor.outputs
-    return {
-        name: Shot(model.camera(camera).name, *how)
-        for name, camera in zip(index.pictures, index.ids, strict=True)
-    }
+    cfg = sensor.cfg
+    model = sensor.engine.model
+    index = sensor.index
+    shots = {}
+    for name, camera in zip(index.pictures, index.ids, strict=True):
+        shots[name] = Shot(
+            camera=model.camera(camera).name,
+            width=cfg.width,
+            height=cfg.height,
+            near=cfg.near,
+            far=cfg.far,
+            look=cfg.look,
+            outputs=sensor.outputs,
+        )
+    return shots
 
 
 class RowRenderer:
@@ -104,9 +113,13 @@ class RowRenderer:
         self._model = copy.copy(engine.model)
         self._data = mujoco.MjData(self._model)
         layout = row_layout(self._model)
-        inputs = {name: getattr(self._data, name) for name in ("qpos", "mocap_pos", "mocap_quat")}
-        self._inputs = [(a.reshape(-1), layout[name]) for name, a in inputs.items() if a.size]
-        self._opened: OffscreenRenderer | None = None
+        # Arrays of `self._data` that kinematics reads, and their columns in a row.
+        self._inputs: list[tuple[F64, slice]] = []
+        for name in ("qpos", "mocap_pos", "mocap_quat"):
+            values = getattr(self._data, name)
+            if values.size:
+                self._inputs.append((values.reshape(-1), layout[name]))
+        self._renderer: OffscreenRenderer | None = None
 
     def open(self) -> OffscreenRenderer:
         """Open the renderer, if that has not been done.
@@ -114,12 +127,12 @@ class RowRenderer:
         Raises:
             RenderError: If there is no OpenGL here.
         """
-        if self._opened is None:
-            opened = OffscreenRenderer(self._engine.model)
-            if opened.kind == "rays":
+        if self._renderer is None:
+            renderer = OffscreenRenderer(self._engine.model)
+            if renderer.kind == "rays":
                 raise RenderError(f"pictures of a log need OpenGL; {hint()}")
-            self._opened = opened
-        return self._opened
+            self._renderer = renderer
+        return self._renderer
 
     @property
     def about(self) -> str:
@@ -134,9 +147,11 @@ class RowRenderer:
             env_id: The environment, whose model fields are used.
             row: (nstate,) state.
         """
-        for name in _DRAWN:
+        for name in _VISIBLE_FIELDS:
             values = self._engine.model_values(name)
-            getattr(self._model, name)[...] = values[env_id if len(values) > 1 else 0]
+            # A field that is the same in all environments has one row.
+            row_of_env = env_id if len(values) > 1 else 0
+            getattr(self._model, name)[...] = values[row_of_env]
         for target, columns in self._inputs:
             target[:] = row[columns]
         mujoco.mj_kinematics(self._model, self._data)
@@ -150,7 +165,7 @@ class RowRenderer:
         Args:
             env_id: The environment, whose model fields are used.
             row: (nstate,) state.
-            shots: How.
+            shots: How it is drawn.
 
         Raises:
             RenderError: If there is no OpenGL here.
@@ -170,19 +185,21 @@ class RowRenderer:
             )
             for shot in shots
         ]
-        drawn = [view for view in views if view.outputs]
-        pictures = iter(self.open().draw(state, drawn) if drawn else [])
+        views_with_outputs = [view for view in views if view.outputs]
+        pictures: Iterator[Pictures] = iter(())
+        if views_with_outputs:  # otherwise OpenGL is not needed
+            pictures = iter(self.open().draw(state, views_with_outputs))
         return [(view, next(pictures) if view.outputs else {}) for view in views]
 
     def digests(self, env_id: int, row: F64, shots: Sequence[Shot]) -> list[bytes]:
         """SHA-256 of each shot: of its outputs one after another, in the order of the shot."""
-        found = []
+        digests = []
         for shot, (_, pictures) in zip(shots, self.draw(env_id, row, shots), strict=True):
             digest = hashlib.sha256()
             for output in shot.outputs:
                 digest.update(pictures[output].tobytes())
-            found.append(digest.digest())
-        return found
+            digests.append(digest.digest())
+        return digests
 
 
 class FirstPictures:
@@ -197,8 +214,10 @@ class FirstPictures:
     """
 
     def __init__(self, env: ObservedEnv, sink: Sink, now: Callable[[], int]) -> None:
-        self._engine, self._cameras = env.sim.engine, camera_sensors(env)
-        self._sink, self._now = sink, now
+        self._engine = env.sim.engine
+        self._cameras = camera_sensors(env)
+        self._sink = sink
+        self._now = now
         self._begun: set[int] = set()
         self._renderer: RowRenderer | None = None
         self._is_off = False
@@ -218,11 +237,13 @@ class FirstPictures:
             step: The control step.
             rows: (N, nstate) rows before its physics.
         """
-        ids, self._begun = sorted(self._begun), set()
-        shots = [
-            s for camera in self._cameras if camera.was_drawn for s in shots_of(camera).values()
-        ]
-        if not ids or not shots or self._is_off:
+        env_ids = sorted(self._begun)
+        self._begun = set()
+        shots: list[Shot] = []
+        for camera in self._cameras:
+            if camera.was_drawn:
+                shots += shots_of(camera).values()
+        if not env_ids or not shots or self._is_off:
             return
         if self._renderer is None:
             try:
@@ -232,20 +253,27 @@ class FirstPictures:
                 self._is_off = True
                 _log.warning("the log has no hashes of pictures: %s", error)
                 return
-        digests = [self._renderer.digests(env_id, rows[env_id], shots) for env_id in ids]
-        for i, shot in enumerate(shots):
+        digests = [self._renderer.digests(env_id, rows[env_id], shots) for env_id in env_ids]
+        for index, shot in enumerate(shots):
             message = message_class("Pictures")(
                 step=step,
                 **asdict(shot),
                 renderer=self._renderer.about,
-                env_ids=ids,
-                sha256=b"".join(of_all[i] for of_all in digests),
+                env_ids=env_ids,
+                sha256=b"".join(env_digests[index] for env_digests in digests),
             )
             self._sink.send(self._now(), [(PICTURES_TOPIC, message.SerializeToString())])
 
 
-class _Hashed(NamedTuple):
-    """A message of `PICTURES_TOPIC`: digest of each environment's picture."""
+class _HashedPictures(NamedTuple):
+    """A message of `PICTURES_TOPIC`.
+
+    Attributes:
+        step: The control step before whose physics the pictures were drawn.
+        shot: How they were drawn.
+        renderer: What drew them.
+        digests: Environment to the digest of its picture.
+    """
 
     step: int
     shot: Shot
@@ -253,30 +281,46 @@ class _Hashed(NamedTuple):
     digests: dict[int, bytes]
 
 
-def _recorded(reader: LogReader) -> Iterator[_Hashed]:
+def _read_hashes(reader: LogReader) -> Iterator[_HashedPictures]:
     for topic, _, payload in reader.messages():
         if topic == PICTURES_TOPIC:
             try:
-                yield _decoded(bytes(payload))
+                yield _decode_hashes(bytes(payload))
             except DamageError as error:
                 raise LogError(f"{reader.path}: a message is damaged: {error}") from error
 
 
-def _decoded(data: bytes) -> _Hashed:
+def _decode_hashes(data: bytes) -> _HashedPictures:
     try:
         message = message_class("Pictures").FromString(data)
     except DecodeError as error:
         raise DamageError(f"hashes of pictures are damaged: {error}") from error
-    size, planes = (message.width, message.height), (message.near, message.far)
-    shot = Shot(message.camera, *size, *planes, message.look, tuple(message.outputs))
-    sizes = 0 < shot.width <= LARGEST_SIDE and 0 < shot.height <= LARGEST_SIDE
-    known = shot.look in _LOOKS and shot.outputs and not set(shot.outputs) - set(_OUTPUTS)
-    whole = len(message.sha256) == _DIGEST * len(message.env_ids)
-    if not (sizes and known and whole and 0 < shot.near < shot.far < np.inf):
+    shot = Shot(
+        camera=message.camera,
+        width=message.width,
+        height=message.height,
+        near=message.near,
+        far=message.far,
+        look=message.look,
+        outputs=tuple(message.outputs),
+    )
+    has_digests = len(message.sha256) == _DIGEST_BYTES * len(message.env_ids)
+    if not has_digests or not _can_be_drawn(shot):
         raise DamageError("hashes of pictures are damaged")
-    hashes = (message.sha256[i : i + _DIGEST] for i in range(0, len(message.sha256), _DIGEST))
-    digests = dict(zip(message.env_ids, hashes, strict=True))
-    return _Hashed(message.step, shot, message.renderer, digests)
+    digests = {}
+    for index, env_id in enumerate(message.env_ids):
+        start = index * _DIGEST_BYTES
+        digests[env_id] = message.sha256[start : start + _DIGEST_BYTES]
+    return _HashedPictures(message.step, shot, renderer=message.renderer, digests=digests)
+
+
+def _can_be_drawn(shot: Shot) -> bool:
+    """Whether the values of a shot are possible; its camera may not exist."""
+    if not 0 < shot.width <= LARGEST_SIDE or not 0 < shot.height <= LARGEST_SIDE:
+        return False
+    if shot.look not in _LOOKS or not shot.outputs or set(shot.outputs) - set(_OUTPUTS):
+        return False
+    return 0 < shot.near < shot.far < np.inf
 
 
 def compare(
@@ -297,40 +341,47 @@ def compare(
         RenderError: If nothing can be drawn here.
     """
     header = reader.require_header()
-    hashed: dict[int, list[_Hashed]] = {}
-    for one in _recorded(reader):
-        hashed.setdefault(one.step, []).append(one)
+    hashed: dict[int, list[_HashedPictures]] = {}  # by control step
+    renderers: set[str] = set()
+    for recorded in _read_hashes(reader):
+        hashed.setdefault(recorded.step, []).append(recorded)
+        renderers.add(recorded.renderer)
     if not hashed:
         return 0, ["the log has no hashes of pictures: no camera was read"]
-    ids = np.arange(header.num_envs) if env is None else np.array([env])
-    active = always(len(ids)) if header.keyframe_every else never(len(ids))
-    simulation = Simulation(reader, model, ids, active, num_threads=1)
+    env_ids = np.arange(header.num_envs) if env is None else np.array([env])
+    # States are taken from the log; only those between keyframes are simulated.
+    active = always(len(env_ids)) if header.keyframe_every else never(len(env_ids))
+    simulation = Simulation(reader, model, env_ids=env_ids, active=active, num_threads=1)
     renderer = RowRenderer(simulation.engine)
-    drawn_by = {one.renderer for found in hashed.values() for one in found} - {renderer.about}
-    if drawn_by:
-        other = ", ".join(sorted(drawn_by))
-        return 0, [f"pictures were drawn by {other}; here by {renderer.about}: not comparable"]
-    equal = 0
+    other_renderers = sorted(renderers - {renderer.about})
+    if other_renderers:
+        names = ", ".join(other_renderers)
+        return 0, [f"pictures were drawn by {names}; here by {renderer.about}: not comparable"]
+    num_equal = 0
     for run, t in follow(reader, simulation):
-        for one in hashed.pop(run.first + t, ()):
-            for local, env_id in enumerate(ids.tolist()):
-                if env_id not in one.digests:
+        for recorded in hashed.pop(run.first + t, ()):
+            for local, env_id in enumerate(env_ids.tolist()):
+                if env_id not in recorded.digests:
                     continue
-                found = _digest(renderer, local, simulation, one.shot, reader)
-                if found != one.digests[env_id]:
-                    where = f"step {one.step}, environment {env_id}, camera {one.shot.camera}"
-                    return equal, [f"{where}: the picture differs from the recorded one"]
-                equal += 1
+                digest = _digest(renderer, local, simulation, recorded.shot, reader)
+                if digest != recorded.digests[env_id]:
+                    problem = (
+                        f"step {recorded.step}, environment {env_id}, camera "
+                        f"{recorded.shot.camera}: the picture differs from the recorded one"
+                    )
+                    return num_equal, [problem]
+                num_equal += 1
     if hashed:
-        return equal, [f"the log lacks control step {min(hashed)}, whose pictures it has hashes of"]
-    return equal, []
+        step = min(hashed)
+        return num_equal, [f"the log has hashes of pictures of control step {step}, but lacks it"]
+    return num_equal, []
 
 
 def _digest(
     renderer: RowRenderer, local: int, simulation: Simulation, shot: Shot, reader: LogReader
 ) -> bytes:
     try:
-        (found,) = renderer.digests(local, simulation.rows[local], [shot])
+        (digest,) = renderer.digests(local, simulation.rows[local], [shot])
     except ValueError as error:
         raise LogError(f"{reader.path}: a message is damaged: {error}") from error
-    return found
+    return digest

@@ -35,11 +35,17 @@ METRES_PER_SPEED = 0.5
 """Length of an arrow in metres for each m/s or rad/s."""
 ABOVE = 0.25
 """Height of velocity arrows above the body's origin, metres."""
-_RED, _GREEN, _BLUE = (
-    Color(r=r, g=g, b=b, a=1.0) for r, g, b in ((0.9, 0.2, 0.2), (0.2, 0.8, 0.2), (0.2, 0.4, 1.0))
+_RED = Color(r=0.9, g=0.2, b=0.2, a=1.0)
+_GREEN = Color(r=0.2, g=0.8, b=0.2, a=1.0)
+_BLUE = Color(r=0.2, g=0.4, b=1.0, a=1.0)
+_SQRT_HALF = math.sqrt(0.5)
+_TO_AXES = np.array(
+    [
+        [1.0, 0.0, 0.0, 0.0],
+        [_SQRT_HALF, 0.0, 0.0, _SQRT_HALF],
+        [_SQRT_HALF, 0.0, -_SQRT_HALF, 0.0],
+    ]
 )
-_S = math.sqrt(0.5)
-_TO_AXES = np.array([[1.0, 0.0, 0.0, 0.0], [_S, 0.0, 0.0, _S], [_S, 0.0, -_S, 0.0]])
 """Rotations, wxyz, of the x axis (the direction of arrows) to each axis."""
 
 
@@ -62,7 +68,8 @@ class Scenes:
             model: The environment's model; its meshes must be the same in every call.
             env_id: The environment.
         """
-        names, update = frame_names(model, env_id), SceneUpdate()
+        names = frame_names(model, env_id)
+        update = SceneUpdate()
         entities: dict[int, Any] = {}
         for shape in shapes(model):
             entity = entities.get(shape.body)
@@ -87,9 +94,13 @@ class Scenes:
         elif shape.kind == "ellipsoid":
             entity.spheres.add(size=_xyz(size), **common)
         elif shape.kind == "mesh":
-            unit, data = Vector3(x=1.0, y=1.0, z=1.0), self._mesh(model, shape.geom)
-            kind = {"media_type": MEDIA_TYPE, "override_color": True}
-            entity.models.add(scale=unit, data=data, **kind, **common)
+            entity.models.add(
+                scale=Vector3(x=1.0, y=1.0, z=1.0),
+                data=self._mesh(model, shape.geom),
+                media_type=MEDIA_TYPE,
+                override_color=True,
+                **common,
+            )
         else:  # a cylinder; a capsule is drawn as a cylinder with two spheres
             entity.cylinders.add(size=_xyz(size), bottom_scale=1.0, top_scale=1.0, **common)
             if shape.kind == "capsule":
@@ -98,7 +109,7 @@ class Scenes:
                     entity.spheres.add(size=ball, pose=_pose(shape, along_z=end), color=color)
 
     def _mesh(self, model: mujoco.MjModel, geom: int) -> bytes:
-        key = int(model.geom_type[geom]), int(model.geom_dataid[geom])
+        key = (int(model.geom_type[geom]), int(model.geom_dataid[geom]))
         if key not in self._meshes:
             self._meshes[key] = glb(mesh_of(model, geom))
         return self._meshes[key]
@@ -124,9 +135,14 @@ class Commands:
         manager = getattr(env, "command_manager", None)  # other classes may have no manager
         terms = {} if manager is None else manager.terms
         self._commands: dict[str, Any] = {name: term.instance for name, term in terms.items()}
-        self._drawn = {n: term for n, term in self._commands.items() if term.marker is not None}
-        names = frame_names(env.sim.engine.model, 0) if self._drawn else []
-        self._frames = [name.removeprefix("env_0") for name in names]
+        self._drawn = {
+            name: command for name, command in self._commands.items() if command.marker is not None
+        }
+        # Names of the frames of bodies, after that of the environment.
+        self._frames: list[str] = []
+        if self._drawn:
+            names = frame_names(env.sim.engine.model, 0)
+            self._frames = [name.removeprefix("env_0") for name in names]
 
     @property
     def drawn(self) -> bool:
@@ -135,12 +151,12 @@ class Commands:
 
     def scalars(self) -> list[tuple[list[str], F64]]:
         """Names of the columns of each command, and its (N, columns) values, not copied."""
-        found = []
+        scalars = []
         for name, command in self._commands.items():
             values = command.values
             labels = command.names or map(str, range(values.shape[1]))
-            found.append(([f"{name}_{label}" for label in labels], values))
-        return found
+            scalars.append(([f"{name}_{label}" for label in labels], values))
+        return scalars
 
     def values_of(self, env_ids: EnvIds) -> list[F64]:
         """Copies of the (n, columns) values of each command that is drawn."""
@@ -159,14 +175,16 @@ class Commands:
         """
         update = SceneUpdate()
         for (name, command), row in zip(self._drawn.items(), values, strict=True):
-            is_pose, body = command.marker.kind == "pose", int(command.marker.body)
+            is_pose = command.marker.kind == "pose"
+            body = int(command.marker.body)
             entity = update.entities.add(id=f"env_{env_id}/commands/{name}")
             entity.timestamp.FromNanoseconds(time_ns)
-            entity.frame_locked = is_pose  # it moves with the body
-            entity.frame_id = f"env_{env_id}{self._frames[body if is_pose else 0]}"
             if is_pose:
+                entity.frame_locked = True  # it moves with the body
+                entity.frame_id = f"env_{env_id}{self._frames[body]}"
                 _add_axes(entity.arrows, row)
             else:
+                entity.frame_id = f"env_{env_id}{self._frames[0]}"
                 _add_velocity(entity.arrows, row, data, body)
         encoded: bytes = update.SerializeToString()
         return encoded
@@ -188,21 +206,28 @@ def _add_velocity(arrows: Any, command: F64, data: mujoco.MjData, body: int) -> 
         body: The body that moves.
     """
     forward, left, turn = command.tolist()
-    origin, matrix = data.xpos[body] + (0.0, 0.0, ABOVE), data.xmat[body]
+    origin = data.xpos[body] + (0.0, 0.0, ABOVE)
+    matrix = data.xmat[body]
     speed = math.hypot(forward, left)
     if speed:
         half = 0.5 * (math.atan2(matrix[3], matrix[0]) + math.atan2(left, forward))
         rotation = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
         _add_arrow(arrows, origin, rotation, METRES_PER_SPEED * speed, _GREEN)
     if turn:
-        rotation = np.array([_S, 0.0, math.copysign(_S, -turn), 0.0])
+        rotation = np.array([_SQRT_HALF, 0.0, math.copysign(_SQRT_HALF, -turn), 0.0])
         _add_arrow(arrows, origin, rotation, METRES_PER_SPEED * abs(turn), _BLUE)
 
 
 def _add_arrow(arrows: Any, origin: F64, quat: F64, length: float, color: Color) -> None:
-    head = min(0.3 * length, 0.06)
-    size = {"shaft_length": length - head, "head_length": head}
-    arrow = arrows.add(**size, shaft_diameter=0.015, head_diameter=0.035, color=color)
-    position, orientation = arrow.pose.position, arrow.pose.orientation
+    head_length = min(0.3 * length, 0.06)
+    arrow = arrows.add(
+        shaft_length=length - head_length,
+        head_length=head_length,
+        shaft_diameter=0.015,
+        head_diameter=0.035,
+        color=color,
+    )
+    position = arrow.pose.position
+    orientation = arrow.pose.orientation
     position.x, position.y, position.z = origin.tolist()
     orientation.w, orientation.x, orientation.y, orientation.z = quat.tolist()

@@ -40,8 +40,8 @@ _HIDDEN_GROUP = 3
 _GREY = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 _SHARP = np.cos(np.radians(40))
 """Cosine of 40 degrees: edges with a larger angle are sharp; smaller ones are shaded smooth."""
-_PLANE = 1e-6
-"""Metres: rises of neighbouring cells of a height field that differ by less are equal."""
+_SAME_RISE = 1e-6
+"""Difference in metres below which the rises of neighbouring cells of a height field are equal."""
 _MOST_FACES = 256
 """Vertices with more faces are shaded flat: the number of pairs of faces is quadratic."""
 
@@ -108,7 +108,8 @@ def shapes(model: mujoco.MjModel) -> Iterator[Shape]:
 
 def _shape(model: mujoco.MjModel, geom: int, rgba: F64) -> Shape:
     kind = int(model.geom_type[geom])
-    pos, quat = model.geom_pos[geom].copy(), model.geom_quat[geom].copy()
+    pos = model.geom_pos[geom].copy()
+    quat = model.geom_quat[geom].copy()
     half = model.geom_size[geom].copy()
     if kind == _T.mjGEOM_SPHERE:
         half[:] = half[0]
@@ -122,7 +123,15 @@ def _shape(model: mujoco.MjModel, geom: int, rgba: F64) -> Shape:
         pos += down
     elif _KINDS[kind] == "mesh":
         half[:] = 1.0
-    return Shape(geom, int(model.geom_bodyid[geom]), _KINDS[kind], pos, quat, half, rgba)
+    return Shape(
+        geom=geom,
+        body=int(model.geom_bodyid[geom]),
+        kind=_KINDS[kind],
+        pos=pos,
+        quat=quat,
+        half=half,
+        rgba=rgba,
+    )
 
 
 def _rgba(model: mujoco.MjModel, geom: int) -> F64:
@@ -130,10 +139,10 @@ def _rgba(model: mujoco.MjModel, geom: int) -> F64:
 
     A texture is replaced by its mean, since viewers' primitives have one colour.
     """
-    own, material = model.geom_rgba[geom], int(model.geom_matid[geom])
-    rgba = np.asarray(own, np.float64)
-    if material < 0 or not np.array_equal(own, _GREY):
-        return rgba
+    geom_rgba = model.geom_rgba[geom]
+    material = int(model.geom_matid[geom])
+    if material < 0 or not np.array_equal(geom_rgba, _GREY):
+        return np.asarray(geom_rgba, np.float64)
     rgba = np.asarray(model.mat_rgba[material], np.float64)
     texture = int(model.mat_texid[material, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)])
     channels = int(model.tex_nchannel[texture]) if texture >= 0 else 0
@@ -153,15 +162,18 @@ def mesh_of(model: mujoco.MjModel, geom: int) -> Mesh:
     index = int(model.geom_dataid[geom])
     if int(model.geom_type[geom]) == _T.mjGEOM_HFIELD:
         return _height_field(model, index)
-    start, count = int(model.mesh_vertadr[index]), int(model.mesh_vertnum[index])
+    start = int(model.mesh_vertadr[index])
+    count = int(model.mesh_vertnum[index])
     vertices = model.mesh_vert[start : start + count]
-    start, count = int(model.mesh_faceadr[index]), int(model.mesh_facenum[index])
+    start = int(model.mesh_faceadr[index])
+    count = int(model.mesh_facenum[index])
     return Mesh(vertices, model.mesh_face[start : start + count])
 
 
 def _height_field(model: mujoco.MjModel, index: int) -> Mesh:
     """The surface of a height field: two triangles for each run of cells along x in one plane."""
-    rows, columns = int(model.hfield_nrow[index]), int(model.hfield_ncol[index])
+    rows = int(model.hfield_nrow[index])
+    columns = int(model.hfield_ncol[index])
     half_x, half_y, height, _ = model.hfield_size[index]
     start = int(model.hfield_adr[index])
     x, y = np.meshgrid(np.linspace(-half_x, half_x, columns), np.linspace(-half_y, half_y, rows))
@@ -169,12 +181,17 @@ def _height_field(model: mujoco.MjModel, index: int) -> Mesh:
     vertices = np.stack([x.ravel(), y.ravel(), z], axis=1).astype(np.float32)
     ids = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     rise = np.diff(z.reshape(rows, columns), axis=1)
-    along = np.stack([rise[:-1, :-1], rise[:-1, 1:], rise[1:, :-1], rise[1:, 1:]])
-    first = np.ones((rows - 1, columns - 1), np.bool_)  # cells that begin a run
-    first[:, 1:] = np.ptp(along, axis=0) > _PLANE
-    last = np.roll(first, -1, axis=1)
-    last[:, -1] = True
-    a, b, c, d = ids[:-1, :-1][first], ids[:-1, 1:][last], ids[1:, 1:][last], ids[1:, :-1][first]
+    # A cell continues a run if both of its edges along x rise as those of the cell before.
+    edges = np.stack([rise[:-1, :-1], rise[:-1, 1:], rise[1:, :-1], rise[1:, 1:]])
+    begins_run = np.ones((rows - 1, columns - 1), np.bool_)
+    begins_run[:, 1:] = np.ptp(edges, axis=0) > _SAME_RISE
+    ends_run = np.roll(begins_run, -1, axis=1)
+    ends_run[:, -1] = True
+    # The corners of each run, counter-clockwise.
+    a = ids[:-1, :-1][begins_run]
+    b = ids[:-1, 1:][ends_run]
+    c = ids[1:, 1:][ends_run]
+    d = ids[1:, :-1][begins_run]
     faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=1)
     return Mesh(vertices, faces.reshape(-1, 3))
 
@@ -191,15 +208,17 @@ def corner_normals(mesh: Mesh) -> F64:
     units = _normalized(areas, up)
     # All pairs of corners (3 x face + index) that share a vertex, including pairs of equal corners.
     vertex = mesh.faces.reshape(-1)
-    order, count = np.argsort(vertex, kind="stable"), np.bincount(vertex)
+    order = np.argsort(vertex, kind="stable")
+    count = np.bincount(vertex)
     start = np.cumsum(count) - count
     repeat = np.where(count[vertex] > _MOST_FACES, 0, count[vertex])
-    one = np.repeat(np.arange(len(vertex)), repeat)
-    within = np.arange(len(one)) - np.repeat(np.cumsum(repeat) - repeat, repeat)
-    other = order[start[vertex[one]] + within]
-    near = (units[one // 3] * units[other // 3]).sum(axis=1) >= _SHARP
-    one, weights = one[near], areas[other[near] // 3]
-    sums = [np.bincount(one, weights[:, axis], len(vertex)) for axis in range(3)]
+    corner = np.repeat(np.arange(len(vertex)), repeat)
+    rank = np.arange(len(corner)) - np.repeat(np.cumsum(repeat) - repeat, repeat)
+    other = order[start[vertex[corner]] + rank]
+    is_smooth = (units[corner // 3] * units[other // 3]).sum(axis=1) >= _SHARP
+    corner = corner[is_smooth]
+    weights = areas[other[is_smooth] // 3]
+    sums = [np.bincount(corner, weights[:, axis], len(vertex)) for axis in range(3)]
     return _normalized(np.stack(sums, axis=1), np.repeat(units, 3, axis=0))
 
 
@@ -218,7 +237,8 @@ def glb(mesh: Mesh) -> bytes:
     """
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     rows, index = _unique(np.concatenate([corners, corner_normals(mesh)], axis=1).astype("<f4"))
-    points, normals = rows[:, :3], rows[:, 3:]
+    points = rows[:, :3]
+    normals = rows[:, 3:]
     buffers = [points.tobytes(), normals.tobytes(), index.astype("<u4").tobytes()]
     ends = np.cumsum([len(buffer) for buffer in buffers]).tolist()  # multiples of four
     views = [
@@ -248,8 +268,9 @@ def glb(mesh: Mesh) -> bytes:
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + ends[-1])
-    chunks = struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", ends[-1], b"BIN\0")
-    return b"".join([head, *chunks, *buffers])
+    json_head = struct.pack("<I4s", len(text), b"JSON")
+    binary_head = struct.pack("<I4s", ends[-1], b"BIN\0")
+    return b"".join([head, json_head, text, binary_head, *buffers])
 
 
 def _unique(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
@@ -259,8 +280,8 @@ def _unique(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.
     """
     words = rows.view(np.uint64)
     order = np.lexsort(words.T)
-    new = np.ones(len(rows), np.bool_)
-    new[1:] = (words[order[1:]] != words[order[:-1]]).any(axis=1)
+    is_new = np.ones(len(rows), np.bool_)
+    is_new[1:] = (words[order[1:]] != words[order[:-1]]).any(axis=1)
     index = np.empty(len(rows), np.int64)
-    index[order] = np.cumsum(new) - 1
-    return rows[order[new]], index
+    index[order] = np.cumsum(is_new) - 1
+    return rows[order[is_new]], index

@@ -38,13 +38,19 @@ if TYPE_CHECKING:
 
 __all__ = ["Sink", "Views"]
 
-_SEEN = (
+_VISIBLE_FIELDS = (
     *LOOKS,
-    *("geom_sameframe", "body_pos", "body_quat", "body_sameframe", "jnt_pos", "jnt_axis", "qpos0"),
+    "geom_sameframe",
+    "body_pos",
+    "body_quat",
+    "body_sameframe",
+    "jnt_pos",
+    "jnt_axis",
+    "qpos0",
 )
 """Prefixes of the model fields that affect poses or colours."""
-_LINE_NS = 1_000_000_000
-"""Smallest distance of two lines of an interval term, in ns of simulated time."""
+_LINE_INTERVAL_NS = 1_000_000_000
+"""Smallest interval between two lines of an interval term, in ns of simulated time."""
 
 
 class Sink(Protocol):
@@ -78,25 +84,30 @@ class Views:
         self._ids = np.array(sorted(set(options.view_envs)), np.int64)
         self._is_viewed = np.zeros(env.num_envs, np.bool_)
         self._is_viewed[self._ids] = True
-        self._sink, self._now = sink, now
+        self._sink = sink
+        self._now = now
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
         self._due: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
         """Environments with a scene to write; True: even if it is unchanged."""
-        self._sampled = -1
+        self._last_sample = -1  # control step
         self._next_line: dict[str, int] = {}  # interval term to time of its next line
         self._rewards = getattr(env, "reward_manager", None)  # other classes may have no manager
         self._commands = Commands(env)
         self._scalars: Scalars | None = None
         engine = env.sim.engine
         scenes = Scenes(pitch_of(env) if len(self._ids) > 1 else PLANE_SIZE)
-        changed = {name for name in engine.model_fields() if name.startswith(_SEEN)}
-        self._viewed = {i: _Viewed(engine, i, scenes, changed) for i in self._ids.tolist()}
+        changed = {name for name in engine.model_fields() if name.startswith(_VISIBLE_FIELDS)}
+        self._viewed = {i: _ViewedEnv(engine, i, scenes, changed) for i in self._ids.tolist()}
         self._data = mujoco.MjData(engine.model)
         self._frames = Frames(engine.model, list(self._viewed), places(env, self._ids.tolist()))
         self._joints = Joints(engine.model)
         layout = row_layout(engine.model)
-        inputs = {name: getattr(self._data, name) for name in ("qpos", "mocap_pos", "mocap_quat")}
-        self._inputs = [(a.reshape(-1), layout[name]) for name, a in inputs.items() if a.size]
+        # Arrays of `self._data` that kinematics reads, and their columns in a row.
+        self._inputs: list[tuple[F64, slice]] = []
+        for name in ("qpos", "mocap_pos", "mocap_quat"):
+            values = getattr(self._data, name)
+            if values.size:
+                self._inputs.append((values.reshape(-1), layout[name]))
         sink.channel("/log", "foxglove.Log")
         if self._viewed:
             sink.channel("/tf", "foxglove.FrameTransforms")
@@ -120,16 +131,17 @@ class Views:
 
     def on_model_write(self, write: Write) -> None:
         """Note that a model field of viewed environments has changed."""
-        if write.field.startswith(_SEEN):
+        if write.field.startswith(_VISIBLE_FIELDS):
             ids = None if write.env_ids is None else host_ids(write.env_ids)
             for env_id in self._viewed_of(ids):
                 self._viewed[env_id].changed.add(write.field)
 
     def _viewed_of(self, env_ids: EnvIds | None) -> list[int]:
         """Which of these environments (None: all) are viewed."""
-        ids = self._ids if env_ids is None else env_ids[self._is_viewed[env_ids]]
-        found: list[int] = ids.tolist()
-        return found
+        if env_ids is None:
+            return list(self._viewed)
+        viewed_ids: list[int] = env_ids[self._is_viewed[env_ids]].tolist()
+        return viewed_ids
 
     def on_rows(self, step: int, rows: F64, last: bool = False) -> None:
         """Sample the viewed rows if they are due, or after a reset.
@@ -139,23 +151,27 @@ class Views:
             rows: (N, nstate) rows.
             last: Whether this is the last state, which is always sampled.
         """
-        if not self._viewed or step == self._sampled:
+        if not self._viewed or step == self._last_sample:
             return
         if step % self._every and not self._due and not last:
             return
-        self._sampled, time_ns = step, self._now()
-        scenes = [
-            (self._viewed[env_id].scene, scene)
-            for env_id, anyway in self._due.items()
-            if (scene := self._viewed[env_id].look(time_ns, anyway)) is not None
-        ]
+        self._last_sample = step
+        time_ns = self._now()
+        scenes = []
+        for env_id, even_if_unchanged in self._due.items():
+            viewed = self._viewed[env_id]
+            scene = viewed.encode_scene(time_ns, even_if_unchanged)
+            if scene is not None:
+                scenes.append((viewed.scene, scene))
         self._due = {}
         models = [viewed.model for viewed in self._viewed.values()]
         commands = self._commands.values_of(self._ids)
         samples = chain(scenes, self._encoded(time_ns, rows[self._ids], models, commands))
-        # Models of single environments may change before the file is written.
-        live = any(viewed.owns_model for viewed in self._viewed.values())
-        self._sink.send(time_ns, list(samples) if live else samples)
+        if any(viewed.owns_model for viewed in self._viewed.values()):
+            # Encode now: models of single environments may change before the file is written.
+            self._sink.send(time_ns, list(samples))
+        else:
+            self._sink.send(time_ns, samples)
 
     def _encoded(
         self, time_ns: int, rows: F64, models: list[mujoco.MjModel], commands: list[F64]
@@ -177,17 +193,17 @@ class Views:
             self._frames.place(index, data)
             yield viewed.joints, self._joints.encode(time_ns, row)
             if commands:
-                values = [of_all[index] for of_all in commands]
-                yield viewed.markers, self._commands.encode(time_ns, env_id, data, values)
+                env_commands = [values[index] for values in commands]
+                yield viewed.markers, self._commands.encode(time_ns, env_id, data, env_commands)
         yield "/tf", self._frames.encode(time_ns)
 
     def on_reset(self, env_ids: EnvIds) -> None:
         """Sample viewed environments that were reset, and their scene if it changed."""
-        seen = self._viewed_of(env_ids)
-        if seen:
-            for env_id in seen:
+        viewed_ids = self._viewed_of(env_ids)
+        if viewed_ids:
+            for env_id in viewed_ids:
                 self._due.setdefault(env_id, False)
-            self.say(f"environments {ids_text(np.array(seen))} reset")
+            self.say(f"environments {ids_text(np.array(viewed_ids))} reset")
 
     def on_event(self, event: EventRecord) -> None:
         """Write a line with the drawn values for each viewed environment in which a term fired.
@@ -199,7 +215,7 @@ class Views:
             time_ns = self._now()
             if time_ns < self._next_line.get(event.term, 0):
                 return
-            self._next_line[event.term] = time_ns + _LINE_NS
+            self._next_line[event.term] = time_ns + _LINE_INTERVAL_NS
         texts = []
         for env_id in self._viewed_of(ids):
             row = env_id if ids is None else int(np.searchsorted(ids, env_id))
@@ -219,10 +235,12 @@ class Views:
         if ended:
             self._say_endings(step, record)
         if self._viewed and step % self._every == 0:
-            scalars, time_ns = self.declare(record), self._now()
+            scalars = self.declare(record)
+            time_ns = self._now()
             weights = {} if self._rewards is None else self._rewards.weights
-            metrics = zip(self._viewed.values(), scalars.of(record, weights), strict=True)
-            self._sink.send(time_ns, ((v.metrics, scalars.encode(values)) for v, values in metrics))
+            rows = zip(self._viewed.values(), scalars.of(record, weights), strict=True)
+            messages = ((viewed.metrics, scalars.encode(values)) for viewed, values in rows)
+            self._sink.send(time_ns, messages)
 
     def _say_endings(self, step: int, record: StepRecord) -> None:
         diverged = record.info.get("diverged")
@@ -230,8 +248,8 @@ class Views:
             ids = np.flatnonzero(np.asarray(diverged))
             if len(ids):
                 self.say(f"environments {ids_text(ids)} diverged in step {step}", "WARNING")
-        over = record.terminated[self._ids] | record.truncated[self._ids]
-        for env_id in self._ids[over].tolist():
+        has_ended = record.terminated[self._ids] | record.truncated[self._ids]
+        for env_id in self._ids[has_ended].tolist():
             self.say(ending_text(record, env_id))
 
     def declare(self, record: StepRecord) -> Scalars:
@@ -249,7 +267,7 @@ class Views:
         self.say(f"recording ends after {step} steps")
 
 
-class _Viewed:
+class _ViewedEnv:
     """The topics and the model of one environment.
 
     Args:
@@ -265,29 +283,36 @@ class _Viewed:
     """
 
     def __init__(self, engine: Engine, env_id: int, scenes: Scenes, changed: set[str]) -> None:
-        self._engine, self._env_id, self._scenes = engine, env_id, scenes
-        self._model, self.owns_model, self._stale = engine.model, False, True
+        self._engine = engine
+        self._env_id = env_id
+        self._scenes = scenes
+        self._model = engine.model
+        self.owns_model = False
+        self._scene_changed = True
         self.changed = set(changed)
-        names = "scene", "joint_states", "markers", "metrics"
-        self.scene, self.joints, self.markers, self.metrics = (f"/env_{env_id}/{n}" for n in names)
+        self.scene = f"/env_{env_id}/scene"
+        self.joints = f"/env_{env_id}/joint_states"
+        self.markers = f"/env_{env_id}/markers"
+        self.metrics = f"/env_{env_id}/metrics"
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The environment's model with the current values of the fields in `_SEEN`."""
+        """The environment's model with the current values of the fields in `_VISIBLE_FIELDS`."""
         if self.changed:
             if not self.owns_model:
-                self._model, self.owns_model = copy.copy(self._model), True
+                self._model = copy.copy(self._model)
+                self.owns_model = True
             for field in self.changed:
                 values = self._engine.model_field(field)[self._env_id]
                 getattr(self._model, field).reshape(-1)[:] = values
-            self._stale |= any(field.startswith(LOOKS) for field in self.changed)
+            self._scene_changed |= any(field.startswith(LOOKS) for field in self.changed)
             self.changed = set()
         return self._model
 
-    def look(self, time_ns: int, anyway: bool) -> bytes | None:
-        """Return the `SceneUpdate`; None if the scene is unchanged, unless `anyway`."""
+    def encode_scene(self, time_ns: int, even_if_unchanged: bool) -> bytes | None:
+        """Return the `SceneUpdate`; None if the scene is unchanged and need not be written."""
         model = self.model
-        if not self._stale and not anyway:
+        if not self._scene_changed and not even_if_unchanged:
             return None
-        self._stale = False
+        self._scene_changed = False
         return self._scenes.encode(time_ns, model, self._env_id)

@@ -12,7 +12,7 @@ class EpisodeGate:
     """Open during every k-th episode of the leading environment, beginning with the first.
 
     A reset opens the gate, and the reset's events belong to the new episode. So the events of a
-    step are held back until it is known whether they are recorded.
+    step are deferred until it is known whether they are recorded.
 
     Args:
         every: k; 1 keeps the gate open.
@@ -24,30 +24,39 @@ class EpisodeGate:
     """
 
     def __init__(self, every: int, lead: int) -> None:
-        self._every, self._lead = every, lead
+        self._every = every
+        self._lead = lead
         self.open = True
-        self._episodes = self._steps = 0
         self.in_step = False
-        self._held: list[EventRecord] = []
+        self._episodes = 0
+        self._steps = 0  # of the current episode
+        self._deferred: list[EventRecord] = []
 
     def on_physics(self) -> None:
         """Count a control step; its physics begins."""
         self._steps += 1
         self.in_step = True
 
-    def hold(self, event: EventRecord) -> None:
+    def defer(self, event: EventRecord) -> None:
         """Keep an event that fired while the gate was closed."""
-        self._held.append(event)
+        self._deferred.append(event)
 
     def on_reset(self, env_ids: EnvIds) -> list[EventRecord] | None:
         """Count an episode if the leading environment was reset; outside a step, call `switch`."""
         if (env_ids == self._lead).any():
             self._episodes += self._steps > 0  # an episode without steps does not count
             self._steps = 0
-        return None if self.in_step else self.switch()
+        if self.in_step:
+            return None
+        return self.switch()
 
     def switch(self) -> list[EventRecord] | None:
-        """Between two steps: open or close; if it opens, return the events that were held."""
-        held, self._held, self.in_step = self._held, [], False
-        before, self.open = self.open, self._episodes % self._every == 0
-        return held if self.open and not before else None
+        """Between two steps: open or close the gate; if it opens, return the deferred events."""
+        deferred = self._deferred
+        self._deferred = []
+        self.in_step = False
+        was_open = self.open
+        self.open = self._episodes % self._every == 0
+        if was_open or not self.open:
+            return None
+        return deferred

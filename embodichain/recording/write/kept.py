@@ -1,4 +1,4 @@
-"""Values of variables of the environment that a log has, since its model has them."""
+"""Values of environment variables that get into a log because its model contains them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from embodichain.utils.env_text import env_texts, known_values
 __all__ = ["kept_in_model"]
 
 _SHORTEST = 4
-"""Shorter values are looked for as whole names, since any name may have them."""
+"""Shorter values are compared with whole names only, since they may be a part of any name."""
 
 
 def kept_in_model(tree: Mapping[str, Any], model: mujoco.MjModel) -> Iterator[str]:
@@ -20,14 +20,15 @@ def kept_in_model(tree: Mapping[str, Any], model: mujoco.MjModel) -> Iterator[st
 
     Args:
         tree: A resolved config.
-        model: The compiled model: names of what is in it, paths of its files.
+        model: The compiled model, with its names and the paths of its files.
     """
-    texts = model.names + b"\0" + model.paths + b"\0" + bytes(model.text_data)
-    whole = set(texts.split(b"\0"))
+    model_text = model.names + b"\0" + model.paths + b"\0" + bytes(model.text_data)
+    model_words = set(model_text.split(b"\0"))
     for path, text in env_texts(tree):
         values = {value for value, name in known_values().items() if name in text.names}
-        for value in {value.encode() for value in (*values, text) if value}:
-            if value in whole or (len(value) >= _SHORTEST and value in texts):
+        values.add(text)
+        for value in {value.encode() for value in values if value}:
+            if value in model_words or (len(value) >= _SHORTEST and value in model_text):
                 names = " and ".join(text.names) or "a default of oc.env"
                 yield f"{path} holds the value of {names}: it is in the model and so in the log"
                 break

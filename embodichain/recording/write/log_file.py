@@ -6,7 +6,7 @@ import errno
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from embodichain.recording.format.container.mcap_records import LIBRARIES
 from embodichain.recording.format.container.mcap_writer import McapWriter, nbytes
@@ -22,7 +22,19 @@ _CHUNK = b"\x06"
 """Opcode of a chunk; `McapWriter` writes a chunk in one call, and its message indexes after it."""
 
 
-class _Appended:
+class _Declaration(NamedTuple):
+    """The schema of a channel, which every file of the log declares again.
+
+    Attributes:
+        schema: Its name.
+        descriptor_set: Its serialized FileDescriptorSet.
+    """
+
+    schema: str
+    descriptor_set: bytes
+
+
+class _AppendedFile:
     """A new file, unbuffered: bytes that could not be written must not be written again later.
 
     Args:
@@ -47,14 +59,14 @@ class _Appended:
         Raises:
             OSError: If not all of them could be written; `size` is the size of the file.
         """
-        left = memoryview(data)
-        while left:
+        rest = memoryview(data)
+        while rest:
             try:
-                done = os.write(self.descriptor, left)  # writes less if the disk is nearly full
+                count = os.write(self.descriptor, rest)  # writes less if the disk is nearly full
             except OSError as error:
                 raise OSError(error.errno, error.strerror, self._name) from error
-            self.size += done
-            left = left[done:]
+            self.size += count
+            rest = rest[count:]
         if data[:1] == _CHUNK:
             self._on_chunk()
         return len(data)
@@ -86,9 +98,10 @@ class LogFile:
         self._compression = compression
         self.folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         self.part = part
-        self._before = 0  # size of the finished files in bytes
-        self._last_step = self._readable_step = -1
-        self._declared: dict[str, tuple[str, bytes]] = {}
+        self._finished_bytes = 0  # of the files before this one
+        self._last_step = -1  # that a message completes
+        self._readable_step = -1  # the last step of the chunks in the file
+        self._declared: dict[str, _Declaration] = {}  # by topic
         try:
             self._open(part_name(self.name, part))
         except BaseException:
@@ -98,12 +111,12 @@ class LogFile:
     def _open(self, name: str) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         descriptor = os.open(name, flags, 0o666, dir_fd=self.folder)
-        self._stream = _Appended(descriptor, name, self._on_chunk)
+        self._stream = _AppendedFile(descriptor, name, self._on_chunk)
         self._writer = McapWriter(self._stream, self._compression, LIBRARIES[0])
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
-        for topic, (schema, data) in self._declared.items():
-            self._register(topic, schema, data)
+        for topic, declaration in self._declared.items():
+            self._register(topic, declaration)
 
     @property
     def size(self) -> int:
@@ -113,13 +126,15 @@ class LogFile:
     @property
     def nbytes(self) -> int:
         """Size of all files so far in bytes."""
-        return self._before + self._stream.size
+        return self._finished_bytes + self._stream.size
 
     @property
     def where_it_ends(self) -> str:
         """Text that says where the log ends if nothing more is written."""
         step = self._readable_step
-        return f"it ends after control step {step}" if step >= 0 else "no control step is in it"
+        if step < 0:
+            return "no control step is in it"
+        return f"it ends after control step {step}"
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel, for this file and later ones; a second call does nothing.
@@ -129,14 +144,18 @@ class LogFile:
             schema: ``embodichain.NAME`` or ``foxglove.NAME``.
             data: The schema's FileDescriptorSet if it is specific to this run.
         """
-        if topic not in self._declared:
-            declared = self._declared[topic] = schema, data or descriptor_set(schema)
-            self._register(topic, *declared)
+        if topic in self._declared:
+            return
+        declaration = _Declaration(schema, data or descriptor_set(schema))
+        self._declared[topic] = declaration
+        self._register(topic, declaration)
 
-    def _register(self, topic: str, schema: str, data: bytes) -> None:
+    def _register(self, topic: str, declaration: _Declaration) -> None:
+        """Write a channel to the current file, and its schema before it."""
         writer = self._writer
+        schema = declaration.schema
         if schema not in self._schemas:
-            self._schemas[schema] = writer.schema(schema, "protobuf", data)
+            self._schemas[schema] = writer.schema(schema, "protobuf", declaration.descriptor_set)
         self._channels[topic] = writer.channel(topic, "protobuf", self._schemas[schema])
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
@@ -185,7 +204,7 @@ class LogFile:
         """
         self._readable_step = self._last_step
 
-    def put_beside(self, name: str, text: str) -> None:
+    def write_beside(self, name: str, text: str) -> None:
         """Write a small file next to the log, unless a file of that name exists."""
         write_text_at(self.folder, name, text, new=True)
 
@@ -201,23 +220,27 @@ class LogFile:
         Returns:
             Size of the finished file.
         """
-        old, writer = self._stream, self._writer
+        old_stream = self._stream
+        old_writer = self._writer
         try:
             self._open(name)
         finally:  # records that `finish` adds belong to the old file
-            new, self._stream = self._stream, old
-            new_writer, self._writer = self._writer, writer
+            new_stream = self._stream
+            new_writer = self._writer
+            self._stream = old_stream
+            self._writer = old_writer
         try:
             finish()
             self._finish()
         except BaseException:
-            os.close(new.descriptor)
+            os.close(new_stream.descriptor)
             raise
-        os.close(old.descriptor)
-        self._before += old.size
-        self._stream, self._writer = new, new_writer
+        os.close(old_stream.descriptor)
+        self._finished_bytes += old_stream.size
+        self._stream = new_stream
+        self._writer = new_writer
         self.part += 1
-        return old.size
+        return old_stream.size
 
     def _finish(self) -> None:
         self._writer.finish()

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,21 @@ __all__ = ["LAYOUT_FILE", "LogWriter", "Queue"]
 LAYOUT_FILE = "foxglove_layout.json"
 
 
+class _Channel(NamedTuple):
+    """A channel to be declared: the arguments of `LogFile.channel`."""
+
+    topic: str
+    schema: str
+    data: bytes | None
+
+
+class _Sample(NamedTuple):
+    """Messages of one time, each with its topic; they are encoded during iteration."""
+
+    time_ns: int
+    messages: Iterable[tuple[str, bytes]]
+
+
 class Queue:
     """Messages for viewers that are written together with the next steps.
 
@@ -35,29 +50,32 @@ class Queue:
     """
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[int, Iterable[tuple[str, bytes]]]] = deque()
-        self._channels: deque[tuple[str, str, bytes | None]] = deque()
+        self._samples: deque[_Sample] = deque()
+        self._channels: deque[_Channel] = deque()
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel: see `LogFile.channel`."""
-        self._channels.append((topic, schema, data))
+        self._channels.append(_Channel(topic, schema, data))
 
     def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
         """Queue messages of one time, each with its topic."""
-        self._waiting.append((time_ns, messages))
+        self._samples.append(_Sample(time_ns, messages))
 
     def write(self, file: LogFile) -> None:
         """Write all queued messages; others may be queued by another thread meanwhile."""
         while True:
-            entry = self._waiting.popleft() if self._waiting else None
-            # Taken after the message: its channels were declared before it was queued.
+            sample = None
+            if self._samples:
+                sample = self._samples.popleft()
+            # The channels are taken after the sample: its channels were declared before it was
+            # queued, so none of them is missing.
             while self._channels:
-                file.channel(*self._channels.popleft())
-            if entry is None:
+                channel = self._channels.popleft()
+                file.channel(channel.topic, channel.schema, channel.data)
+            if sample is None:
                 return
-            time_ns, messages = entry
-            for topic, data in messages:
-                file.write(topic, time_ns, data)
+            for topic, data in sample.messages:
+                file.write(topic, sample.time_ns, data)
 
 
 class LogWriter:
@@ -87,7 +105,8 @@ class LogWriter:
         if place is not None:
             header = replace(header, log_id=place.log_id)
         header = replace(header, attachments=listed(attachments))
-        self._header, self._attachments = header, attachments
+        self._header = header
+        self._attachments = attachments
         self._sums = EpisodeSums(header.num_envs)
         self._ends: dict[int, Ends] = {}
         self._manifest = Manifest(
@@ -95,7 +114,7 @@ class LogWriter:
         )
         if place is not None:
             self._sums.load(place.episodes, place.returns, place.lengths)
-            self._manifest.files = [replace(entry) for entry in place.files]
+            self._manifest.files = [replace(file) for file in place.files]
             self._manifest.begun(part_name(path.name, part), step)
         self._head_bytes = 0
         self._write_head(part, step)
@@ -105,7 +124,7 @@ class LogWriter:
         self.file.channel(EPISODE_TOPIC, "embodichain.Episodes")
         if header.lists_counted:
             self.file.channel(COUNTED_TOPIC, "embodichain.Counted")
-        self.file.put_beside(LAYOUT_FILE, json.dumps(layout, indent=1))
+        self.file.write_beside(LAYOUT_FILE, json.dumps(layout, indent=1))
 
     def _write_head(self, part: int, first_step: int) -> None:
         for name, media_type, data in self._attachments:
@@ -128,8 +147,9 @@ class LogWriter:
         for name, values in fields.items():
             flat = np.asarray(values).reshape(len(row), -1)
             arrays[name] = np.ascontiguousarray(flat, np.float64)
-        kinds = tuple(ArrayKind(name, "<f8", a.shape) for name, a in arrays.items())
-        data = pack_steps(step, [[(CallKind("start", arrays=kinds), tuple(arrays.values()))]])
+        kinds = tuple(ArrayKind(name, "<f8", array.shape) for name, array in arrays.items())
+        call = (CallKind("start", arrays=kinds), tuple(arrays.values()))
+        data = pack_steps(step, [[call]])
         return self.file.write(START_TOPIC, self._time_of(step), data)
 
     def end_episodes(self, step: int, ends: Ends) -> None:
@@ -142,9 +162,9 @@ class LogWriter:
 
     def skip(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
         """After a control step that is not recorded: write only the ends of its episodes."""
-        self._add(step, reward, episode_ids)
+        self._add_rewards(step, reward, episode_ids)
 
-    def _add(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
+    def _add_rewards(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
         self._sums.add(reward, episode_ids)
         ends = self._ends.pop(step, None)
         if ends is not None:
@@ -161,14 +181,17 @@ class LogWriter:
         Returns:
             Size of their message.
         """
-        size, ended = 0, bool(steps and steps[-1]) and steps[-1][-1][0].kind == "step"
+        size = 0
+        # Only the calls after the last step, which are written alone, do not end with a ``step``.
+        finished = bool(steps) and _ends_with_step(steps[-1])
         if steps and self._header.state != "none":
-            last = first + len(steps) - 1 if ended else None
+            last_step = first + len(steps) - 1 if finished else None
             data = pack_steps(first, steps)
-            size = self.file.write(STEPS_TOPIC, self._time_of(first), data, last)
-        for number, calls in enumerate(steps if ended else (), first):
-            _, (_, reward, _, _, episode_ids) = calls[-1]
-            self._add(number, reward, episode_ids)
+            size = self.file.write(STEPS_TOPIC, self._time_of(first), data, last_step)
+        if finished:
+            for number, calls in enumerate(steps, first):
+                _, (_, reward, _, _, episode_ids) = calls[-1]
+                self._add_rewards(number, reward, episode_ids)
         self.views.write(self.file)
         return size
 
@@ -205,14 +228,15 @@ class LogWriter:
 
     def place(self, step: int) -> LogPlace:
         """Where the current file began, for a recorder that continues there; after `roll`."""
-        sums, header = self._sums, self._header
         return LogPlace(
-            header.log_id,
-            self.file.part,
-            step,
-            header.start_ns,
-            tuple(replace(entry) for entry in self._manifest.files[:-1]),
-            *(sums.episodes.copy(), sums.returns.copy(), sums.lengths.copy()),
+            log_id=self._header.log_id,
+            part=self.file.part,
+            step=step,
+            start_ns=self._header.start_ns,
+            files=tuple(replace(file) for file in self._manifest.files[:-1]),
+            episodes=self._sums.episodes.copy(),
+            returns=self._sums.returns.copy(),
+            lengths=self._sums.lengths.copy(),
         )
 
     def finish(self, steps: int) -> None:
@@ -228,3 +252,11 @@ class LogWriter:
             self._manifest.closed(steps, size)
             self._manifest.write(complete=True)
         self.file.close()
+
+
+def _ends_with_step(calls: Sequence[Recorded]) -> bool:
+    """Whether these are the calls of a finished control step."""
+    if not calls:
+        return False
+    kind, _ = calls[-1]
+    return kind.kind == "step"

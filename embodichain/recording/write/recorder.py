@@ -8,45 +8,37 @@ from __future__ import annotations
 import atexit
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg
 from embodichain.lab.sim.engine.api import PhysicsEvent, Write
 from embodichain.recording.format.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.format.header import check_keyframes, header_of
-from embodichain.recording.format.messages.block import DRAWN, ArrayKind, CallKind, Recorded
 from embodichain.recording.format.messages.columns import Moved
-from embodichain.recording.format.messages.hashing import row_hashes
 from embodichain.recording.format.options import RecordOptions, check_options
 from embodichain.recording.format.parts import LogPlace
 from embodichain.recording.read.episodes import Ends
 from embodichain.recording.views.layout import foxglove_layout
-from embodichain.recording.views.views import Views
+from embodichain.recording.write.calls import CallEncoder
 from embodichain.recording.write.episode_gate import EpisodeGate
-from embodichain.recording.write.log_writer import LogWriter, Queue
+from embodichain.recording.write.log_views import LogViews
+from embodichain.recording.write.log_writer import LogWriter
+from embodichain.recording.write.step_buffer import StepBuffer
 from embodichain.recording.write.writing import Writing
-from embodichain.utils.array_types import EnvIds, host_ids
+from embodichain.utils.array_types import EnvIds, EnvIndex, host_ids
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
-    from embodichain.recording.views.images import Images
-    from embodichain.recording.views.pictures import FirstPictures
 
 __all__ = ["McapRecorder", "RecordStats"]
 
-MOST_STEPS, MOST_BYTES, MOST_SECONDS = 256, 2**20, 0.25
-"""Steps are written when they are this many, have about this many bytes, or this age."""
 FLUSH_SECONDS = 0.5
-"""Interval between flushes. With `MOST_SECONDS` and the timer's interval, at most one second is
-lost when the process is killed."""
+"""Interval between flushes. With the age at which steps are written (`step_buffer.MOST_SECONDS`)
+and the timer's interval, at most one second is lost when the process is killed."""
 START_SHARE = 128
 """A start is written after other data of this many times its size."""
 
@@ -64,6 +56,48 @@ class RecordStats:
     path: Path
     steps: int
     nbytes: int
+
+
+@dataclass(slots=True)
+class _LogClock:
+    """Converts control steps to log time.
+
+    Attributes:
+        start_ns: Time of control step 0.
+        period_ns: Simulated time of a control step.
+        step: The current control step.
+    """
+
+    start_ns: int
+    period_ns: int
+    step: int
+
+    def now_ns(self) -> int:
+        """Log time at which the current control step begins."""
+        return self.start_ns + self.step * self.period_ns
+
+
+@dataclass(slots=True)
+class _StartSchedule:
+    """When the whole state is written again, so that reading can begin there.
+
+    Attributes:
+        keyframe_every: Number of control steps between starts; 0 leaves it to the size of the log.
+        start_bytes: Size of the last start.
+        bytes_since: Size of the steps after it.
+    """
+
+    keyframe_every: int
+    start_bytes: int = 0
+    bytes_since: int = 0
+
+    def is_keyframe(self, step: int) -> bool:
+        """Whether a start is written before this control step, whatever the log's size."""
+        return self.keyframe_every > 0 and step % self.keyframe_every == 0
+
+    def is_cheap(self) -> bool:
+        """Whether there are no keyframes, and a start would add little to the log's size."""
+        return not self.keyframe_every and self.bytes_since > START_SHARE * self.start_bytes
 
 
 class McapRecorder(StepObserver):
@@ -108,174 +142,124 @@ class McapRecorder(StepObserver):
     ) -> None:
         options = RecordOptions() if options is None else options
         check_options(options, env.num_envs)
-        env = getattr(env, "observed", env)  # other classes have no device
-        self._engine = env.sim.engine
-        check_keyframes(options, self._engine)
-        self._catch_up: Callable[[], None] = getattr(env, "catch_up", lambda: None)
-        self._path = Path(path)
-        self._start_ns = time.time_ns() if place is None else place.start_ns
-        mjb = model_bytes(self._engine.model)
-        header = header_of(env, options, model_digest(mjb), task, policy, self._start_ns)
-        firsts = () if quota is None else tuple(int(count) for count in quota)
-        if len(firsts) not in (0, env.num_envs):
-            raise ValueError(f"quota has {len(firsts)} numbers for {env.num_envs} environments")
-        header = replace(header, quota=firsts, lists_counted=lists_counted)
+        # With arrays on a device, `env` lags behind the environment that it observes. Any other
+        # environment is observed directly and has nothing to catch up with.
+        self._catch_up = getattr(env, "catch_up", _do_nothing)
+        env = getattr(env, "observed", env)
+        engine = env.sim.engine
+        check_keyframes(options, engine)
+        mjb = model_bytes(engine.model)
+        header = header_of(
+            env,
+            options,
+            model_digest=model_digest(mjb),
+            task=task,
+            policy=policy,
+            start_ns=time.time_ns() if place is None else place.start_ns,
+        )
+        header = replace(
+            header,
+            quota=_checked_quota(quota, env.num_envs),
+            lists_counted=lists_counted,
+        )
         self.lists_counted = lists_counted
         """Whether `count` lists the episodes that count."""
-        self._moved, self._period_ns = Moved(header.moved), header.period_ns
-        self._substeps, self._keyframe_every = header.substeps, header.keyframe_every
-        self._call_steps = header.call_steps or header.substeps
-        self._keeps_state = options.state != "none"
-        self._gate = EpisodeGate(options.every, next(iter(options.view_envs), 0))
-        self._max_bytes = (options.max_mb or 0.0) * 1e6
-        self._view_envs = header.view_envs
-        self._step = 0 if place is None else place.step
-        self._since_start = self._start_bytes = 0
-        self._calls: list[Recorded] = []  # since the last control step
-        self._steps: list[list[Recorded]] = []  # finished, not written yet
-        self._first = 0  # number of the first of these
-        self._begun = 0.0  # when it was added, on the monotonic clock
-        self._most = 1  # number of steps that are written together
-        self._kinds: dict[object, CallKind] = {}
-        self._flushed, self._closed = time.monotonic(), False
-        images: list[str] = []
-        if options.images is not None:
-            from embodichain.recording.views.images import image_topics
+        self._engine = engine
+        self._path = Path(path)
+        self._options = options
+        self._physics_steps_per_control = header.substeps
+        self._physics_steps_per_call = header.call_steps or header.substeps
+        self._clock = _LogClock(
+            start_ns=header.start_ns,
+            period_ns=header.period_ns,
+            step=0 if place is None else place.step,
+        )
+        self._gate = EpisodeGate(options.every, lead=next(iter(options.view_envs), 0))
+        self._encoder = CallEncoder(engine, Moved(header.moved), hashes=header.keyframe_every > 0)
+        self._buffer = StepBuffer()
+        self._starts = _StartSchedule(header.keyframe_every)
 
-            images = image_topics(env, options.images)
-        layout = foxglove_layout(env, options.view_envs, images)
+        layout = foxglove_layout(env, options.view_envs, _image_topics(env, options))
         attachments = attachments_of(mjb, env.sim.scene.spec, config, overrides, layout)
-        self._log = LogWriter(self._path, options.compression, header, attachments, layout, place)
-        self._views = Views(env, options, self._log.views, self._now)
-        self._views.say("recording begins")
-        self._drawing = _drawing(env, options, self._log.views, self._now)
+        self._log = LogWriter(
+            self._path,
+            compression=options.compression,
+            header=header,
+            attachments=attachments,
+            layout=layout,
+            place=place,
+        )
+        self._views = LogViews(env, options, self._log.views, self._clock.now_ns)
+        self._flushed = time.monotonic()
+        self._closed = False
         self._write_start()
         self._log.began()
-        file = self._log.file
-        self._writing = Writing(self._path, lambda: file.where_it_ends, self._tick)
+        # The timer of `Writing` starts here, so everything that `_tick` uses is set before.
+        log_file = self._log.file
+        self._writing = Writing(self._path, lambda: log_file.where_it_ends, self._tick)
         # A program that exits without closing the recorder still leaves a complete log.
         self._at_exit = partial(_close_if_alive, weakref.ref(self))
         atexit.register(self._at_exit)
 
-    def _now(self) -> int:
-        return self._start_ns + self._step * self._period_ns
-
     @property
     def stats(self) -> RecordStats:
         """What has been recorded so far."""
-        return RecordStats(self._path, self._step, self._log.file.nbytes)
+        return RecordStats(self._path, steps=self._clock.step, nbytes=self._log.file.nbytes)
 
     # -- callbacks of the environment --------------------------------------------------------------
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Record a write outside physics; for a reset, the resulting rows."""
-        op, field, _, columns, values = write
-        ids = None if write.env_ids is None else host_ids(write.env_ids)
-        if op == "model":
-            self._views.on_model_write(write)
-        if op == "forward" or not self._records(ids):
-            return
-        if op == "reset":
-            values = self._engine.rows if ids is None else self._engine.rows[ids]
-        shape = None if values is None else values.shape
-        if isinstance(columns, slice):
-            span: object = (columns.start, columns.stop, columns.step)
-        else:
-            span = columns.tobytes()
-        key = op, field, span, shape, None if ids is None else len(ids)
-        kind = self._kinds.get(key)
-        if kind is None:
-            kind = self._kinds[key] = self._kind_of(write, shape)
-        arrays: tuple[NDArray[Any], ...] = ()
-        if values is not None:
-            arrays = (np.array(values, np.float64, order="C"),)
-        self._calls.append((kind, arrays if ids is None else (ids.copy(), *arrays)))
+        if write.op == "model":
+            self._views.scenes.on_model_write(write)
+        # `forward` computes what follows from the state; a replay does so too.
+        if write.op != "forward" and self._records(write.env_ids):
+            self._buffer.calls.append(self._encoder.encode_write(write))
 
-    def _kind_of(self, write: Write, shape: tuple[int, ...] | None) -> CallKind:
-        columns, named = write.columns, None
-        if not isinstance(columns, slice):
-            named = tuple(columns.tolist())
-        elif write.op in ("state", "model") and columns != slice(None):
-            named = tuple(range(*columns.indices(self._width_of(write))))
-        values = () if shape is None else (ArrayKind("values", "<f8", shape),)
-        ids = None if write.env_ids is None else host_ids(write.env_ids)
-        return CallKind("write", write.field, write.op, 0, named, _of(ids) + values)
-
-    def _width_of(self, write: Write) -> int:
-        """Number of columns of the flattened field that is written."""
-        if write.op == "state":
-            if write.field == "row":
-                return int(self._engine.rows.shape[1])
-            columns = self._engine.component(write.field)
-            return int(columns.stop - columns.start)
-        owner: Any = self._engine.model
-        for part in write.field.split("."):
-            owner = getattr(owner, part)
-        return int(np.size(owner))
-
-    def _records(self, ids: EnvIds | None) -> bool:
+    def _records(self, env_ids: EnvIndex | None) -> bool:
         """Whether calls for these environments are recorded."""
-        return self._gate.open and self._keeps_state and (ids is None or len(ids) > 0)
+        if not self._gate.open or self._options.state == "none":
+            return False
+        return env_ids is None or len(host_ids(env_ids)) > 0
 
     def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
         """Pass the rows before physics to the views; record the rows after it."""
-        phase, nstep, _, rows, failed = event
-        ids = None if event.env_ids is None else host_ids(event.env_ids)
-        if phase == "before":
-            if ids is None:
-                again = nstep == self._call_steps < self._substeps and self._gate.in_step
-                if nstep == self._call_steps:
-                    self._gate.on_physics()
-                if self._gate.open and not again:
-                    self._views.on_rows(self._step, rows)
-                    for part in self._drawing:
-                        part.on_rows(self._step, rows)
-            return
-        if not self._records(ids):
-            return
-        result: NDArray[Any] = self._moved.take(rows if ids is None else rows[ids])
-        if self._keyframe_every:
-            result = row_hashes(result)
-        failures = None if failed is None else len(failed)
-        key = "physics", nstep, None if ids is None else len(ids), failures
-        kind = self._kinds.get(key)
-        if kind is None:
-            name, dtype = ("hashes", "<u8") if self._keyframe_every else ("rows", "<f8")
-            arrays = (*_of(ids), ArrayKind(name, dtype, result.shape))
-            kind = CallKind("physics", nstep=nstep, arrays=arrays + _of(failed, "failed"))
-            self._kinds[key] = kind
-        if ids is None and failed is None:
-            self._calls.append((kind, (result,)))
-        else:
-            more = [a for a in (ids, result, failed) if a is not None]
-            self._calls.append((kind, tuple(np.ascontiguousarray(a) for a in more)))
+        if event.phase == "after":
+            if self._records(event.env_ids):
+                self._buffer.calls.append(self._encoder.encode_physics(event))
+        elif event.env_ids is None:
+            self._before_physics(event)
+
+    def _before_physics(self, event: PhysicsEvent) -> None:
+        """Before physics of all environments: sample their rows once in a control step."""
+        # An action term may act between physics steps: then a control step has several calls.
+        # Physics that a user steps outside of control steps has other numbers of steps.
+        is_call_of_step = event.nstep == self._physics_steps_per_call
+        is_later_call = (
+            is_call_of_step
+            and self._physics_steps_per_call < self._physics_steps_per_control
+            and self._gate.in_step
+        )
+        if is_call_of_step:
+            self._gate.on_physics()
+        if self._gate.open and not is_later_call:
+            self._views.on_rows(self._clock.step, event.rows)
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """Record that a term of the event manager fired, and the values it drew."""
         if not self._gate.open:
-            self._gate.hold(event)
+            self._gate.defer(event)
             return
-        self._views.on_event(event)
+        self._views.scenes.on_event(event)
         if self._records(event.env_ids):
-            term, mode, ids, drawn = event
-            values = [np.array(v, np.float64, order="C") for v in drawn.values()]
-            shapes = tuple(value.shape for value in values)
-            key = "event", term, mode, None if ids is None else len(ids), (*drawn, *shapes)
-            kind = self._kinds.get(key)
-            if kind is None:
-                named = zip(drawn, shapes, strict=True)
-                arrays = tuple(ArrayKind(DRAWN + name, "<f8", shape) for name, shape in named)
-                kind = self._kinds[key] = CallKind("event", term, mode, arrays=_of(ids) + arrays)
-            self._calls.append((kind, tuple(values if ids is None else (ids.copy(), *values))))
+            self._buffer.calls.append(self._encoder.encode_event(event))
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIds) -> None:
         """Update the views after a reset; start or pause recording (`record.every`)."""
-        for part in self._drawing:
-            part.on_reset(env_ids)
-        if self._gate.open:
-            self._views.on_reset(env_ids)
         was_open = self._gate.open
-        self._switched(env, was_open, self._gate.on_reset(env_ids))
+        self._views.on_reset(env_ids, recorded=was_open)
+        deferred = self._gate.on_reset(env_ids)
+        self._pause_or_resume(env, was_open, deferred)
 
     def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
         """Record the end of a control step.
@@ -284,88 +268,71 @@ class McapRecorder(StepObserver):
             LogWriteError: If the log could not be written; recording has stopped.
         """
         self._writing.check()
-        number = self._step
+        number = self._clock.step
         ends = Ends.of(step, env.termination_manager.values, judged=env.judges_success)
         if ends is not None:
             self._log.end_episodes(number, ends)
         was_open = self._gate.open
         if was_open:
-            self._views.on_step(number, step, ended=ends is not None)
-            # Copies: the caller of `step` may write into the arrays it received.
-            arrays = (
-                np.array(step.action, np.float64, order="C"),
-                np.array(step.reward, np.float32, order="C"),
-                step.terminated.copy(),
-                step.truncated.copy(),
-                step.episode_ids.copy(),
-            )
-            kind = self._kinds.get(arrays[0].shape)
-            if kind is None:
-                kind = self._kinds[arrays[0].shape] = _step_kind(arrays)
-            self._calls.append((kind, arrays))
-            self._add_step()
+            self._views.scenes.on_step(number, step, ended=ends is not None)
+            self._buffer.calls.append(self._encoder.encode_step(step))
+            with self._writing.lock:
+                self._buffer.finish_step(number)
         else:
             with self._writing.writes():
                 self._log.skip(number, step.reward, step.episode_ids)
-        self._step = number + 1
-        self._switched(env, was_open, self._gate.switch())
+        self._clock.step = number + 1
+        deferred = self._gate.switch()
+        self._pause_or_resume(env, was_open, deferred)
         if self._gate.open:
             self._write_when_due()
 
-    def _switched(self, env: ObservedEnv, was_open: bool, held: list[EventRecord] | None) -> None:
-        """Between two steps: apply a pause or a resumption of recording.
+    def _pause_or_resume(
+        self, env: ObservedEnv, was_open: bool, deferred: list[EventRecord] | None
+    ) -> None:
+        """Between two steps: write what a pause or a resumption of recording needs.
 
         Args:
             env: The environment.
             was_open: Whether it was recorded before.
-            held: If recording resumes, the deferred events of this step; else None.
+            deferred: If recording resumes, the deferred events of this step; else None.
         """
         if was_open and not self._gate.open:
             with self._writing.writes():
                 self._write_steps()
-                self._write_rest()
-        if held is not None:
+                self._write_unfinished_step()
+        if deferred is not None:
             with self._writing.writes():
                 self._write_start()
-            self._show_again()
-            for event in held:
+            self._views.show_again()
+            for event in deferred:
                 self.on_event(env, event)
 
     # -- writing -----------------------------------------------------------------------------------
 
-    def _add_step(self) -> None:
-        """Add the finished step to those that are written next."""
-        with self._writing.lock:
-            if not self._steps:
-                size = sum(array.nbytes for _, arrays in self._calls for array in arrays)
-                self._most = min(MOST_STEPS, 1 + MOST_BYTES // size)
-                self._first, self._begun = self._step, time.monotonic()
-            # A single statement adds the step, so an interrupt neither loses nor repeats it.
-            self._steps.append(self._calls)
-        self._calls = []
-
     def _write_when_due(self) -> None:
         """Write the steps if they are many or old; then start the next file, or write a start."""
-        now, every = time.monotonic(), self._keyframe_every
-        keyframe = every > 0 and self._step % every == 0
-        many = len(self._steps) >= self._most or (self._steps and now - self._begun > MOST_SECONDS)
-        full = self._max_bytes > 0 and self._log.is_full(self._max_bytes)
-        if not (many or keyframe or full):
+        now = time.monotonic()
+        max_mb = self._options.max_mb
+        is_keyframe = self._starts.is_keyframe(self._clock.step)
+        is_full = max_mb is not None and self._log.is_full(max_mb * 1e6)
+        if not (is_keyframe or is_full or self._buffer.is_due(now)):
             return
         with self._writing.writes():
             self._write_steps()
-            if full:
+            if is_full:
                 self._roll()
-            elif keyframe or (not every and self._since_start > START_SHARE * self._start_bytes):
+            elif is_keyframe or self._starts.is_cheap():
                 self._write_start()
             if now - self._flushed > FLUSH_SECONDS:
                 self._flush()
 
     def _roll(self) -> None:
-        self._log.roll(self._step)
+        """Continue in a new file."""
+        self._log.roll(self._clock.step)
         self._write_start()
         self._log.began()
-        self._show_again()
+        self._views.show_again()
 
     def begin_part(self) -> LogPlace:
         """Between two steps: write everything, continue in a new file, and return its place."""
@@ -373,29 +340,25 @@ class McapRecorder(StepObserver):
         with self._writing.writes():
             self._write_steps()
             self._roll()
-        return self._log.place(self._step)
-
-    def _show_again(self) -> None:
-        """Write scenes and pictures that need nothing before them, in the next step."""
-        self._views.show(self._view_envs)
-        for part in self._drawing:
-            part.restart()
+        return self._log.place(self._clock.step)
 
     def _write_steps(self) -> None:
-        steps, self._steps = self._steps, []
-        self._since_start += self._log.write(self._first, steps)
+        first = self._buffer.first_step
+        self._starts.bytes_since += self._log.write(first, self._buffer.take_steps())
 
-    def _write_rest(self) -> None:
+    def _write_unfinished_step(self) -> None:
         """Write the calls after the last control step."""
-        calls, self._calls = self._calls, []
+        calls = self._buffer.take_calls()
         if calls:
-            self._log.write(self._step, [calls])
+            self._log.write(self._clock.step, [calls])
 
     def _write_start(self) -> None:
-        if self._keeps_state:
-            fields = self._engine.model_fields()
-            self._start_bytes = self._log.start(self._step, self._engine.rows, fields)
-            self._since_start = 0
+        """Write the state of the simulation, so that reading can begin here."""
+        if self._options.state == "none":
+            return
+        fields = self._engine.model_fields()
+        self._starts.start_bytes = self._log.start(self._clock.step, self._engine.rows, fields)
+        self._starts.bytes_since = 0
 
     def _flush(self) -> None:
         self._flushed = time.monotonic()
@@ -428,14 +391,14 @@ class McapRecorder(StepObserver):
                 self._flush()
 
     def count(self, env_ids: Sequence[int], episodes: Sequence[int]) -> None:
-        """List episodes that ended, and count: those of the results. After `close` nothing is done.
+        """List ended episodes that count as results. After `close` it does nothing.
 
         Args:
             env_ids: The environment of each.
             episodes: The id of each within its environment.
 
         Raises:
-            ValueError: The recorder was built without `lists_counted`.
+            ValueError: If the recorder was built without `lists_counted`.
             LogWriteError: If the file could not be written.
         """
         if not self.lists_counted:
@@ -444,8 +407,8 @@ class McapRecorder(StepObserver):
             return
         self._catch_up()
         with self._writing.writes():
-            self._write_steps()  # their ends come first
-            self._log.count(max(self._step - 1, 0), env_ids, episodes)
+            self._write_steps()  # a reader meets the end of an episode before it is counted
+            self._log.count(max(self._clock.step - 1, 0), env_ids, episodes)
 
     def close(self) -> None:
         """Write the last rows and finish the file. A second call does nothing.
@@ -459,49 +422,43 @@ class McapRecorder(StepObserver):
         self._closed = True
         atexit.unregister(self._at_exit)
         self._writing.stop()
-        if self._writing.told:
+        if self._writing.error_was_raised:
             return
         with self._writing.writes():
-            if self._steps:
-                if self._calls is self._steps[-1]:
-                    self._calls = []  # an interrupt came right after the step was added
-                self._step = max(self._step, self._first + len(self._steps))
+            if self._buffer.steps:
+                # An interrupt may have come right after the last step was added.
+                self._buffer.drop_repeated_calls()
+                self._clock.step = max(self._clock.step, self._buffer.end_step)
             self._write_steps()
             if self._gate.open:
-                self._write_rest()
-            self._views.close(self._step, self._engine.rows)
-            self._log.finish(self._step)
+                self._write_unfinished_step()
+            self._views.scenes.close(self._clock.step, self._engine.rows)
+            self._log.finish(self._clock.step)
 
 
-def _of(ids: EnvIds | None, name: str = "env_ids") -> tuple[ArrayKind, ...]:
-    """The kind of an array of environment indices; empty if `ids` is None."""
-    return () if ids is None else (ArrayKind(name, "<i8", ids.shape),)
+def _do_nothing() -> None:
+    pass
 
 
-def _step_kind(arrays: Sequence[NDArray[Any]]) -> CallKind:
-    names = ("action", "reward", "terminated", "truncated", "episode_ids")
-    named = zip(names, arrays, strict=True)
-    return CallKind("step", arrays=tuple(ArrayKind(n, a.dtype.str, a.shape) for n, a in named))
+def _checked_quota(quota: Sequence[int] | None, num_envs: int) -> tuple[int, ...]:
+    """The header's quota; empty if it is not known."""
+    if quota is None:
+        return ()
+    if len(quota) not in (0, num_envs):
+        raise ValueError(f"quota has {len(quota)} numbers for {num_envs} environments")
+    return tuple(int(count) for count in quota)
 
 
-def _drawing(
-    env: ObservedEnv, options: RecordOptions, sink: Queue, now: Callable[[], int]
-) -> list[FirstPictures | Images]:
-    """What draws pictures for the log; empty if there are no cameras to draw."""
-    found: list[FirstPictures | Images] = []
-    sensors = getattr(env.sim, "sensors", {})  # other classes may have none
-    if options.state != "none" and any(isinstance(s.cfg, CameraCfg) for s in sensors.values()):
-        from embodichain.recording.views.pictures import FirstPictures
+def _image_topics(env: ObservedEnv, options: RecordOptions) -> list[str]:
+    """Topics of the pictures in the log."""
+    if options.images is None:
+        return []
+    from embodichain.recording.views.images import image_topics
 
-        found.append(FirstPictures(env, sink, now))
-    if options.images is not None:
-        from embodichain.recording.views.images import Images
-
-        found.append(Images(env, options.images, sink, now))
-    return found
+    return image_topics(env, options.images)
 
 
-def _close_if_alive(recorder: weakref.ref[McapRecorder]) -> None:
-    found = recorder()
-    if found is not None:
-        found.close()
+def _close_if_alive(recorder_ref: weakref.ref[McapRecorder]) -> None:
+    recorder = recorder_ref()
+    if recorder is not None:
+        recorder.close()

@@ -38,15 +38,16 @@ class Writing:
 
     Attributes:
         lock: Held while the file, or the data waiting for it, is changed.
-        told: Whether the error was raised to the program.
+        error_was_raised: Whether the error was raised to the program.
     """
 
     def __init__(
         self, path: Path, where_it_ends: Callable[[], str], tick: Callable[[], None]
     ) -> None:
         self.lock = threading.Lock()
-        self.told = False
-        self._path, self._where_it_ends = path, where_it_ends
+        self.error_was_raised = False
+        self._path = path
+        self._where_it_ends = where_it_ends
         self._tick = weakref.WeakMethod(tick)
         self._cause: BaseException | None = None
         self._stop = threading.Event()
@@ -61,7 +62,7 @@ class Writing:
         Raises:
             LogWriteError: If the log could not be written, now or before.
         """
-        with _signals_held_back(), self.lock:
+        with _delayed_signals(), self.lock:
             self.check()
             try:
                 yield
@@ -89,22 +90,29 @@ class Writing:
     def forked(self) -> None:
         """In a forked process: stop writing; the log belongs to the parent process."""
         self.lock = threading.Lock()
-        why = "the process this one was forked from writes it"
-        self._cause = self._cause or ChildProcessError(errno.EPERM, why)
+        if self._cause is None:
+            reason = "the process this one was forked from writes it"
+            self._cause = ChildProcessError(errno.EPERM, reason)
         self._stop.set()
-        self._where_it_ends = str
-        self.told = True
+        self._where_it_ends = str  # returns "": the parent process decides where it ends
+        self.error_was_raised = True
 
     def _error(self) -> LogWriteError:
-        self.told = True
-        cause, why = self._cause, str(self._cause)
-        if isinstance(cause, OSError) and cause.strerror:
-            named = cause.filename not in (None, Path(self._path).name)
-            why = cause.strerror + (f": {cause.filename}" if named else "")
+        self.error_was_raised = True
+        text = f"the log {self._path} could not be written: {self._reason()}"
         end = self._where_it_ends()
-        return LogWriteError(
-            f"the log {self._path} could not be written: {why}{end and f'; {end}'}"
-        )
+        if end:
+            text += f"; {end}"
+        return LogWriteError(text)
+
+    def _reason(self) -> str:
+        """Why a write failed, with the file's name if it is not the first file of the log."""
+        cause = self._cause
+        if not isinstance(cause, OSError) or not cause.strerror:
+            return str(cause)
+        if cause.filename in (None, self._path.name):
+            return cause.strerror
+        return f"{cause.strerror}: {cause.filename}"
 
     def _watch(self) -> None:
         while not self._stop.wait(TICK_SECONDS):
@@ -122,7 +130,7 @@ class Writing:
 
 
 @contextmanager
-def _signals_held_back() -> Iterator[None]:
+def _delayed_signals() -> Iterator[None]:
     """Delay handlers of SIGINT and SIGTERM: an exception from one could leave half a chunk.
 
     Python runs handlers in the main thread, whichever thread receives the signal, so masking
@@ -131,18 +139,20 @@ def _signals_held_back() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[tuple[int, FrameType | None]] = []
-    handlers: dict[int, Callable[[int, FrameType | None], object]] = {
-        number: handler for number in _SIGNALS if callable(handler := signal.getsignal(number))
-    }
+    received: list[tuple[int, FrameType | None]] = []
+    handlers: dict[int, Callable[[int, FrameType | None], object]] = {}
+    for signal_number in _SIGNALS:
+        handler = signal.getsignal(signal_number)
+        if callable(handler):  # else the signal is ignored, or has its default action
+            handlers[signal_number] = handler
     try:
         for number in handlers:
-            signal.signal(number, lambda *args: came.append(args))
+            signal.signal(number, lambda *args: received.append(args))
         yield
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-        for number, frame in came:
+        for number, frame in received:
             handlers[number](number, frame)
 
 

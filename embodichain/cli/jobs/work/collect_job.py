@@ -114,7 +114,15 @@ def _collect(job: Job, writer: CollectionWriter) -> dict[str, Any]:
         if recorder is None:
             raise ConfigError([Problem("record.format", "a collection is a log")])
         rules = EndRules(root.collect.success_steps, root.collect.wait_steps)
-        collector = Collector(env, policy, recorder, writer, attempts, rules, collected)
+        collector = Collector(
+            env,
+            policy,
+            recorder=recorder,
+            writer=writer,
+            attempts=attempts,
+            rules=rules,
+            collected=collected,
+        )
         job.begin()
         counted = _play(job, env, collector)
     finally:

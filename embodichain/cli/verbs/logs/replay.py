@@ -358,19 +358,13 @@ def _film(path: Path, out: Path, options: ReplayOptions) -> int:
 
 def _view(path: Path, options: ReplayOptions) -> int:
     """Play until the window is closed or Ctrl-C is pressed."""
-    from embodichain.recording.read.playback import span_of
+    from embodichain.recording.read.playback import Stretch
     from embodichain.recording.shards import joining
     from embodichain.recording.viewers.log_player import play_log
 
+    stretch = Stretch(options.env or 0, options.episode, options.start, options.last)
     with StopFlag() as stop, joining.open(path) as log:
-        # A mistake is reported before a window opens.
-        span_of(
-            log,
-            options.env or 0,
-            episode=options.episode,
-            first=options.start,
-            last=options.last,
-        )
+        stretch.span_in(log)  # a mistake is reported before a window opens
         say_warnings(log.path, log.warnings)
         screen = _screen(log, options, stop)
         try:

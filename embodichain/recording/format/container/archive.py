@@ -29,9 +29,9 @@ def scene_archive(spec: mujoco.MjSpec) -> bytes:
         OSError: If a file is missing.
     """
     root = ElementTree.fromstring(spec.to_xml())
-    folders = _take_folders(root)
-    packed: dict[str, bytes] = {}
-    renamed: dict[str, str] = {}
+    folders = _remove_folders(root)
+    packed: dict[str, bytes] = {}  # name in the archive to content
+    renamed: dict[str, str] = {}  # name in the spec to name in the archive
     for element in root.iter():
         for key, name in element.attrib.items():
             if not key.startswith("file") or element.tag == "compiler":
@@ -49,21 +49,22 @@ def scene_archive(spec: mujoco.MjSpec) -> bytes:
     return buffer.getvalue()
 
 
-def _take_folders(root: ElementTree.Element) -> dict[str, str]:
+def _remove_folders(root: ElementTree.Element) -> dict[str, str]:
     """Remove the folders that file names are relative to, and return them."""
-    found: dict[str, str] = {}
+    folders: dict[str, str] = {}
     for compiler in root.iter("compiler"):
         for key in _FOLDERS:
             if key in compiler.attrib:
-                found[key] = compiler.attrib.pop(key)
-    return found
+                folders[key] = compiler.attrib.pop(key)
+    return folders
 
 
 def _content(spec: mujoco.MjSpec, tag: str, name: str, folders: dict[str, str]) -> bytes:
     if name in spec.assets:
         data: bytes = spec.assets[name]
         return data
-    folder = folders.get("texturedir" if tag == "texture" else "meshdir", folders.get("assetdir"))
+    kind = "texturedir" if tag == "texture" else "meshdir"
+    folder = folders.get(kind, folders.get("assetdir"))
     path = Path(spec.modelfiledir or "", folder or "", name)
     return path.read_bytes()
 

@@ -19,12 +19,23 @@ from embodichain.recording.format.log_error import LARGEST_CHUNK, DamageError
 __all__ = ["LIBRARIES", "UNREADABLE", "chunk_content", "parse", "reason_of"]
 
 LIBRARIES = ("embodichain", "embodichain recover")
-"""What wrote a log, as its file's header has it: the recorder, and `recover`."""
+"""Names of the programs that write logs, in the file's header: the recorder, and `recover`."""
 
 UNREADABLE = (
-    *(McapError, struct.error, zlib.error, zstandard.ZstdError, UnicodeDecodeError),
-    *(IndexError, KeyError, MemoryError, OverflowError, RuntimeError, ValueError),  # lz4's
+    McapError,
+    struct.error,
+    zlib.error,
+    zstandard.ZstdError,
+    UnicodeDecodeError,
+    # Those that lz4 raises:
+    IndexError,
+    KeyError,
+    MemoryError,
+    OverflowError,
+    RuntimeError,
+    ValueError,
 )
+"""Exceptions that damaged bytes cause in the libraries that read them."""
 _PARSERS: dict[int, Any] = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.CHANNEL: Channel,
@@ -42,9 +53,13 @@ def chunk_content(data: bytes) -> tuple[str, bytes]:
         DamageError: If it cannot be decompressed, or exceeds `LARGEST_CHUNK`.
     """
     chunk: Chunk = parse(Opcode.CHUNK, data)
-    name, size, packed = chunk.compression, chunk.uncompressed_size, chunk.data
+    name = chunk.compression
+    size = chunk.uncompressed_size
+    packed = chunk.data
     if size > LARGEST_CHUNK:
-        raise DamageError(f"a chunk announces {size} bytes; more than {LARGEST_CHUNK} are no log")
+        raise DamageError(
+            f"a chunk announces {size} bytes; a log has at most {LARGEST_CHUNK} in a chunk"
+        )
     if len(data) != 40 + len(name.encode()) + len(packed):
         raise DamageError("a chunk is damaged: its length is wrong")
     try:

@@ -56,7 +56,7 @@ _FAST = zstandard.ZstdCompressionParameters(
 
 
 class Stream(Protocol):
-    """What a file is written to."""
+    """The file, or anything else that bytes can be appended to."""
 
     def write(self, data: bytes, /) -> Any:
         """Append all bytes, or raise OSError."""
@@ -70,8 +70,7 @@ class Stream(Protocol):
 class McapWriter:
     """Writes one file.
 
-    Nothing is written twice: what a call to the stream has been given is forgotten, also if the
-    call fails.
+    Nothing is written twice: bytes that were passed to the stream are forgotten, even if it failed.
 
     Args:
         stream: An empty file.
@@ -160,10 +159,23 @@ class McapWriter:
     def attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Add an attachment, created and logged at the same time."""
         start = self._stream.tell()
-        times = {"create_time": time_ns, "log_time": time_ns}
-        record = _bytes_of(Attachment(name=name, media_type=media_type, data=data, **times))
-        place = {"offset": start, "length": len(record), "data_size": len(data)}
-        index = AttachmentIndex(name=name, media_type=media_type, **times, **place)
+        attachment = Attachment(
+            name=name,
+            media_type=media_type,
+            data=data,
+            create_time=time_ns,
+            log_time=time_ns,
+        )
+        record = _bytes_of(attachment)
+        index = AttachmentIndex(
+            name=name,
+            media_type=media_type,
+            create_time=time_ns,
+            log_time=time_ns,
+            offset=start,
+            length=len(record),
+            data_size=len(data),
+        )
         self._attachments.append(index)
         self._put(record)
 

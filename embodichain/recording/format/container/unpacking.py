@@ -1,8 +1,8 @@
 """Unpacks compressed attachments of a log, no further than a limit that is known beforehand.
 
-The limit is what the log's metadata states. A statement is believed only where the packed data
+The limit is the size that the log's metadata states. That size is trusted only if the packed data
 make it likely: a few bytes that unpack to gigabytes are refused before anything is unpacked. Logs
-of earlier versions state nothing; theirs is that bound alone.
+of earlier versions do not state a size; their limit is that bound alone.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from embodichain.recording.format.seals import digest_of
 __all__ = ["listed", "most_unpacked", "unpack_zip", "unpack_zstd", "unpacked_size"]
 
 _log = logging.getLogger(__name__)
-_ALWAYS = 2**28
-"""Bytes to which data of any size may unpack."""
-_RATIO = 1000
-"""Times its own size to which larger data may unpack; models of shipped tasks reach 23."""
+_ALWAYS_ALLOWED = 2**28
+"""Size in bytes to which data of any size may unpack."""
+_LARGEST_RATIO = 1000
+"""Factor by which larger data may grow when unpacked; models of shipped tasks reach 23."""
 _LARGEST = 2**31
-"""Bytes to which nothing may unpack, however large it is."""
+"""Size in bytes above which data of any size is refused."""
 _LARGEST_ZIP = 2**29
-_WINDOW = 2**27
-"""Bytes that zstd may keep of what it has unpacked before."""
-_PIECE = 2**20
-_KINDS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_LARGEST_WINDOW = 2**27
+"""Bytes of unpacked data to which zstd may refer back."""
+_PIECE_BYTES = 2**20
+_ZIP_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Compressions within archives; the others unpack in steps that have no limit."""
 
 
@@ -44,13 +44,15 @@ def most_unpacked(packed: int, stated: int | None, largest: int = _LARGEST) -> i
         largest: A limit for data of any size.
 
     Raises:
-        DamageError: If the statement is not likely.
+        DamageError: If the stated size is not likely.
     """
-    bound = min(max(_ALWAYS, _RATIO * packed), largest)
+    bound = min(max(_ALWAYS_ALLOWED, _LARGEST_RATIO * packed), largest)
     if stated is None:
         return bound
     if not 0 <= stated <= bound:
-        raise DamageError(f"it is to unpack from {packed} bytes to {stated}: at most {bound}")
+        raise DamageError(
+            f"it should unpack from {packed} bytes to {stated}; at most {bound} are allowed"
+        )
     return stated
 
 
@@ -58,8 +60,8 @@ def unpacked_size(name: str, data: bytes) -> int:
     """Bytes to which an attachment unpacks, for the metadata of a new log.
 
     Args:
-        name: Its name, which says how it is packed.
-        data: What the recorder packed.
+        name: Its name, whose suffix says how it is packed.
+        data: Its content, from the recorder.
     """
     if name.endswith(".zst"):
         size: int = zstandard.frame_content_size(data)
@@ -76,15 +78,15 @@ def listed(attachments: Iterable[tuple[str, str, bytes]]) -> dict[str, tuple[int
     Args:
         attachments: Name, media type and content of each.
     """
-    found = {}
+    entries = {}
     for name, _, data in attachments:
         size = unpacked_size(name, data)
         try:
             most_unpacked(len(data), size)
         except DamageError as error:
             _log.warning("the log cannot be verified: its attachment %s: %s", name, error)
-        found[name] = size, digest_of(data)
-    return found
+        entries[name] = (size, digest_of(data))
+    return entries
 
 
 def unpack_zstd(data: bytes, stated: int | None) -> bytes:
@@ -102,13 +104,14 @@ def unpack_zstd(data: bytes, stated: int | None) -> bytes:
         announced = zstandard.frame_content_size(data)
         if not 0 <= announced <= most:
             raise DamageError(f"it announces {announced} bytes, at most {most} are unpacked")
-        reader = zstandard.ZstdDecompressor(max_window_size=_WINDOW).stream_reader(data)
-        content = _gathered(iter(lambda: reader.read(_PIECE), b""), announced)
+        decompressor = zstandard.ZstdDecompressor(max_window_size=_LARGEST_WINDOW)
+        reader = decompressor.stream_reader(data)
+        content = _join_pieces(iter(lambda: reader.read(_PIECE_BYTES), b""), announced)
     except zstandard.ZstdError as error:
         raise DamageError(str(error)) from error
     if len(content) != announced or stated not in (None, announced):
-        wanted = announced if stated is None else stated
-        raise DamageError(f"it has {len(content)} bytes where {wanted} are expected")
+        expected = announced if stated is None else stated
+        raise DamageError(f"it has {len(content)} bytes where {expected} are expected")
     return content
 
 
@@ -129,22 +132,22 @@ def unpack_zip(data: bytes, stated: int | None) -> dict[str, bytes]:
             announced = sum(info.file_size for info in infos)
             if announced > most:
                 raise DamageError(f"it announces {announced} bytes, at most {most} are unpacked")
-            return {info.filename: _file_of(archive, info) for info in infos}
+            return {info.filename: _unpack_file(archive, info) for info in infos}
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError) as error:
         raise DamageError(repr(error)) from error
     except (RuntimeError, ValueError, OSError) as error:  # encrypted, or impossible offsets
         raise DamageError(repr(error)) from error
 
 
-def _file_of(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    if info.compress_type not in _KINDS:
-        raise DamageError(f"{info.filename} is packed in a way that no log has")
+def _unpack_file(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    if info.compress_type not in _ZIP_COMPRESSIONS:
+        raise DamageError(f"{info.filename} has a compression that logs do not use")
     with archive.open(info) as stream:
-        # In pieces: at once, `read` unpacks everything before it looks at the announced size.
-        return _gathered(iter(lambda: stream.read(_PIECE), b""), info.file_size)
+        # In pieces: a single `read` unpacks everything before it looks at the announced size.
+        return _join_pieces(iter(lambda: stream.read(_PIECE_BYTES), b""), info.file_size)
 
 
-def _gathered(pieces: Iterator[bytes], most: int) -> bytes:
+def _join_pieces(pieces: Iterator[bytes], most: int) -> bytes:
     out = io.BytesIO()
     for piece in pieces:
         if out.tell() + len(piece) > most:

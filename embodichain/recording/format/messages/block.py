@@ -71,14 +71,17 @@ MOST_PHYSICS_STEPS = 1_000_000
 MOST_CALLS = 2**23
 """Larger counts in a file are refused; the last one is of calls times steps in a message."""
 
-_IDS = frozenset({"env_ids", "failed"})
+_ID_ARRAYS = frozenset({"env_ids", "failed"})
 """Arrays of environment indices."""
-_FIRST, _COUNT, _CALLS, _DATA = 0x08, 0x10, 0x1A, 0x22
+_FIRST = 0x08
+_COUNT = 0x10
+_CALLS = 0x1A
+_DATA = 0x22
 """Keys of the fields of `embodichain.Steps`: number and wire type."""
 _LARGEST_CACHED = 4096
 """Size limit in bytes of a call's declaration that is cached for later messages."""
 _KINDS = {"write", "physics", "event", "step", "start"}
-_WRITES = {"state": True, "model": True, "reset": True, "set_const": False}
+_HAS_VALUES = {"state": True, "model": True, "reset": True, "set_const": False}
 """Operation of a write to whether it has values."""
 
 
@@ -167,26 +170,44 @@ class _Entry:
 
 
 def _entries(steps: Sequence[Sequence[Recorded]]) -> list[_Entry]:
-    """Group the calls of some steps, so that the entries are in the order of each step's calls."""
+    """Group the calls of some steps, so that the entries are in the order of each step's calls.
+
+    Most steps make the same calls as the one before. So it is looked up once for each sequence of
+    calls which entries they belong to. Sequences are compared by the identity of their kinds: a
+    recorder builds each kind once (`CallEncoder`), and hashing kinds would be slower.
+    """
     entries: list[_Entry] = []
-    places: dict[tuple[int, ...], list[_Entry]] = {}
+    entries_of: dict[tuple[int, ...], list[_Entry]] = {}
     for step, calls in enumerate(steps):
         key = tuple([id(kind) for kind, _ in calls])
-        found = places.get(key)
-        if found is None:
-            found, at = [], 0
-            for kind, _ in calls:
-                where = [i for i in range(at, len(entries)) if entries[i].kind == kind]
-                if not where:
-                    entries.insert(at, _Entry(kind))
-                at = where[0] if where else at
-                found.append(entries[at])
-                at += 1
-            places[key] = found
-        for entry, (_, arrays) in zip(found, calls, strict=True):
+        step_entries = entries_of.get(key)
+        if step_entries is None:
+            step_entries = _place_calls(entries, [kind for kind, _ in calls])
+            entries_of[key] = step_entries
+        for entry, (_, arrays) in zip(step_entries, calls, strict=True):
             entry.steps.append(step)
             entry.arrays.append(arrays)
     return entries
+
+
+def _place_calls(entries: list[_Entry], kinds: Sequence[CallKind]) -> list[_Entry]:
+    """The entries of a step's calls, in ascending order; missing ones are inserted.
+
+    A call gets the next entry of its kind after the entry of the call before it, so that reading
+    the entries from first to last gives the calls in the order in which they happened. A kind that
+    occurs twice in a step therefore has two entries.
+    """
+    step_entries: list[_Entry] = []
+    index = 0
+    for kind in kinds:
+        same_kind = [i for i in range(index, len(entries)) if entries[i].kind == kind]
+        if same_kind:
+            index = same_kind[0]
+        else:
+            entries.insert(index, _Entry(kind))
+        step_entries.append(entries[index])
+        index += 1
+    return step_entries
 
 
 def pack_steps(first: int, steps: Sequence[Sequence[Recorded]]) -> list[Any]:
@@ -200,24 +221,34 @@ def pack_steps(first: int, steps: Sequence[Sequence[Recorded]]) -> list[Any]:
         The message, as bytes and arrays that follow one another.
     """
     message = message_class("Steps")(first=first, count=len(steps))
-    contents: list[tuple[str, list[NDArray[Any]]]] = []
-    described: list[Any] = []
+    contents: list[tuple[str, list[NDArray[Any]]]] = []  # dtype and pieces of each array
+    declared_arrays: list[Any] = []
     for entry in _entries(steps):
         kind = entry.kind
-        call = message.calls.add(kind=kind.kind, name=kind.name, mode=kind.mode, nstep=kind.nstep)
+        call = message.calls.add(
+            kind=kind.kind,
+            name=kind.name,
+            mode=kind.mode,
+            nstep=kind.nstep,
+        )
         if kind.columns is not None:
             call.some_columns = True
             call.columns.extend(kind.columns)
         if len(entry.steps) < len(steps):
             call.steps.extend(entry.steps)
-        for j, array in enumerate(kind.arrays):
-            contents.append((array.dtype, [arrays[j] for arrays in entry.arrays]))
-            described.append(call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape))
+        for index, array in enumerate(kind.arrays):
+            contents.append((array.dtype, [arrays[index] for arrays in entry.arrays]))
+            declared_arrays.append(
+                call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape)
+            )
     places, parts = store(contents)
-    for array, place in zip(described, places, strict=True):
-        array.offset, array.single = place.offset, place.single
+    for array, place in zip(declared_arrays, places, strict=True):
+        array.offset = place.offset
+        array.single = place.single
         if place.base is not None:
-            array.differs, array.base, array.base_single = True, place.base, place.base_single
+            array.differs = True
+            array.base = place.base
+            array.base_single = place.base_single
     # Append field 4 (its key, length and bytes) by hand: protobuf would copy the bytes again.
     size = sum(memoryview(part).nbytes for part in parts)
     return [message.SerializeToString() + b"\x22" + _varint(size), *parts]
@@ -237,7 +268,7 @@ def unpack_steps(
     num_envs: int,
     moved: int,
     nstate: int,
-    wanted: Callable[[CallKind], bool] | None = None,
+    is_read: Callable[[CallKind], bool] | None = None,
 ) -> list[Run]:
     """Read an `embodichain.Steps` message; every length, index and shape in it is checked.
 
@@ -246,7 +277,7 @@ def unpack_steps(
         num_envs: N of the log.
         moved: Number of columns that physics writes.
         nstate: Number of columns of a full row.
-        wanted: Whether a call is read; None reads all. A ``step`` that is not read is kept without
+        is_read: Whether a call is read; None reads all. A ``step`` that is not read is kept without
             arrays.
 
     Returns:
@@ -255,38 +286,51 @@ def unpack_steps(
     Raises:
         DamageError: If the message has no valid control steps of this log.
     """
-    first, count, declared_calls, blob = _split(memoryview(data))
-    if not 0 < count <= MOST_STEPS or first >= 2**62 or count * len(declared_calls) > MOST_CALLS:
+    message = _split(memoryview(data))
+    first = message.first
+    count = message.count
+    num_calls = count * len(message.calls)
+    if not 0 < count <= MOST_STEPS or first >= 2**62 or num_calls > MOST_CALLS:
         raise DamageError(f"a message of {count} control steps from step {first}")
     calls: list[Call] = []
-    happens = np.ones((count, len(declared_calls)), np.bool_)
-    for declared in declared_calls:
-        declaration = _declaration if len(declared) < _LARGEST_CACHED else _declaration.__wrapped__
-        kind, places, some, why = declaration(declared, num_envs, moved, nstate)
-        read = wanted is None or wanted(kind)
-        if not read and kind.kind != "step":
+    happens = np.ones((count, len(message.calls)), np.bool_)
+    for serialized in message.calls:
+        # A write to many columns may be long, and not come again: it would fill the cache.
+        is_short = len(serialized) < _LARGEST_CACHED
+        parse_call = _parse_call if is_short else _parse_call.__wrapped__
+        declaration = parse_call(serialized, num_envs, moved, nstate)
+        kind = declaration.kind
+        reads_call = is_read is None or is_read(kind)
+        if not reads_call and kind.kind != "step":
             continue
-        why = why or _wrong_steps(some, count)
-        if why:
-            raise DamageError(f"step {first}: {why}")
-        if some:
+        error = declaration.error or _steps_error(declaration.steps, count)
+        if error:
+            raise DamageError(f"step {first}: {error}")
+        if declaration.steps:
             happens[:, len(calls)] = False
-            happens[some, len(calls)] = True
+            happens[declaration.steps, len(calls)] = True
         arrays = {}
-        for array, place in zip(kind.arrays, places, strict=True) if read else ():
-            name, dtype, shape = array
-            values = load(name, dtype, (len(some) or count, *shape), place, blob)
-            if name in _IDS and not _ascending(values, num_envs):
-                raise DamageError(f"step {first}: {name} are no environments of this log")
-            arrays[name] = values
+        if reads_call:
+            num_steps = len(declaration.steps) or count
+            for array, place in zip(kind.arrays, declaration.places, strict=True):
+                name = array.name
+                shape = (num_steps, *array.shape)
+                values = load(name, array.dtype, shape, place, message.data)
+                if name in _ID_ARRAYS and not _are_ascending(values, num_envs):
+                    raise DamageError(f"step {first}: {name} are not environments of this log")
+                arrays[name] = values
         calls.append(Call(kind, arrays))
     return list(_runs(first, calls, happens[:, : len(calls)]))
 
 
-def _wrong_steps(some: Sequence[int], count: int) -> str:
+def _steps_error(steps: Sequence[int], count: int) -> str:
     """The error in the steps that a call lists; empty if there is none."""
-    ascending = all(a < b for a, b in pairwise(some))
-    return "" if not some or (ascending and some[-1] < count) else f"a call is in steps {some}"
+    if not steps:
+        return ""
+    is_ascending = all(step < following for step, following in pairwise(steps))
+    if is_ascending and steps[-1] < count:
+        return ""
+    return f"a call is in steps {steps}"
 
 
 def _runs(first: int, calls: Sequence[Call], happens: NDArray[np.bool_]) -> Iterator[Run]:
@@ -296,134 +340,210 @@ def _runs(first: int, calls: Sequence[Call], happens: NDArray[np.bool_]) -> Iter
     if not len(changes) and happens[:1].all():
         yield Run(first, count, list(calls))
         return
-    done = [0] * len(calls)
+    # A call's arrays have a row for each step in which it happens, and none for the others.
+    rows_read = [0] * len(calls)
     for begin, end in pairwise([0, *changes.tolist(), count]):
-        found = []
+        run_calls = []
         for i in np.flatnonzero(happens[begin]).tolist():
-            at, done[i] = done[i], done[i] + end - begin
-            arrays = {name: a[at : done[i]] for name, a in calls[i].arrays.items()}
-            found.append(Call(calls[i].kind, arrays))
-        yield Run(first + begin, end - begin, found)
+            rows = slice(rows_read[i], rows_read[i] + end - begin)
+            rows_read[i] = rows.stop
+            arrays = {name: values[rows] for name, values in calls[i].arrays.items()}
+            run_calls.append(Call(calls[i].kind, arrays))
+        yield Run(first + begin, end - begin, run_calls)
 
 
-def _split(data: memoryview) -> tuple[int, int, list[bytes], memoryview]:
-    """The fields of a serialized `embodichain.Steps`; unlike protobuf, it does not copy `data`."""
+@dataclass(slots=True)
+class _StepsMessage:
+    """The fields of a serialized `embodichain.Steps`.
+
+    Attributes:
+        first: Number of the first control step.
+        count: Number of control steps.
+        calls: Each a serialized `embodichain.Call`.
+        data: The bytes of all arrays.
+    """
+
+    first: int
+    count: int
+    calls: list[bytes]
+    data: memoryview
+
+
+def _split(message: memoryview) -> _StepsMessage:
+    """Read the fields of a serialized `embodichain.Steps`.
+
+    Unlike protobuf, this does not copy the arrays.
+    """
     numbers = {_FIRST: 0, _COUNT: 0}
     calls: list[bytes] = []
-    blob, at = data[:0], 0
-    while at < len(data):
-        key, at = _read_varint(data, at)
-        value, at = _read_varint(data, at)
+    data = message[:0]
+    position = 0
+    while position < len(message):
+        key, position = _read_varint(message, position)
+        value, position = _read_varint(message, position)
         if key in numbers:
             numbers[key] = value
             continue
-        if key not in (_CALLS, _DATA) or value > len(data) - at:
+        if key not in (_CALLS, _DATA) or value > len(message) - position:
             raise DamageError("a message of control steps is damaged: it has an unknown field")
-        found, at = data[at : at + value], at + value
+        content = message[position : position + value]
+        position += value
         if key == _CALLS:
-            calls.append(bytes(found))
+            calls.append(bytes(content))
         else:
-            blob = found
-    return numbers[_FIRST], numbers[_COUNT], calls, blob
+            data = content
+    return _StepsMessage(first=numbers[_FIRST], count=numbers[_COUNT], calls=calls, data=data)
 
 
-def _read_varint(data: memoryview, at: int) -> tuple[int, int]:
+def _read_varint(data: memoryview, position: int) -> tuple[int, int]:
+    """Read a number of protobuf's, and return it and the position after it."""
     value = 0
-    for index, byte in enumerate(data[at : at + 10]):
+    for index, byte in enumerate(data[position : position + 10]):
         value |= (byte & 0x7F) << 7 * index
         if byte < 0x80:
-            return value, at + index + 1
+            return value, position + index + 1
     raise DamageError("a message of control steps is damaged: it is cut short")
 
 
+class _Declaration(NamedTuple):
+    """A parsed `embodichain.Call`.
+
+    Attributes:
+        kind: Its kind.
+        places: Where its arrays are.
+        steps: The steps in which it happens; empty if in all of them.
+        error: What is wrong with it; empty if nothing is.
+    """
+
+    kind: CallKind
+    places: tuple[Place, ...]
+    steps: tuple[int, ...]
+    error: str
+
+
 @lru_cache(maxsize=1024)
-def _declaration(
-    data: bytes, num_envs: int, moved: int, nstate: int
-) -> tuple[CallKind, tuple[Place, ...], tuple[int, ...], str]:
+def _parse_call(data: bytes, num_envs: int, moved: int, nstate: int) -> _Declaration:
     """Parse a serialized `embodichain.Call`.
 
-    Returns:
-        Its kind, the places of its arrays, its steps (empty: all of them), and the error in it.
+    An error in it is returned, not raised: it does not matter in a call that is not read.
     """
     try:
         call = message_class("Call").FromString(data)
     except DecodeError as error:
         raise DamageError(f"a message of control steps is damaged: {error}") from error
-    arrays = tuple(ArrayKind(a.name, a.dtype, tuple(a.shape)) for a in call.arrays)
-    columns = tuple(call.columns) if call.some_columns else None
-    kind = CallKind(call.kind, call.name, call.mode, call.nstep, columns, arrays)
-    places = tuple(
-        Place(a.offset, a.single, a.base if a.differs else None, a.base_single) for a in call.arrays
+    kind = CallKind(
+        kind=call.kind,
+        name=call.name,
+        mode=call.mode,
+        nstep=call.nstep,
+        columns=tuple(call.columns) if call.some_columns else None,
+        arrays=tuple(ArrayKind(a.name, a.dtype, tuple(a.shape)) for a in call.arrays),
     )
-    return kind, places, tuple(call.steps), _wrong(kind, num_envs, moved, nstate)
+    places = tuple(
+        Place(
+            offset=array.offset,
+            single=array.single,
+            base=array.base if array.differs else None,
+            base_single=array.base_single,
+        )
+        for array in call.arrays
+    )
+    return _Declaration(
+        kind=kind,
+        places=places,
+        steps=tuple(call.steps),
+        error=_kind_error(kind, num_envs, moved, nstate),
+    )
 
 
-def _wrong(kind: CallKind, num_envs: int, moved: int, nstate: int) -> str:
-    """The error in a call; empty if there is none."""
-    what = f"{kind.kind} {kind.name}".rstrip()
+_Type = tuple[str, tuple[int, ...]]
+"""dtype and shape of an array."""
+
+
+def _kind_error(kind: CallKind, num_envs: int, moved: int, nstate: int) -> str:
+    """What is wrong with a call: see the table above. Empty if nothing is."""
+    label = f"{kind.kind} {kind.name}".rstrip()
     if kind.kind not in _KINDS:
         return f"unknown call {kind.kind!r}"
-    shapes = {array.name: array.shape for array in kind.arrays}
-    if len(shapes) != len(kind.arrays):
-        return f"{what} has an array twice"
+    types: dict[str, _Type] = {}
     for array in kind.arrays:
+        if array.name in types:
+            return f"{label} has an array twice"
         if array.dtype not in DTYPES or len(array.shape) > 8:
-            return f"{what} has an array of unknown type, {array.dtype!r}"
-        if array.name in _IDS and (array.dtype != "<i8" or len(array.shape) != 1):
-            return f"{what} has no environments as {array.name}"
-    n = shapes["env_ids"][0] if "env_ids" in shapes else num_envs
-    have = {array.name: (array.dtype, array.shape) for array in kind.arrays}
-    have.pop("env_ids", None)
+            return f"{label} has an array of unknown type, {array.dtype!r}"
+        if array.name in _ID_ARRAYS and (array.dtype != "<i8" or len(array.shape) != 1):
+            return f"{label}: {array.name} are not environments"
+        types[array.name] = (array.dtype, array.shape)
+    ids_type = types.pop("env_ids", None)
+    num_ids = num_envs if ids_type is None else ids_type[1][0]
     if kind.kind == "write":
-        return _wrong_write(kind, have, n, nstate)
+        return _write_error(kind, types, num_ids, nstate)
     if kind.kind == "physics":
-        have.pop("failed", None)
-        if kind.nstep > MOST_PHYSICS_STEPS:
-            return f"{kind.nstep} physics steps at once"
-        if have not in ({"rows": ("<f8", (n, moved))}, {"hashes": ("<u8", (n,))}):
-            return "physics has no result of these environments"
-    elif kind.kind == "step":
-        width = have.get("action", ("", ()))[1][1:]
-        flags = ("|b1", (n,))
-        if len(width) != 1 or have != {
-            "action": ("<f8", (n, *width)),
-            "reward": ("<f4", (n,)),
-            "terminated": flags,
-            "truncated": flags,
-            "episode_ids": ("<i8", (n,)),
-        }:
-            return "a step lacks actions, rewards or flags"
-    elif kind.kind == "start":
-        row = have.pop("row", None)
-        if row != ("<f8", (num_envs, nstate)):
-            return "a start lacks whole rows"
-        if any(d != "<f8" or len(s) != 2 or s[0] != num_envs for d, s in have.values()):
-            return "a start has model fields that are not of every environment"
-    elif any(not name.startswith(DRAWN) or d != "<f8" for name, (d, _) in have.items()):
-        return f"{what} has arrays that are no draws"
+        return _physics_error(kind, types, num_ids, moved)
+    if kind.kind == "step":
+        return _step_error(types, num_ids)
+    if kind.kind == "start":
+        return _start_error(types, num_envs, nstate)
+    for name, (dtype, _) in types.items():
+        if not name.startswith(DRAWN) or dtype != "<f8":
+            return f"{label} has arrays that are not draws"
     return ""
 
 
-def _wrong_write(
-    kind: CallKind, have: Mapping[str, tuple[str, tuple[int, ...]]], n: int, nstate: int
-) -> str:
-    if kind.mode not in _WRITES:
+def _write_error(kind: CallKind, types: Mapping[str, _Type], num_ids: int, nstate: int) -> str:
+    if kind.mode not in _HAS_VALUES:
         return f"unknown operation {kind.mode!r}"
-    if not _WRITES[kind.mode]:
-        return f"{kind.mode} has values" if have or kind.columns is not None else ""
-    values = have.get("values", ("", ()))
-    if len(have) != 1 or values[0] != "<f8" or len(values[1]) != 2 or values[1][0] != n:
+    if not _HAS_VALUES[kind.mode]:
+        if types or kind.columns is not None:
+            return f"{kind.mode} has values"
+        return ""
+    dtype, shape = types.get("values", ("", ()))
+    if len(types) != 1 or dtype != "<f8" or len(shape) != 2 or shape[0] != num_ids:
         return f"a write to {kind.name!r} lacks values"
-    if kind.mode == "reset" and (kind.columns is not None or values[1][1] != nstate):
+    width = shape[1]
+    if kind.mode == "reset" and (kind.columns is not None or width != nstate):
         return "a reset lacks whole rows"
-    if kind.columns is not None and len(kind.columns) != values[1][1]:
+    if kind.columns is not None and len(kind.columns) != width:
         return f"a write to {kind.name!r} has other columns than values"
     return ""
 
 
-def _ascending(ids: NDArray[Any], num_envs: int) -> bool:
+def _physics_error(kind: CallKind, types: Mapping[str, _Type], num_ids: int, moved: int) -> str:
+    if kind.nstep > MOST_PHYSICS_STEPS:
+        return f"{kind.nstep} physics steps at once"
+    results = {name: array_type for name, array_type in types.items() if name != "failed"}
+    if results not in ({"rows": ("<f8", (num_ids, moved))}, {"hashes": ("<u8", (num_ids,))}):
+        return "physics has no result of these environments"
+    return ""
+
+
+def _step_error(types: Mapping[str, _Type], num_ids: int) -> str:
+    _, action_shape = types.get("action", ("", ()))
+    expected = {
+        "action": ("<f8", (num_ids, *action_shape[1:])),
+        "reward": ("<f4", (num_ids,)),
+        "terminated": ("|b1", (num_ids,)),
+        "truncated": ("|b1", (num_ids,)),
+        "episode_ids": ("<i8", (num_ids,)),
+    }
+    if len(action_shape) != 2 or types != expected:
+        return "a step lacks actions, rewards or flags"
+    return ""
+
+
+def _start_error(types: Mapping[str, _Type], num_envs: int, nstate: int) -> str:
+    if types.get("row") != ("<f8", (num_envs, nstate)):
+        return "a start lacks whole rows"
+    for dtype, shape in types.values():
+        if dtype != "<f8" or len(shape) != 2 or shape[0] != num_envs:
+            return "a start has model fields that are not of every environment"
+    return ""
+
+
+def _are_ascending(ids: NDArray[Any], num_envs: int) -> bool:
     """Whether each of the (count, n) rows has valid environment indices in ascending order."""
     if not ids.size:
         return True
-    inside = int(ids[:, 0].min()) >= 0 and int(ids[:, -1].max()) < num_envs
-    return inside and bool((ids[:, 1:] > ids[:, :-1]).all())
+    if int(ids[:, 0].min()) < 0 or int(ids[:, -1].max()) >= num_envs:
+        return False
+    return bool((ids[:, 1:] > ids[:, :-1]).all())

@@ -45,7 +45,8 @@ def moved_ranges(layout: Mapping[str, slice]) -> Ranges:
         keep[layout[name]] = False
     keep[nstate] = False
     edges = np.flatnonzero(np.diff(np.concatenate([[False], keep]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)] or [(0, 0)]
+    ranges = [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+    return ranges or [(0, 0)]
 
 
 class Moved:
@@ -67,29 +68,29 @@ class Moved:
             end = self.width + stop - start
             self.spans.append((slice(start, stop), slice(self.width, end)))
             self.width = end
-        self.columns = np.concatenate([np.arange(a, b) for a, b in ranges])
+        self.columns = np.concatenate([np.arange(start, stop) for start, stop in ranges])
 
     def take(self, rows: F64) -> F64:
         """Copy the columns of (n, nstate) rows: (n, width)."""
         out = np.empty((len(rows), self.width))
-        for here, there in self.spans:
-            out[:, there] = rows[:, here]
+        for row_columns, result_columns in self.spans:
+            out[:, result_columns] = rows[:, row_columns]
         return out
 
     def find(self, columns: slice) -> slice | None:
         """Places in results of columns of full rows; None if physics does not write them."""
-        for here, there in self.spans:
-            if here.start <= columns.start and columns.stop <= here.stop:
-                at = there.start - here.start
-                return slice(columns.start + at, columns.stop + at)
+        for row_columns, result_columns in self.spans:
+            if row_columns.start <= columns.start and columns.stop <= row_columns.stop:
+                shift = result_columns.start - row_columns.start
+                return slice(columns.start + shift, columns.stop + shift)
         return None
 
 
 def column_name(layout: Mapping[str, slice], column: int) -> str:
     """``qpos[3]`` for a column of a row."""
-    for name, cols in layout.items():
-        if cols.start <= column < cols.stop:
-            return f"{name}[{column - cols.start}]"
+    for name, columns in layout.items():
+        if columns.start <= column < columns.stop:
+            return f"{name}[{column - columns.start}]"
     return f"column {column}"
 
 
@@ -109,9 +110,11 @@ _FORCE = tuple((f"f{axis}", "N") for axis in "xyz")
 _TORQUE = tuple((f"t{axis}", "N m") for axis in "xyz")
 
 Parts = tuple[tuple[str, str], ...]
-_FREE, _BALL, _SLIDE, _HINGE = (
-    int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "SLIDE", "HINGE")
-)
+"""Name and unit of each coordinate of a joint or body."""
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+_BALL = int(mujoco.mjtJoint.mjJNT_BALL)
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _QPOS: Mapping[int, Parts] = {
     _FREE: (*_POSITION, *_QUAT),
     _BALL: _QUAT,
@@ -159,15 +162,17 @@ def state_columns(
         "act": lambda: _activations(model),
         "ctrl": lambda: _controls(model),
     }
-    found: dict[str, list[Column]] = {}
+    columns_of: dict[str, list[Column]] = {}
     for component, (start, stop) in layout.items():
         if stop <= start:
             continue
-        named = list(makers[component]()) if component in makers else []
-        if len(named) != stop - start:  # a component without names for its columns
-            named = [Column(str(i), "") for i in range(stop - start)]
-        found[component] = named
-    return found
+        columns: list[Column] = []
+        if component in makers:
+            columns = list(makers[component]())
+        if len(columns) != stop - start:  # a component without names for its columns
+            columns = [Column(str(i), "") for i in range(stop - start)]
+        columns_of[component] = columns
+    return columns_of
 
 
 def _joints(model: mujoco.MjModel, parts: Mapping[int, Parts]) -> Iterator[Column]:
@@ -177,19 +182,23 @@ def _joints(model: mujoco.MjModel, parts: Mapping[int, Parts]) -> Iterator[Colum
 
 
 def _bodies(model: mujoco.MjModel, parts: Parts, mocap: bool) -> Iterator[Column]:
-    ids = range(model.nbody)
+    bodies = list(range(model.nbody))
     if mocap:
-        placed = {int(model.body_mocapid[i]): i for i in ids if model.body_mocapid[i] >= 0}
-        ids = [placed[i] for i in sorted(placed)]  # type: ignore[assignment]
-    for body in ids:
+        bodies = [body for body in bodies if model.body_mocapid[body] >= 0]
+        bodies.sort(key=lambda body: int(model.body_mocapid[body]))
+    for body in bodies:
         yield from _named(model.body(body).name or f"body_{body}", parts)
 
 
 def _activations(model: mujoco.MjModel) -> Iterator[Column]:
     for actuator in range(model.nactuator):
-        name, count = model.actuator(actuator).name, int(model.actuator_actnum[actuator])
-        name = name or f"actuator_{actuator}"
-        yield from (Column(name if count == 1 else f"{name}.{i}", "") for i in range(count))
+        name = model.actuator(actuator).name or f"actuator_{actuator}"
+        count = int(model.actuator_actnum[actuator])
+        if count == 1:
+            yield Column(name, "")
+            continue
+        for i in range(count):
+            yield Column(f"{name}.{i}", "")
 
 
 def _controls(model: mujoco.MjModel) -> Iterator[Column]:
@@ -206,9 +215,12 @@ def _controls(model: mujoco.MjModel) -> Iterator[Column]:
             continue
         # A position servo: force = kp (ctrl - qpos) - ..., so its control is a joint position.
         kp = float(model.actuator_gainprm[actuator, 0])
-        plain = float(model.actuator_gear[model.actuator_outadr[actuator], 0]) == 1
-        servo = on_joint and plain and kp > 0 and float(model.actuator_biasprm[actuator, 1]) == -kp
-        yield Column(name, _SERVO.get(int(model.jnt_type[joint]), "") if servo else "")
+        has_no_gear = float(model.actuator_gear[model.actuator_outadr[actuator], 0]) == 1
+        is_position_servo = kp > 0 and float(model.actuator_biasprm[actuator, 1]) == -kp
+        unit = ""
+        if on_joint and has_no_gear and is_position_servo:
+            unit = _SERVO.get(int(model.jnt_type[joint]), "")
+        yield Column(name, unit)
 
 
 def _named(name: str, parts: Parts) -> Iterator[Column]:

@@ -8,7 +8,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,12 +20,12 @@ from embodichain.recording.format.log_error import LARGEST_CHUNK, DamageError
 __all__ = ["DTYPES", "Place", "load", "store"]
 
 DTYPES = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8", "<u8", "|b1")}
-_F4, _F8 = DTYPES["<f4"], DTYPES["<f8"]
-_SMALLEST = 64
+_F4 = DTYPES["<f4"]
+_F8 = DTYPES["<f8"]
+_SMALLEST_COMPARED = 64
 """Bytes; smaller arrays are stored as they are."""
-_MANTISSA_REST = 2**29 - 1
-"""Mask of the mantissa bits that float32 does not have."""
-_NOT_SINGLE = np.uint64(_MANTISSA_REST)
+_EXTRA_MANTISSA = 2**29 - 1
+"""Mask of the bits of a float64's mantissa that float32 does not have."""
 
 
 class Place(NamedTuple):
@@ -43,8 +44,25 @@ class Place(NamedTuple):
     base_single: bool = False
 
 
+class _Compared(NamedTuple):
+    """An array that may be stored in another form.
+
+    Attributes:
+        dtype: Its type.
+        data: Its bytes.
+        single: Its values as float32; None if float32 cannot represent them.
+    """
+
+    dtype: str
+    data: bytes
+    single: bytes | None
+
+
 def store(arrays: Sequence[tuple[str, Sequence[Any]]]) -> tuple[list[Place], list[Any]]:
     """Place arrays one after another.
+
+    Small arrays, and those that cannot be equal to another one because of their size, are not
+    looked at: they are stored as they are.
 
     Args:
         arrays: dtype of each, and the contiguous arrays that it consists of.
@@ -53,46 +71,74 @@ def store(arrays: Sequence[tuple[str, Sequence[Any]]]) -> tuple[list[Place], lis
         The place of each array, and the stored bytes as bytes and arrays.
     """
     sizes = [sum(piece.nbytes for piece in pieces) for _, pieces in arrays]
-    compared: dict[int, tuple[str, bytes, bytes | None]] = {}  # dtype, bytes, and as float32
-    same_as: dict[int, int] = {}
-    for number, ((dtype, pieces), size) in enumerate(zip(arrays, sizes, strict=True)):
-        may_be_single = size >= _SMALLEST and dtype == "<f8" and _looks_single(pieces[0])
-        if not may_be_single and (size < _SMALLEST or sizes.count(size) == 1):
+    compared: dict[int, _Compared] = {}  # by index in `arrays`
+    same_as: dict[int, int] = {}  # index of an array to that of an equal one before it
+    for index, (dtype, pieces) in enumerate(arrays):
+        size = sizes[index]
+        may_be_single = size >= _SMALLEST_COMPARED and dtype == "<f8" and _looks_single(pieces[0])
+        if not may_be_single and (size < _SMALLEST_COMPARED or sizes.count(size) == 1):
             continue
         data = b"".join(pieces)
-        same = (i for i, (kind, other, _) in compared.items() if kind == dtype and other == data)
-        equal = next(same, None)
+        equal = _equal_array(compared, dtype, data)
         if equal is None:
-            compared[number] = dtype, data, _single(data) if may_be_single else None
+            single = _as_single(data) if may_be_single else None
+            compared[index] = _Compared(dtype, data, single)
         else:
-            same_as[number] = equal
+            same_as[index] = equal
     places: dict[int, Place] = {}
-    parts: list[Any] = []
+    stored: list[Any] = []
     end = 0
-    for number in sorted(compared, key=lambda k: compared[k][2] is None):
-        dtype, data, single = compared[number]
-        place, written = Place(end), data
-        if single is not None:
-            place, written = Place(end, single=True), single
-        elif dtype == "<f8":
-            for other, base in places.items():
-                if base.base is None and compared[other][0] == dtype and sizes[other] == len(data):
-                    mask = np.bitwise_xor(_words(data), _words(compared[other][1]))
-                    if np.count_nonzero(mask) <= len(mask) // 4:
-                        place = Place(end, False, base.offset, base.single)
-                        written = mask.tobytes()
-                        break
-        places[number] = place
-        parts.append(written)
-        end += len(written)
-    for number, (_, pieces) in enumerate(arrays):
-        if number in same_as:
-            places[number] = places[same_as[number]]
-        elif number not in compared:
-            places[number] = Place(end)
-            parts += pieces
-            end += sizes[number]
-    return [places[number] for number in range(len(arrays))], parts
+    # Arrays as float32 first: those that differ from one of them in a few numbers come after it.
+    for index in sorted(compared, key=lambda index: compared[index].single is None):
+        array = compared[index]
+        if array.single is not None:
+            place = Place(end, single=True)
+            content = array.single
+        else:
+            place, content = _place_difference(array, end, places, compared)
+        places[index] = place
+        stored.append(content)
+        end += len(content)
+    for index, (_, pieces) in enumerate(arrays):
+        if index in same_as:
+            places[index] = places[same_as[index]]
+        elif index not in compared:
+            places[index] = Place(end)
+            stored += pieces
+            end += sizes[index]
+    return [places[index] for index in range(len(arrays))], stored
+
+
+def _equal_array(compared: Mapping[int, _Compared], dtype: str, data: bytes) -> int | None:
+    for index, other in compared.items():
+        if other.dtype == dtype and other.data == data:
+            return index
+    return None
+
+
+def _place_difference(
+    array: _Compared, end: int, places: Mapping[int, Place], compared: Mapping[int, _Compared]
+) -> tuple[Place, bytes]:
+    """Store a float64 array as its difference from a similar one; any other as it is.
+
+    Args:
+        array: The array.
+        end: Where its bytes are stored.
+        places: Arrays that have been placed before.
+        compared: Their contents.
+    """
+    if array.dtype == "<f8":
+        for index, base in places.items():
+            other = compared[index]
+            # A base must not need another array itself: reading takes one step.
+            is_usable = base.base is None and other.dtype == array.dtype
+            if not is_usable or len(other.data) != len(array.data):
+                continue
+            difference = np.bitwise_xor(_words(array.data), _words(other.data))
+            if np.count_nonzero(difference) <= len(difference) // 4:
+                place = Place(end, base=base.offset, base_single=base.single)
+                return place, difference.tobytes()
+    return Place(end), array.data
 
 
 def _words(data: bytes) -> NDArray[np.uint64]:
@@ -102,17 +148,20 @@ def _words(data: bytes) -> NDArray[np.uint64]:
 def _looks_single(values: NDArray[Any]) -> bool:
     """Whether a few of the values, which nearly always decide, are float32 values."""
     words = values.reshape(-1).view(np.uint64)
-    return not any(word & _MANTISSA_REST for word in words[:: max(1, len(words) // 4)].tolist())
+    stride = max(1, len(words) // 4)
+    return not any(word & _EXTRA_MANTISSA for word in words[::stride].tolist())
 
 
-def _single(data: bytes) -> bytes | None:
+def _as_single(data: bytes) -> bytes | None:
     """float64 values as float32 if the conversion is exact; else None."""
-    if (_words(data) & _NOT_SINGLE).any():
+    if (_words(data) & np.uint64(_EXTRA_MANTISSA)).any():
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         single = np.frombuffer(data, _F8).astype(_F4)
-    same = np.array_equal(single.astype(_F8).view(np.uint64), _words(data))
-    return single.tobytes() if same else None
+    # Large, tiny and NaN values may have changed although their mantissas are short.
+    if np.array_equal(single.astype(_F8).view(np.uint64), _words(data)):
+        return single.tobytes()
+    return None
 
 
 def load(name: str, dtype: str, shape: tuple[int, ...], place: Place, data: memoryview) -> Any:
@@ -140,12 +189,13 @@ def load(name: str, dtype: str, shape: tuple[int, ...], place: Place, data: memo
 def _load(
     name: str, dtype: str, shape: tuple[int, ...], offset: int, single: bool, data: memoryview
 ) -> NDArray[Any]:
-    kind, size = _F4 if single else DTYPES[dtype], 1
-    for length in shape:  # Python integers do not overflow
-        size *= length
-    if offset + size * kind.itemsize > min(len(data), LARGEST_CHUNK):
+    stored_dtype = _F4 if single else DTYPES[dtype]
+    size = math.prod(shape)  # Python integers do not overflow
+    if offset + size * stored_dtype.itemsize > min(len(data), LARGEST_CHUNK):
         raise DamageError(f"array {name!r} of shape {shape} is not in the message")
-    flat = np.frombuffer(data, kind, size, offset)
+    values = np.frombuffer(data, stored_dtype, size, offset)
     if dtype == "|b1":
-        flat = flat.view(np.uint8) != 0  # any non-zero byte is True
-    return flat.astype(_F8) if single else flat
+        values = values.view(np.uint8) != 0  # any non-zero byte is True
+    if single:
+        values = values.astype(_F8)
+    return values

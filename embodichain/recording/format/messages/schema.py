@@ -116,12 +116,12 @@ MESSAGES: Mapping[str, Sequence[str]] = {
 
 
 def _add_field(message: descriptor_pb2.DescriptorProto, declaration: str) -> None:
-    left, number = declaration.split(" = ")
-    words = left.split()
-    repeated = words[0] == "repeated"
+    type_and_name, number = declaration.split(" = ")
+    words = type_and_name.split()
+    is_repeated = words[0] == "repeated"
     kind, name = words[-2:]
     field = message.field.add(name=name, number=int(number))
-    field.label = _F.LABEL_REPEATED if repeated else _F.LABEL_OPTIONAL
+    field.label = _F.LABEL_REPEATED if is_repeated else _F.LABEL_OPTIONAL
     if kind in _KINDS:
         field.type = _KINDS[kind]
     else:
