@@ -39,6 +39,7 @@ __all__ = [
     "killed",
     "sampled",
     "tried",
+    "verb_forks",
 ]
 
 ERRORS = (errno.EIO, errno.ENOSPC)
@@ -49,7 +50,8 @@ _WARM = (
         "embodichain.cli.verbs.run",
         "embodichain.cli.verbs.train",
         "embodichain.cli.verbs.collect",
-        "matplotlib",
+        "matplotlib.pyplot",
+        "torch._dynamo",
     ),
     *(
         "embodichain.cli.verbs.export",
@@ -74,17 +76,23 @@ _WARM = (
         "embodichain.tasks",
     ),
 )
+_VERBS_OF_TASKS = ("run", "train", "collect")
+"""Verbs whose arguments `validate` takes; it starts no thread."""
 _TEMPORARY = " is temporary"
 _CUT = "EndOfFile"
 _ALONE = ("OpenGL", "mujoco.", "__", "IPython")
 """Modules that start something where they are imported, which a fork would share."""
 
 
-def build(folder: Path) -> Path | None:
-    """Build the library; None where there is no gcc."""
+def build(folder: Path) -> Path:
+    """Build the library in a folder, and return its path.
+
+    Raises:
+        FileNotFoundError: There is no gcc.
+    """
     gcc = shutil.which("gcc")
     if gcc is None:
-        return None
+        raise FileNotFoundError("there is no gcc, which builds what makes calls fail")
     path = folder / "nth_call.so"
     command = [gcc, "-O1", "-shared", "-fPIC", "-o", str(path), str(SOURCE), "-ldl"]
     subprocess.run(command, check=True)
@@ -98,13 +106,13 @@ class Ended:
     Attributes:
         code: Its exit code; negative for a signal.
         err: What it wrote to stderr.
-        count: Number of calls that were counted.
+        calls: The calls that were counted, each with its file.
         failed: The call that failed, and its file; empty if none did.
     """
 
     code: int
     err: str
-    count: int
+    calls: list[str]
     failed: str
 
 
@@ -155,22 +163,46 @@ class Forks:
             stays: Whether all later calls that write fail too, as on a full disk.
             kill_after: Seconds after which it is killed (SIGKILL), unless it has ended.
         """
+        asked = {"arguments": [*arguments], "below": str(below), "n": n, "number": number}
+        return Ended(**self._answer({**asked, "stays": stays, "kill": kill_after}))
+
+    def warm(self, arguments: Sequence[str]) -> None:
+        """Run a command in the process itself, so that the forks have what it keeps in memory.
+
+        Args:
+            arguments: After ``embodichain``. It must start no thread, since a fork has none.
+        """
+        self._answer({"warm": [*arguments]})
+
+    def _answer(self, request: dict[str, Any]) -> Any:  # noqa: ANN401  (as in JSON)
         process = self._process
         if process.stdin is None or process.stdout is None:
             raise RuntimeError("no pipes")
-        asked = {"arguments": [*arguments], "below": str(below), "n": n, "number": number}
-        process.stdin.write(json.dumps({**asked, "stays": stays, "kill": kill_after}) + "\n")
+        process.stdin.write(json.dumps(request) + "\n")
         process.stdin.flush()
         answer = process.stdout.readline()
         if not answer:
             raise RuntimeError(f"the process that forks has ended: {process.wait()}")
-        return Ended(**json.loads(answer))
+        return json.loads(answer)
+
+
+@contextmanager
+def verb_forks(place: Path) -> Iterator[Forks]:
+    """Build the library in a folder, and start the process that forks.
+
+    Raises:
+        FileNotFoundError: There is no gcc.
+    """
+    with Forks(build(place)) as forks:
+        yield forks
 
 
 def _serve() -> None:
     """Answer requests until there are no more."""
     import importlib
-    from contextlib import suppress
+    from contextlib import redirect_stdout, suppress
+
+    from embodichain.cli.app import main
 
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
@@ -179,7 +211,12 @@ def _serve() -> None:
             importlib.import_module(name)
     for line in sys.stdin:
         asked = json.loads(line)
-        answer = _forked(asked)
+        answer: dict[str, Any] = {"imported": []}
+        if "warm" in asked:
+            with redirect_stdout(io.StringIO()):
+                main(asked["warm"])
+        else:
+            answer = _forked(asked)
         for name in answer.pop("imported"):  # by the first of a kind, and by no other again
             with suppress(Exception):
                 importlib.import_module(name)
@@ -197,7 +234,7 @@ def _forked(asked: dict[str, Any]) -> dict[str, Any]:
         status = _waited(pid, asked["kill"])
         err.seek(0)
         told.seek(0)
-        nothing = b'{"count": -1, "failed": "", "imported": []}'
+        nothing = b'{"calls": [], "failed": "", "imported": []}'
         counted = json.loads(told.read() or nothing)
         code = os.waitstatus_to_exitcode(status)
         return {"code": code, "err": err.read().decode(errors="replace"), **counted}
@@ -228,12 +265,15 @@ def _child(asked: dict[str, Any], err: int, told: int) -> None:
         sys.stderr = io.TextIOWrapper(io.FileIO(2, "w"), line_buffering=True)
         os.chdir(asked["below"])
         library: Any = ctypes.CDLL(None)
-        library.nth_failed.restype = ctypes.c_char_p
+        library.nth_failed.restype = library.nth_list.restype = ctypes.c_char_p
         library.nth_arm(asked["below"].encode(), asked["n"], asked["number"], int(asked["stays"]))
         code = main(asked["arguments"])
         sys.stdout.flush()
         sys.stderr.flush()
-        counted = {"count": library.nth_count(), "failed": library.nth_failed().decode()}
+        counted = {
+            "calls": library.nth_list().decode().splitlines(),
+            "failed": library.nth_failed().decode(),
+        }
         counted["imported"] = [
             name for name in sys.modules if name not in before and not name.startswith(_ALONE)
         ]
@@ -384,6 +424,8 @@ def _prepared(case: Case, forks: Forks, place: Path) -> Iterator[Path]:
     """A folder in which the commands before a case were run, kept as a copy for each try."""
     start = place / f"{case.name}-start"
     start.mkdir()
+    if case.arguments[0] in _VERBS_OF_TASKS:
+        forks.warm(("validate", *case.arguments[1:]))
     for arguments in case.prepare:
         ended = forks.run(arguments, start)
         if ended.code:
@@ -398,20 +440,21 @@ def tried(
     case: Case,
     forks: Forks,
     place: Path,
-    most: int,
+    chosen: Callable[[list[str]], Sequence[int]] | None = None,
     errors: Sequence[int] = ERRORS,
     *,
     stays: bool = False,
     report: Callable[[Tried], None] = lambda found: None,
-) -> tuple[int, list[Tried]]:
-    """Let calls of a case fail one after another; return how many there are, and what came.
+) -> tuple[list[str], list[Tried]]:
+    """Let calls of a case fail one after another; return all its calls, and what came.
 
     Args:
         case: The verb.
         forks: Runs it.
         place: A folder for it.
-        most: Number of calls that fail, evenly over all.
-        errors: The errors, in turn; with a negative `most`, all calls fail with each.
+        chosen: Of its calls, the numbers of those that fail, each with one error; None: all, each
+            with all errors.
+        errors: The errors, in turn.
         stays: Whether all later writes fail too.
         report: Called with each result.
     """
@@ -422,13 +465,14 @@ def tried(
         if ended.code or half_written(whole):
             raise RuntimeError(f"{case.name}: {ended.err} {half_written(whole)}")
         wanted = case.result(whole)
-        found = []
-        if most < 0:
-            chosen = [(n, e) for n in range(1, ended.count + 1) for e in errors]
+        faults: list[tuple[int, int]]
+        if chosen is None:
+            faults = [(n, error) for n in range(1, len(ended.calls) + 1) for error in errors]
         else:
-            numbers = sampled(ended.count, most)
-            chosen = [(n, errors[i % len(errors)]) for i, n in enumerate(numbers)]
-        for n, number in chosen:
+            numbers = chosen(ended.calls)
+            faults = [(n, errors[i % len(errors)]) for i, n in enumerate(numbers)]
+        found = []
+        for n, number in faults:
             folder = place / f"{case.name}-{n}"
             shutil.copytree(start, folder, symlinks=True)
             result = _try(case, forks, folder, n, number, wanted, stays=stays)
@@ -436,7 +480,7 @@ def tried(
             found.append(result)
             report(result)
         shutil.rmtree(whole, ignore_errors=True)
-        return ended.count, found
+        return ended.calls, found
 
 
 def _try(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording.export.formats import required
+from embodichain.recording.export.parquet_files import new_parquet
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.video import VideoFile, need_encoder
 
@@ -165,7 +166,7 @@ class LeRobotWriter:
             columns[key] = numbers[key].astype(kind)[:, None]
         table = self._pa.table({key: self._array(column) for key, column in columns.items()})
         if self._parquet is None:
-            opened = self._pq.ParquetWriter(self._data, table.schema)
+            opened = new_parquet(self._data, table.schema, "lerobot")
             self._parquet = self._files.enter_context(opened)
         self._parquet.write_table(table)
         row = {
@@ -259,7 +260,9 @@ class LeRobotWriter:
         ]
         folder = self._root / "meta/episodes/chunk-000"
         folder.mkdir(parents=True)
-        self._pq.write_table(self._pa.Table.from_pylist(table), folder / "file-000.parquet")
+        episodes = self._pa.Table.from_pylist(table)
+        with new_parquet(folder / "file-000.parquet", episodes.schema, "lerobot") as file:
+            file.write_table(episodes)
         whole = {key: of_values(self._column(key)) for key in (*self._features, *_INDICES)}
         whole |= {key: of_levels(self._levels[key], self._shown[key]) for key in self._cameras}
         tree = {key: {name: v.tolist() for name, v in s.items()} for key, s in whole.items()}
