@@ -2,6 +2,7 @@
 
 python scripts/fail_every_call.py              # all calls of all cases
 python scripts/fail_every_call.py run train --most 50
+python scripts/fail_every_call.py run --kinds  # one call of each kind: what is done to which file
 python scripts/fail_every_call.py run --stays  # the disk stays full
 """
 
@@ -13,12 +14,14 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.helpers.faults import CASES, Tried, sampled, tried, verb_forks
+from tests.helpers.faults import CASES, Tried, kinds, sampled, tried
+from tests.helpers.forks import verb_forks
 
 _LINES = 8
 """Lines of stderr that are shown where something is not as promised."""
@@ -29,12 +32,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", nargs="*", help=f"of {', '.join(CASES)}; default: all")
     parser.add_argument("--most", type=int, help="calls of each case; default: all")
+    parser.add_argument("--kinds", action="store_true", help="one call of each kind, each error")
     parser.add_argument("--stays", action="store_true", help="all later writes fail too")
     parser.add_argument("--error", choices=("EIO", "ENOSPC"), action="append", default=[])
     options = parser.parse_args()
     errors = [getattr(errno, name) for name in options.error or ("EIO", "ENOSPC")]
-    chosen = None
-    if options.most is not None:
+    chosen: Callable[[list[str]], list[int]] | None = None
+    if options.kinds:
+        chosen = partial(_kinds, len(errors))
+    elif options.most is not None:
         chosen = partial(_evenly, options.most)
     failed = False
     with tempfile.TemporaryDirectory() as folder, verb_forks(Path(folder).resolve()) as forks:
@@ -59,6 +65,10 @@ def main() -> int:
 
 def _evenly(most: int, calls: list[str]) -> list[int]:
     return sampled(len(calls), most)
+
+
+def _kinds(times: int, calls: list[str]) -> list[int]:
+    return [n for n in kinds(calls) for _ in range(times)]
 
 
 def _report(result: Tried) -> None:

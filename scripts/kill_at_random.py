@@ -15,7 +15,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.helpers.faults import KILLS, killed, verb_forks
+from tests.helpers.forks import verb_forks
+from tests.helpers.kills import KILLS
 
 
 def main() -> int:
@@ -30,8 +31,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder, verb_forks(Path(folder).resolve()) as forks:
         for name in options.cases or KILLS:
             begun = time.monotonic()
-            moments = [draw.uniform(0.1, 1.0) for _ in range(options.times)]
-            found = killed(KILLS[name], forks, Path(folder).resolve(), moments)
+            found = KILLS[name](forks, Path(folder).resolve(), draw, options.times)
             wrong = [what for result in found for what in result.wrong]
             failed = failed or bool(wrong)
             alive = sum(not result.ended for result in found)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.faults import CASES, Forks, sampled, tried, verb_forks
+from tests.helpers.faults import CASES, sampled, tried
+from tests.helpers.forks import Forks, verb_forks
 
 CALLS = 20
 """Calls of a verb that fail; each is a command, and one more to see that it can be repeated."""
