@@ -98,7 +98,7 @@ def contended(
             wrong = []
             if second is not None:
                 other = forks.wait(second, moments[1])
-                refused = other.code == 1 and "another process is collecting" in other.err
+                refused = other.code == 2 and "another process is collecting" in other.err
                 if other.code not in (0, -signal.SIGKILL) and not refused:
                     wrong.append(f"the second: exit code {other.code}: {other.err.strip()}")
             result = _after_kill(case, forks, folder, undisturbed, ended)
