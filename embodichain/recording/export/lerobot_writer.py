@@ -229,7 +229,7 @@ class LeRobotWriter:
             {"task_index": [*self._tasks.values()]},
             index=self._pd.Index([*self._tasks], name="task"),
         )
-        tasks.to_parquet(self._root / "meta/tasks.parquet")
+        self._write_table("meta/tasks.parquet", self._pa.Table.from_pandas(tasks))
         info = {
             "codebase_version": _VERSION,
             "robot_type": self._robot,
@@ -258,15 +258,17 @@ class LeRobotWriter:
             | {f"stats/{k}/{n}": v.tolist() for k, s in own.items() for n, v in s.items()}
             for row, own in zip(self._rows, self._stats, strict=True)
         ]
-        folder = self._root / "meta/episodes/chunk-000"
-        folder.mkdir(parents=True)
-        episodes = self._pa.Table.from_pylist(table)
-        with new_parquet(folder / "file-000.parquet", episodes.schema, "lerobot") as file:
-            file.write_table(episodes)
+        (self._root / "meta/episodes/chunk-000").mkdir(parents=True)
+        name = "meta/episodes/chunk-000/file-000.parquet"
+        self._write_table(name, self._pa.Table.from_pylist(table))
         whole = {key: of_values(self._column(key)) for key in (*self._features, *_INDICES)}
         whole |= {key: of_levels(self._levels[key], self._shown[key]) for key in self._cameras}
         tree = {key: {name: v.tolist() for name, v in s.items()} for key, s in whole.items()}
         (self._root / "meta/stats.json").write_text(json.dumps(tree, indent=4))
+
+    def _write_table(self, name: str, table: Any) -> None:
+        with new_parquet(self._root / name, table.schema, "lerobot") as file:
+            file.write_table(table)
 
     def _column(self, key: str) -> NDArray[Any]:
         """(total, K) values of a feature in all frames, as they were written."""
