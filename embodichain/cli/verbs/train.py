@@ -22,7 +22,6 @@ from embodichain.cli.results.summaries import training_rows
 from embodichain.cli.terminal.output import print_facts, print_json, to_json
 from embodichain.cli.terminal.process import Interrupted, started
 from embodichain.cli.verbs.eval import Asked, evaluate_job, evaluation_config
-from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.system.atomic import write_text
 
 if TYPE_CHECKING:
@@ -110,15 +109,17 @@ def _learn(job: Job) -> dict[str, Any]:
 
         # Interrupted: checkpoint and summary have been written; the job ends with code 130.
         with suppress(Interrupted):
-            train(
+            learned = train(
                 *(job.resolved, job.folder, progress),
                 lambda env: job.attach_viewer(env, realtime=False),
                 lambda env: read_dataset(job, env),
             )
+            summary = job.resolved.record(dataclasses.asdict(learned))
+            return {**summary, "folder": str(job.folder)}
     if not (job.folder / SUMMARY).is_file():
         message = f"interrupted ({job.stop.stopped}) before the first update"
         raise Interrupted.by(job.stop.stopped, message)
-    summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
+    summary = json.loads((job.folder / SUMMARY).read_text())
     return {**summary, "folder": str(job.folder)}
 
 
@@ -170,7 +171,7 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
     from embodichain.config.run_folder import CONFIG, newest_run
     from embodichain.learning.checkpoints.checkpoint import read_note
     from embodichain.learning.training.keeper import find_resumable
-    from embodichain.learning.training.train import check_training
+    from embodichain.learning.training.train import check_training, check_unfinished
 
     changes = parsed_changes(overrides, MAY_CHANGE, "a resumed training")
     name = str(changes.pop("resume"))
@@ -184,8 +185,5 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
     source = str(folder / CONFIG)
     found = resolve_tree(tree, source, "train", task_name=task, allow_import=True)
     check_training(found)
-    done, wanted = state["env_steps"], found.root.total_timesteps or 0
-    if done >= wanted:
-        message = f"{checkpoint} has {done} steps already: give more, total_timesteps=N"
-        raise ConfigError([Problem("total_timesteps", message)])
+    check_unfinished(checkpoint, state["env_steps"], found.root.total_timesteps or 0)
     return dataclasses.replace(found, overrides=tuple(overrides))

@@ -99,11 +99,8 @@ def _grouped(errors: Iterable[ErrorDetails], data: Any) -> dict[Loc, list[ErrorD
     groups: dict[Loc, list[ErrorDetails]] = {}
     for error in errors:
         groups.setdefault(_clean(error, data), []).append(error)
-    return {
-        loc: found
-        for loc, found in groups.items()
-        if not any(len(other) > len(loc) and other[: len(loc)] == loc for other in groups)
-    }
+    above = {loc[:depth] for loc in groups for depth in range(len(loc))}
+    return {loc: found for loc, found in groups.items() if loc not in above}
 
 
 def _clean(error: ErrorDetails, data: Any) -> Loc:
