@@ -15,7 +15,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.helpers.faults import KILLS, Forks, build, killed
+from tests.helpers.forks import verb_forks
+from tests.helpers.kills import KILLS
 
 
 def main() -> int:
@@ -27,28 +28,21 @@ def main() -> int:
     options = parser.parse_args()
     draw = random.Random(options.seed)
     failed = False
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder).resolve()
-        library = build(place)
-        if library is None:
-            sys.stderr.write("there is no gcc here\n")
-            return 2
-        with Forks(library) as forks:
-            for name in options.cases or KILLS:
-                begun = time.monotonic()
-                moments = [draw.uniform(0.1, 1.0) for _ in range(options.times)]
-                found = killed(KILLS[name], forks, place, moments)
-                wrong = [what for result in found for what in result.wrong]
-                failed = failed or bool(wrong)
-                alive = sum(not result.ended for result in found)
-                left = sum(result.left for result in found)
-                sys.stdout.write(
-                    f"{name}: {alive} kills of {len(found)} tries, {left} temporary files left "
-                    f"and removed, {sum(bool(r.wrong) for r in found)} not as promised, "
-                    f"{time.monotonic() - begun:.0f} s\n"
-                )
-                sys.stdout.write("".join(f"  {what}\n" for what in wrong))
-                sys.stdout.flush()
+    with tempfile.TemporaryDirectory() as folder, verb_forks(Path(folder).resolve()) as forks:
+        for name in options.cases or KILLS:
+            begun = time.monotonic()
+            found = KILLS[name](forks, Path(folder).resolve(), draw, options.times)
+            wrong = [what for result in found for what in result.wrong]
+            failed = failed or bool(wrong)
+            alive = sum(not result.ended for result in found)
+            left = sum(result.left for result in found)
+            sys.stdout.write(
+                f"{name}: {alive} kills of {len(found)} tries, {left} temporary files left "
+                f"and removed, {sum(bool(r.wrong) for r in found)} not as promised, "
+                f"{time.monotonic() - begun:.0f} s\n"
+            )
+            sys.stdout.write("".join(f"  {what}\n" for what in wrong))
+            sys.stdout.flush()
     return int(failed)
 
 

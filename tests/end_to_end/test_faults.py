@@ -8,34 +8,46 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.faults import CASES, Forks, build, sampled, tried
+from tests.helpers.faults import CASES, sampled, tried
+from tests.helpers.forks import Forks, verb_forks
 
-SAMPLES = {"run": 6, "train": 6, "collect": 5, "report": 4, "recover": 4}
+CALLS = 20
 """Calls of a verb that fail; each is a command, and one more to see that it can be repeated."""
-OF_EXPORT = 2
-"""Calls of an export, in a format."""
 
 pytestmark = pytest.mark.unmeasured
 
 
 @pytest.fixture(scope="module")
 def forks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Forks]:
-    library = build(tmp_path_factory.mktemp("library"))
-    if library is None:
-        pytest.skip("there is no gcc, which builds what makes calls fail")
-    with Forks(library) as made:
-        yield made
+    try:
+        with verb_forks(tmp_path_factory.mktemp("library")) as made:
+            yield made
+    except FileNotFoundError as error:
+        pytest.skip(str(error))
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_after_a_call_that_fails_all_is_as_promised(
     name: str, forks: Forks, tmp_path: Path
 ) -> None:
-    count, found = tried(CASES[name], forks, tmp_path, SAMPLES.get(name, OF_EXPORT))
-    assert count > 3  # the library sees the calls
+    calls, found = tried(CASES[name], forks, tmp_path, lambda calls: sampled(len(calls), CALLS))
+    assert len(calls) > 3  # the library sees the calls
     wrong = {f"{r.n} ({r.ended.failed})": (r.wrong, r.ended.err) for r in found if r.wrong}
     assert not wrong
     assert sum(bool(result.ended.failed) for result in found) >= len(found) - 1
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if name.startswith("export")])
+def test_a_file_that_cannot_be_closed_is_an_error_with_its_reason(
+    name: str, forks: Forks, tmp_path: Path
+) -> None:
+    _, found = tried(CASES[name], forks, tmp_path, _closing)
+    assert found
+    assert [(r.n, r.wrong, r.ended.err) for r in found if r.wrong] == []
+
+
+def _closing(calls: list[str]) -> list[int]:
+    return [n for n, call in enumerate(calls, start=1) if call.startswith("close ")]
 
 
 def test_what_is_sampled_has_the_first_call_and_the_last() -> None:

@@ -12,6 +12,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
+#include <pthread.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdio.h>
@@ -21,7 +22,7 @@
 #include <sys/uio.h>
 #include <unistd.h>
 
-enum { DESCRIPTORS = 65536 };
+enum { DESCRIPTORS = 65536, LISTED = 1 << 20 };
 enum { READING = 1, WRITING = 2 };
 
 static char folder[PATH_MAX];
@@ -32,6 +33,9 @@ static int fail_with, fail_on; /* fail_on: whether all later writes fail too */
 static atomic_uchar tracked[DESCRIPTORS];
 static char failed_call[PATH_MAX + 64];
 static pid_t owner; /* other processes are not counted */
+static char list[LISTED]; /* a line for each call that was counted, as far as there is room */
+static size_t list_length;
+static pthread_mutex_t listing = PTHREAD_MUTEX_INITIALIZER;
 
 void nth_arm(const char *below, long n, int number, int stays) {
     snprintf(folder, sizeof folder, "%s", below);
@@ -39,6 +43,8 @@ void nth_arm(const char *below, long n, int number, int stays) {
     fail_at = n, fail_with = number, fail_on = stays;
     count = 0;
     failed_call[0] = 0;
+    list[0] = 0;
+    list_length = 0;
     owner = getpid();
 }
 
@@ -46,10 +52,24 @@ long nth_count(void) { return count; }
 
 const char *nth_failed(void) { return failed_call; }
 
+const char *nth_list(void) { return list; }
+
+/* Count a call, and list it; return its number. */
+static long counted(const char *call, const char *path) {
+    pthread_mutex_lock(&listing);
+    long number = atomic_fetch_add(&count, 1) + 1;
+    size_t room = sizeof list - list_length;
+    int length = snprintf(list + list_length, room, "%s %s\n", call, path);
+    if (length < (int)room) list_length += length;
+    else list[list_length] = 0;
+    pthread_mutex_unlock(&listing);
+    return number;
+}
+
 /* Count a call; return whether it has to fail. */
 static int fails(const char *call, const char *path, int is_write) {
     if (getpid() != owner) return 0;
-    long number = atomic_fetch_add(&count, 1) + 1;
+    long number = counted(call, path);
     if (!fail_at || number < fail_at) return 0;
     if (number > fail_at && !(fail_on && is_write)) return 0;
     if (number == fail_at) snprintf(failed_call, sizeof failed_call, "%s %s", call, path);

@@ -220,6 +220,48 @@ def test_what_was_chosen_for_the_first_part_stays(tmp_path, before):
     assert given.tree["algo"]["gradient_steps"] == 3
 
 
+@pytest.mark.parametrize("left", [None, "failed"], ids=["killed", "disk full"])
+@pytest.mark.parametrize(
+    "algo",
+    [
+        (*PPO, "algo.normalize=both"),
+        ("algo=sac", "algo.learning_starts=32"),
+        ("algo=rsl_rl_ppo", "algo.num_steps_per_env=8", "algo.num_mini_batches=2"),
+    ],
+    ids=["ppo", "sac", "rsl_rl"],
+)
+def test_a_training_whose_results_were_not_written_is_ended(tmp_path, algo, left):
+    """After its last checkpoint: by a kill, or by a full disk."""
+    if "rsl_rl" in algo[0]:
+        pytest.importorskip("rsl_rl")
+    job = (*algo, "total_timesteps=72")  # with rollouts of 32, it takes 96
+    whole, second = (folder(tmp_path, name) for name in ("whole", "second"))
+    train(config(*job), whole)
+    wanted = same_log_columns(whole)
+    if left is None:
+        (whole / "summary.json").unlink()
+    else:
+        (whole / "summary.json").write_text(json.dumps({"status": left}))
+    summary = train(config(*job, f"resume={whole}"), second)
+    assert summary.status == "finished"
+    assert same_log_columns(second) == wanted
+    for name in ("policy.pth", "policy.pt"):
+        parts = [in_zip(run / "checkpoints/final.zip", name) for run in (whole, second)]
+        assert parts[0] == parts[1]
+    with pytest.raises(ConfigError, match="steps already: give more"):
+        train(config(*job, f"resume={second}"), folder(tmp_path, "third"))
+
+
+def in_zip(path, name):
+    """Weights of a checkpoint, by name; None without such a file."""
+    with zipfile.ZipFile(path) as archive:
+        if name not in archive.namelist():
+            return None
+        stream = io.BytesIO(archive.read(name))
+    state = torch.load(stream) if name.endswith("pth") else torch.jit.load(stream).state_dict()
+    return {key: value.numpy().tobytes() for key, value in state.items()}
+
+
 def test_a_finished_training_can_be_made_longer(tmp_path):
     whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
     train(config(*PPO, FOUR), whole)

@@ -1,5 +1,6 @@
 """Files that appear whole or not at all."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -114,3 +115,18 @@ def test_an_error_names_the_file_and_not_its_temporary_name(folder: Path) -> Non
     with pytest.raises(FileNotFoundError) as raised:
         write_text(folder / "missing/a.txt", "text")
     assert raised.value.filename == str(folder / "missing/a.txt")
+
+
+def test_an_error_of_the_disk_is_raised_where_a_library_hides_it(folder: Path) -> None:
+    with pytest.raises(OSError, match="No space left") as raised, atomic_file(folder / "a.zip"):
+        try:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        finally:
+            raise RuntimeError("unexpected pos")
+    assert raised.value.filename == str(folder / "a.zip")
+    with pytest.raises(RuntimeError), atomic_file(folder / "a.zip"):
+        try:
+            raise FileNotFoundError(errno.ENOENT, "looked for, and not there")
+        except FileNotFoundError:
+            raise RuntimeError("another mistake")  # noqa: B904  (as a library does)
+    assert list(folder.iterdir()) == []

@@ -170,7 +170,7 @@ def resumed_training(overrides: Sequence[str]) -> Resolved:
     from embodichain.config.run_folder import CONFIG, newest_run
     from embodichain.learning.checkpoints.checkpoint import read_note
     from embodichain.learning.training.keeper import find_resumable
-    from embodichain.learning.training.train import check_training
+    from embodichain.learning.training.train import check_training, check_unfinished
 
     changes = parsed_changes(overrides, TRAINING_KEYS, "a resumed training")
     name = str(changes.pop("resume"))
@@ -184,9 +184,5 @@ def resumed_training(overrides: Sequence[str]) -> Resolved:
     source = str(folder / CONFIG)
     resumed = resolve_tree(tree, source, "train", task_name=task, allow_import=True)
     check_training(resumed)
-    done = state["env_steps"]
-    wanted = resumed.root.total_timesteps or 0
-    if done >= wanted:
-        message = f"{checkpoint} has {done} steps already: give more, total_timesteps=N"
-        raise ConfigError([Problem("total_timesteps", message)])
+    check_unfinished(checkpoint, state["env_steps"], resumed.root.total_timesteps or 0)
     return dataclasses.replace(resumed, overrides=tuple(overrides))

@@ -204,20 +204,26 @@ class Locator:
                 are located at the deepest ancestor that something sets.
         """
         parts = path.split(".")
-        best, source = -1.0, ""
+        best = -1.0
+        place: tuple[Path, int] | None = None
         for file in self.files:
-            known, line = file.find(parts)
-            if known >= best and line:
-                best, source = known, f"{display_path(file.path)}:{line}"
+            depth, line = file.find(parts)
+            if depth >= best and line:
+                best = depth
+                place = file.path, line
         for override in self.overrides:
-            depth = _depth_of_override(override, parts)
-            if depth == len(parts) - 0.5 and not any(
+            reached = _depth_of_override(override, parts)
+            if reached == len(parts) - 0.5 and not any(
                 file.keys.get(path, KeyPlace(0, "")).kind == "map" for file in self.files
             ):
-                depth = len(parts)  # the override made a map of a value
-            if depth > 0 and depth >= best:
-                best, source = depth, COMMAND_LINE
-        return source or COMMAND_LINE
+                reached = len(parts)  # the override made a map of a value
+            if reached > 0 and reached >= best:
+                best = reached
+                place = None
+        if place is None:
+            return COMMAND_LINE
+        path_of_file, line = place
+        return f"{display_path(path_of_file)}:{line}"
 
     def sets(self, path: str) -> bool:
         """Whether a file sets exactly this key."""

@@ -99,11 +99,8 @@ def _grouped(errors: Iterable[ErrorDetails], data: Any) -> dict[Loc, list[ErrorD
     groups: dict[Loc, list[ErrorDetails]] = {}
     for error in errors:
         groups.setdefault(_clean(error, data), []).append(error)
-    return {
-        loc: found
-        for loc, found in groups.items()
-        if not any(len(other) > len(loc) and other[: len(loc)] == loc for other in groups)
-    }
+    above = {loc[:depth] for loc in groups for depth in range(len(loc))}
+    return {loc: found for loc, found in groups.items() if loc not in above}
 
 
 def _clean(error: ErrorDetails, data: Any) -> Loc:
@@ -194,14 +191,20 @@ def _tag_key(error: ErrorDetails) -> str:
 
 def _wrong_tag(path: str, value: Any, key: str) -> Problem:
     tag = value.get(key) if isinstance(value, dict) else None
-    schema = TypeAdapter(_TAGS[key]).json_schema()
-    members = [schema["$defs"][one["$ref"].rpartition("/")[2]] for one in schema["oneOf"]]
-    names = [_tags(member, key)[0] for member in members]
+    names = _first_tags(key)
     what = "algorithm" if key == "name" else key.removesuffix("_type")
     if tag is None:
         return Problem(path, f"missing value; one of: {', '.join(names)}")
     hint = did_you_mean(str(tag), names).strip()
     return Problem(path, f"unknown {what} {show_value(tag)}; one of: {', '.join(names)}.", hint)
+
+
+@cache
+def _first_tags(key: str) -> list[str]:
+    """The names of the members of the union that a key chooses between."""
+    schema = TypeAdapter(_TAGS[key]).json_schema()
+    members = [schema["$defs"][one["$ref"].rpartition("/")[2]] for one in schema["oneOf"]]
+    return [_tags(member, key)[0] for member in members]
 
 
 def _tags(member: Mapping[str, Any], key: str) -> list[str]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from embodichain.config.run_folder import checkpoint_of
 from embodichain.learning.checkpoints.task_digest import TaskDigest
+from embodichain.learning.checkpoints.zip_limits import check_unpacked
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.system.atomic import atomic_file
 
@@ -95,6 +96,7 @@ def read_note(path: Path) -> dict[str, Any]:
         ConfigError: If the file cannot be read or is no checkpoint of a known algorithm.
     """
     try:
+        check_unpacked(path)
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
             policy = SCRIPT if SCRIPT in names else _MODEL

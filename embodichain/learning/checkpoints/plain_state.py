@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.learning.checkpoints.zip_limits import check_unpacked
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.system.atomic import atomic_file
 
@@ -19,6 +20,8 @@ __all__ = ["read_tree", "write_tree"]
 
 _TREE = "tree"
 _KIND = "__kind__"
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, MemoryError)
+"""What numpy raises for damaged files, such as one whose arrays are said to be huge."""
 
 
 def write_tree(path: Path, tree: Mapping[str, Any]) -> None:
@@ -52,10 +55,11 @@ def read_tree(path: Path, key: str = "resume", what: str = "state of a training"
         ConfigError: If the file is missing or has another format.
     """
     try:
+        check_unpacked(path)
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         tree = _unpack(json.loads(str(arrays[_TREE])), arrays)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (*_UNREADABLE, zipfile.BadZipFile) as error:
         raise ConfigError([Problem(key, f"{path} has no {what}: {error}")]) from error
     if not isinstance(tree, dict):
         raise ConfigError([Problem(key, f"{path} has no {what}")])

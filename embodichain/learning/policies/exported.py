@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from embodichain.learning.checkpoints.checkpoint import DIGEST, SCRIPT, read_digest
 from embodichain.learning.checkpoints.script_check import code_at_loading, operations_beyond
 from embodichain.learning.checkpoints.trust import NeedsTrust, needs_trust, say_trusted
+from embodichain.learning.checkpoints.zip_limits import check_unpacked
 from embodichain.learning.cloning.chunks import ChunkMemory, blend
 from embodichain.learning.policies.trained_policy import TrainedPolicy, check_columns
 from embodichain.learning.spaces import observation_box
@@ -179,6 +180,7 @@ def load_exported(path: Path, *, trust: bool = False) -> ExportedPolicy:
         return _load_onnx(path)
     try:
         if zipfile.is_zipfile(path):  # TorchScript files are, too
+            check_unpacked(path)
             with zipfile.ZipFile(path) as archive:
                 if SCRIPT in archive.namelist():
                     return _load_torchscript(archive.read(SCRIPT), path, trust)

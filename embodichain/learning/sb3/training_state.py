@@ -25,6 +25,7 @@ from stable_baselines3.common.save_util import load_from_zip_file, recursive_set
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.learning.checkpoints.plain_state import read_tree, write_tree
+from embodichain.learning.checkpoints.zip_limits import check_unpacked
 from embodichain.learning.sb3.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -132,6 +133,7 @@ def load_parameters(model: BaseAlgorithm, path: Path, key: str = "resume") -> No
         ConfigError: The checkpoint is damaged, has more than weights, or has another network.
     """
     try:
+        check_unpacked(path)
         _, params, variables = load_from_zip_file(path, device="cpu", load_data=False)
     except Exception as error:  # torch's readers may raise any exception
         code = _code_in_weights(path)
@@ -153,6 +155,7 @@ def _code_in_weights(path: Path) -> list[str]:
     """Functions and classes that files of weights name, and that torch does not allow in them."""
     found: list[str] = []
     with suppress(Exception), zipfile.ZipFile(path) as archive:  # it may be damaged in any way
+        check_unpacked(path)
         for name in archive.namelist():
             if name.endswith(_WEIGHTS):
                 stream = io.BytesIO(archive.read(name))

@@ -191,8 +191,9 @@ class Session:
         self.statistics.begin()
         try:
             remaining = total - model.num_timesteps
-            with told_apart(self):
-                model.learn(remaining, watch, log_interval=interval, reset_num_timesteps=new)
+            if remaining > 0:  # else only its results were not written
+                with told_apart(self):
+                    model.learn(remaining, watch, log_interval=interval, reset_num_timesteps=new)
         except KeyboardInterrupt as error:
             return error, error is watch.stopped
         finally:

@@ -23,7 +23,7 @@ from embodichain.config.run_folder import SUMMARY
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.managers.observation_manager import no_vector
 from embodichain.lab.sim.compiler.compile_scene import CompiledScene
-from embodichain.learning.checkpoints.checkpoint import DIGEST, read_digest, read_note
+from embodichain.learning.checkpoints.checkpoint import DIGEST, FINAL, read_digest, read_note
 from embodichain.learning.checkpoints.task_digest import TaskDigest, check_unchanged
 from embodichain.learning.cloning.behavior_cloning import BehaviorCloning
 from embodichain.learning.cloning.demonstrations import (
@@ -198,6 +198,33 @@ def check_training(resolved: Resolved) -> None:
     _checked_algorithm(resolved)
 
 
+def check_unfinished(checkpoint: Path, done: int, total: int) -> None:
+    """Check that a training that is resumed has steps left, or results that were not written.
+
+    Args:
+        checkpoint: Its newest checkpoint.
+        done: Environment steps until then.
+        total: Environment steps of the whole training.
+
+    Raises:
+        ConfigError: If nothing is left to do.
+    """
+    if done < total:
+        return
+    if checkpoint.name == FINAL and not _is_summed_up(checkpoint.parent.parent):
+        return  # a full disk, or a kill, between the last checkpoint and the summary
+    message = f"{checkpoint} has {done} steps already: give more, total_timesteps=N"
+    raise ConfigError([Problem("total_timesteps", message)])
+
+
+def _is_summed_up(run_dir: Path) -> bool:
+    try:
+        summary = json.loads((run_dir / SUMMARY).read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return False
+    return isinstance(summary, dict) and summary.get("status") in ("finished", "interrupted")
+
+
 def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
     """Build the algorithm of a training on its environment, as a check, without training.
 
@@ -320,10 +347,8 @@ def _learn(
     root, task = resolved.root, resolved.task_name
     total, seed = root.total_timesteps or 0, root.seed or 0
     found = None if root.resume is None else find_resumable(Path(root.resume))
-    if found is not None and found[1]["env_steps"] >= total:
-        message = f"{found[0]} has {found[1]['env_steps']} steps already: give more than these"
-        raise ConfigError([Problem("total_timesteps", message)])
     if found is not None:
+        check_unfinished(found[0], found[1]["env_steps"], total)
         before = read_digest(read_note(found[0]), found[0])
         check_unchanged(str(found[0]), before, vec_env.base, GROUP, allow=root.allow_changed)
     digest = TaskDigest.of(vec_env.base, GROUP)

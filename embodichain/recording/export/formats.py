@@ -21,7 +21,7 @@ from embodichain.recording.read.episodes import LogEpisode
 from embodichain.recording.read.playback import Playback, span_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
-from embodichain.utils.system.atomic import move_new, naming, remove_abandoned, temporary_name
+from embodichain.utils.system.atomic import move_new, named_errors, remove_abandoned, temporary_name
 
 if TYPE_CHECKING:
     from embodichain.recording.film.filming import Filmed
@@ -207,13 +207,12 @@ def new_file(path: Path, suffix: str) -> Iterator[Path]:
     remove_abandoned(path.parent)
     partial = path.with_name(temporary_name(f"{path.stem}{suffix}"))
     try:
-        yield partial
-        if partial.exists():
-            move_new(partial, path)
+        with named_errors(partial, path):
+            yield partial
+            if partial.exists():
+                move_new(partial, path)
     except (FileExistsError, NotADirectoryError) as error:
         raise ConfigError(f"{path} exists; it is never replaced") from error
-    except OSError as error:
-        raise naming(error, partial, path) from error
     finally:
         if partial.is_dir():
             shutil.rmtree(partial)

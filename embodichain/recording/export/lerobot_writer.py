@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording.export.formats import required
+from embodichain.recording.export.parquet_files import new_parquet
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.video import VideoFile, need_encoder
 
@@ -165,7 +166,7 @@ class LeRobotWriter:
             columns[key] = numbers[key].astype(kind)[:, None]
         table = self._pa.table({key: self._array(column) for key, column in columns.items()})
         if self._parquet is None:
-            opened = self._pq.ParquetWriter(self._data, table.schema)
+            opened = new_parquet(self._data, table.schema, "lerobot")
             self._parquet = self._files.enter_context(opened)
         self._parquet.write_table(table)
         row = {
@@ -228,7 +229,7 @@ class LeRobotWriter:
             {"task_index": [*self._tasks.values()]},
             index=self._pd.Index([*self._tasks], name="task"),
         )
-        tasks.to_parquet(self._root / "meta/tasks.parquet")
+        self._write_table("meta/tasks.parquet", self._pa.Table.from_pandas(tasks))
         info = {
             "codebase_version": _VERSION,
             "robot_type": self._robot,
@@ -257,13 +258,17 @@ class LeRobotWriter:
             | {f"stats/{k}/{n}": v.tolist() for k, s in own.items() for n, v in s.items()}
             for row, own in zip(self._rows, self._stats, strict=True)
         ]
-        folder = self._root / "meta/episodes/chunk-000"
-        folder.mkdir(parents=True)
-        self._pq.write_table(self._pa.Table.from_pylist(table), folder / "file-000.parquet")
+        (self._root / "meta/episodes/chunk-000").mkdir(parents=True)
+        name = "meta/episodes/chunk-000/file-000.parquet"
+        self._write_table(name, self._pa.Table.from_pylist(table))
         whole = {key: of_values(self._column(key)) for key in (*self._features, *_INDICES)}
         whole |= {key: of_levels(self._levels[key], self._shown[key]) for key in self._cameras}
         tree = {key: {name: v.tolist() for name, v in s.items()} for key, s in whole.items()}
         (self._root / "meta/stats.json").write_text(json.dumps(tree, indent=4))
+
+    def _write_table(self, name: str, table: Any) -> None:
+        with new_parquet(self._root / name, table.schema, "lerobot") as file:
+            file.write_table(table)
 
     def _column(self, key: str) -> NDArray[Any]:
         """(total, K) values of a feature in all frames, as they were written."""

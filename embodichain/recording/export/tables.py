@@ -28,6 +28,7 @@ from embodichain.recording.export.hdf5_files import (
     say_task,
 )
 from embodichain.recording.export.meaning import require_unique
+from embodichain.recording.export.parquet_files import new_parquet
 from embodichain.recording.film.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.format.log_error import LogError
 from embodichain.recording.format.messages.columns import Column
@@ -76,9 +77,8 @@ def write_npz(log: Log, part: Part, path: Path) -> None:
 def write_parquet(log: Log, part: Part, path: Path) -> None:
     """Write a typed table with a row group for every part that was read; units are metadata."""
     pa: Any = required("pyarrow", "parquet")
-    pq: Any = required("pyarrow.parquet", "parquet")
-    writer = None
-    try:
+    writer: Any = None
+    with ExitStack() as stack:
         for columns, values in _tables(log, part):
             arrays = [pa.array(v) for v in values]
             fields = [
@@ -86,11 +86,9 @@ def write_parquet(log: Log, part: Part, path: Path) -> None:
                 for c, array in zip(columns, arrays, strict=True)
             ]
             schema = pa.schema(fields, metadata=about(log))
-            writer = writer or pq.ParquetWriter(path, schema)
+            if writer is None:
+                writer = stack.enter_context(new_parquet(path, schema, "parquet"))
             writer.write_table(pa.table(arrays, schema=schema))
-    finally:
-        if writer is not None:
-            writer.close()
 
 
 def _tables(log: Log, part: Part) -> Iterator[tuple[list[Column], list[NDArray[Any]]]]:

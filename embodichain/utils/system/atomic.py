@@ -15,12 +15,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from embodichain.utils.errors import EmbodichainError
 from embodichain.utils.system.processes import ProcessId, own_process
 
 __all__ = [
     "atomic_file",
     "move_new",
-    "naming",
+    "named_errors",
     "remove_abandoned",
     "temporary_name",
     "write_text",
@@ -84,30 +85,59 @@ def atomic_file(path: Path, *, new: bool = False) -> Iterator[Path]:
     remove_abandoned(path.parent)
     temporary = path.with_name(temporary_name(path.name))
     try:
-        yield temporary
-        if new:
-            move_new(temporary, path)
-        else:
-            _sync(temporary)
-            os.replace(temporary, path)
-    except OSError as error:
-        raise naming(error, temporary, path) from error
+        with named_errors(temporary, path):
+            yield temporary
+            if new:
+                move_new(temporary, path)
+            else:
+                _sync(temporary)
+                os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def naming(error: OSError, temporary: Path, path: Path) -> OSError:
-    """Return an error about a temporary file as one about the file that it was to become.
+@contextmanager
+def named_errors(temporary: Path, path: Path) -> Iterator[None]:
+    """Raise an error about a temporary file as one about the file that it was to become.
+
+    Libraries raise errors of their own while one of the disk is handled (PyTorch, which ends a zip:
+    "unexpected pos 23232 vs 23120"): the disk's is raised.
 
     Args:
-        error: The error; one about another file is returned as it is.
         temporary: The temporary name.
         path: The file.
+
+    Raises:
+        OSError: Names `path`, unless the error is about another file.
     """
-    other = error.filename is not None and str(error.filename) != str(temporary)
-    if other or error.errno is None:
+    try:
+        yield
+    except Exception as error:
+        reason = _disk_error(error)
+        if reason is None or reason.errno is None:
+            raise
+        name = reason.filename
+        if name is None or str(name) == str(temporary):
+            name = str(path)
+        elif reason is error:
+            raise
+        raise OSError(reason.errno, reason.strerror, name) from error
+
+
+def _disk_error(error: Exception) -> OSError | None:
+    """The error of the system that an error is, or that was handled when a library raised it."""
+    if isinstance(error, OSError):
         return error
-    return OSError(error.errno, error.strerror, str(path))
+    if isinstance(error, EmbodichainError):
+        return None  # it says what failed
+    seen: list[BaseException] = []
+    handled = error.__cause__ or error.__context__
+    while handled is not None and handled not in seen:
+        if isinstance(handled, OSError) and handled.errno in _FAILS:
+            return handled
+        seen.append(handled)
+        handled = handled.__cause__ or handled.__context__
+    return None
 
 
 def _sync(path: Path) -> None:

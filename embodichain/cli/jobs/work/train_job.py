@@ -81,7 +81,7 @@ def _learn(job: Job) -> dict[str, Any]:
 
         # Interrupted: checkpoint and summary have been written; the job ends with code 130.
         with suppress(Interrupted):
-            train(
+            learned = train(
                 job.resolved,
                 job.folder,
                 progress,
@@ -89,10 +89,12 @@ def _learn(job: Job) -> dict[str, Any]:
                 lambda env: read_dataset(job, env),
                 compiled_scene=job.compiled_scene,
             )
+            summary = job.resolved.record(dataclasses.asdict(learned))
+            return {**summary, "folder": str(job.folder)}
     if not (job.folder / SUMMARY).is_file():
         message = f"interrupted ({job.stop.stopped}) before the first update"
         raise Interrupted.by(job.stop.stopped, message)
-    summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
+    summary = json.loads((job.folder / SUMMARY).read_text())
     return {**summary, "folder": str(job.folder)}
 
 
