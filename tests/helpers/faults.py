@@ -56,9 +56,10 @@ _WARM = (
         "embodichain.cli.verbs.report",
         "embodichain.cli.verbs.recover",
     ),
-    *("embodichain.recording.export.tables", "embodichain.recording.export.robomimic"),
+    *("embodichain.recording.export.tables", "embodichain.recording.export.formats.hdf5"),
     *(
-        "embodichain.recording.export.lerobot",
+        "embodichain.recording.export.episode_formats.robomimic",
+        "embodichain.recording.export.formats.lerobot",
         "embodichain.learning.training.train",
         "hydra",
         "PIL.Image",
@@ -70,7 +71,7 @@ _WARM = (
     ),
     *(
         "embodichain.cli.results.report_page",
-        "embodichain.recording.export.ros2",
+        "embodichain.recording.export.formats.ros2",
         "embodichain.tasks",
     ),
 )

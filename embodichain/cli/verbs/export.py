@@ -20,12 +20,33 @@ from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.learning.policies.exporting import Format
-    from embodichain.recording.export.formats import Part
+    from embodichain.recording.export.log_parts import Part
     from embodichain.recording.read.api import Log
 
 __all__ = ["command"]
 
 _POLICIES: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
+
+
+def _log_formats() -> list[str]:
+    """Names of the formats of logs, none of which is imported."""
+    from embodichain.recording.export.format_register import EPISODE_FORMATS, FORMATS
+
+    return list(dict.fromkeys([*FORMATS.names(), *EPISODE_FORMATS.names()]))
+
+
+class _FormatOption(click.Option):
+    """`--format`, whose help names the formats that are installed."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Look the formats up when help is asked for, not when the verb is imported."""
+        logs, policies = ", ".join(_log_formats()), ", ".join(_POLICIES)
+        self.help = f"Of a log: {logs} (`embodichain list formats`); of a policy: {policies}."
+        return super().get_help_record(ctx)
+
+
+def _complete_format(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    return [name for name in [*_log_formats(), *_POLICIES] if name.startswith(incomplete)]
 
 
 def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
@@ -54,16 +75,16 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
 @click.option(
     "--format",
     "form",
+    cls=_FormatOption,
     metavar="F",
-    help="Of a log: csv, npz, parquet, hdf5, robomimic, lerobot, rrd, ros2 or mp4; of a policy: "
-    "onnx (default) or torchscript.",
+    shell_complete=_complete_format,
 )
-@click.option("--output", "-o", metavar="OUT", help="A new file (lerobot: folder).")
+@click.option("--output", "-o", metavar="OUT", help="A new file, or folder if the format is one.")
 @click.option(
     "--observations",
     is_flag=True,
-    help="lerobot: the task's observations instead of states; of several logs, too. robomimic has "
-    "no other.",
+    help="The task's observations instead of states, where a format has both (lerobot); of "
+    "several logs, too.",
 )
 @click.option("--group", metavar="G", help="The observation group. Default: policy.")
 @click.option(
@@ -78,7 +99,7 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
     "cameras",
     multiple=True,
     metavar="NAME",
-    help="hdf5, lerobot, rrd, mp4: draw this camera; may be repeated. Default: the task's sensors.",
+    help="Formats with pictures: draw this camera; may be repeated. Default: the task's sensors.",
 )
 @click.option("--size", metavar="WxH", help="Pixels of the pictures. Default: each camera's own.")
 def command(**kwargs: Any) -> None:
@@ -89,9 +110,7 @@ def command(**kwargs: Any) -> None:
     if options.words[0] == "policy":
         _export_policy(options)
     elif options.form is None:
-        from embodichain.recording.export.formats import EPISODE_FORMATS, FORMATS
-
-        raise ConfigError(f"--format is needed: {', '.join(FORMATS | EPISODE_FORMATS)}")
+        raise ConfigError(f"--format is needed: {', '.join(_log_formats())}")
     elif _has_observations(options):
         _export_episodes(options)
     elif len(options.words) > 1:
@@ -100,22 +119,34 @@ def command(**kwargs: Any) -> None:
         _export_log(options)
 
 
+_OF_PARTS = {
+    "env": "env",
+    "episode": "episode",
+    "from": "start",
+    "to": "stop",
+    "camera": "cameras",
+    "size": "size",
+}
+"""Flag -> parameter, of what chooses a part of a log."""
+
+
 def _has_observations(options: SimpleNamespace) -> bool:
     """Whether the task's observations are exported.
 
     Raises:
         ConfigError: If other options do not fit.
     """
-    if options.form == "robomimic" or options.observations:
-        named = ("env", "episode", "start", "stop", "cameras", "size")
-        given = [name for name in named if getattr(options, name) not in (None, ())]
-        if given:
-            flag = {"start": "from", "stop": "to", "cameras": "camera"}.get(given[0], given[0])
-            raise ConfigError(f"--{flag} is not for observations: they are of whole episodes")
+    from embodichain.recording.export.format_register import EPISODE_FORMATS, FORMATS
+
+    alone = [name for name in EPISODE_FORMATS.names() if name not in FORMATS.names()]
+    if options.form in alone or options.observations:
+        for flag, name in _OF_PARTS.items():
+            if getattr(options, name) not in (None, ()):
+                raise ConfigError(f"--{flag} is not for observations: they are of whole episodes")
         return True
     for flag in ("group", "failures"):
         if getattr(options, flag):
-            raise ConfigError(f"--{flag} needs --observations or --format robomimic")
+            raise ConfigError(f"--{flag} needs --observations or --format {', '.join(alone)}")
     return False
 
 
@@ -136,9 +167,15 @@ def _export_episodes(options: SimpleNamespace) -> None:
             if display.due:
                 display.show(done, {})
 
-        how = {"group": options.group or "policy", "failures": options.failures}
         try:
-            path = export_episodes(paths, options.form, options.output, **how, progress=progress)
+            path = export_episodes(
+                paths,
+                options.form,
+                options.output,
+                group=options.group or "policy",
+                failures=options.failures,
+                progress=progress,
+            )
         except Interrupted as error:
             raise Interrupted(f"{error}; {_NOTHING}") from None
     if options.json:
@@ -202,7 +239,8 @@ def _write_policy(target: Target, overrides: list[str], out: Path, form: Format)
 
 
 def _export_log(options: SimpleNamespace) -> None:
-    from embodichain.recording.export.formats import Part
+    from embodichain.recording.export.format_register import FORMATS
+    from embodichain.recording.export.log_parts import Part
     from embodichain.recording.shards import joining
 
     if options.episode is not None and options.env is None:
@@ -212,8 +250,8 @@ def _export_log(options: SimpleNamespace) -> None:
     cameras = options.cameras or None
     part = Part(options.env, options.episode, options.start or 0, options.stop, cameras, size)
     with warnings_on_stderr(), joining.open(log_of(options.words[0]), simulate=True) as log:
-        export = _film if options.form == "mp4" else _write
-        path, ended = export(log, options, part)
+        write = _film if FORMATS[options.form].film else _write
+        path, ended = write(log, options, part)
         say_warnings(log.path, log.warnings)
         if options.json:
             print_json({"file": str(path), "bytes": _size(path), "complete": log.complete})
@@ -225,7 +263,7 @@ def _export_log(options: SimpleNamespace) -> None:
 
 def _write(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
     """Write any format but a video; a signal leaves no file."""
-    from embodichain.recording.export.formats import export
+    from embodichain.recording.export.log_export import export
 
     try:
         return export(log, options.form, options.output, part), ""
@@ -235,7 +273,7 @@ def _write(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
 
 def _film(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
     """Write a video; also returns a message if a signal ended it early."""
-    from embodichain.recording.export.formats import export
+    from embodichain.recording.export.log_export import export
     from embodichain.recording.film.filming import Filmed
 
     filmed = Filmed(0, -1, whole=False)
@@ -247,8 +285,9 @@ def _film(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
             filmed = now
             show(now)
 
-        how = options.form, options.output, part
-        path = export(log, *how, progress=progress, stop=stop.is_stopped)
+        path = export(
+            log, options.form, options.output, part, progress=progress, stop=stop.is_stopped
+        )
         if not filmed.pictures:
             raise Interrupted(ended_early(stop, filmed, path))
         return path, ended_early(stop, filmed, path) if stop.is_stopped() else ""
