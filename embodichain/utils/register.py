@@ -133,6 +133,10 @@ class Register(Generic[T]):
         """
         return tuple(dict.fromkeys([*self._own_modules(), *self._entry_values()]))
 
+    def entry_names(self) -> tuple[str, ...]:
+        """Return the names of entry points alone, without importing a module."""
+        return tuple(self._entry_values())
+
     def summaries(self) -> dict[str, str]:
         """Return the names of `names`, each with the first line of its module's docstring.
 

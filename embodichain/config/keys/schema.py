@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from embodichain.config.keys.algorithms import AnyAlgoCfg
+from embodichain.config.keys.viewers import NO_VIEWER, ViewerNames
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.sim.cfg import EngineName, WarpCfg
 from embodichain.utils.configclass import configclass
@@ -128,7 +129,7 @@ class RecordCfg:
 class ViewerCfg:
     """The viewer of a run."""
 
-    name: Literal["none", "native", "web", "foxglove"] = "none"
+    name: Annotated[str, ViewerNames()] = NO_VIEWER
     """`native` is MuJoCo's window; `web` and `foxglove` serve a page and a WebSocket."""
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     """The address to listen on."""
