@@ -93,6 +93,25 @@ def test_one_file_adds_a_thing_of_each_kind(installed: Path, tmp_path: Path) -> 
     assert [(line["step"], line["env"]) for line in lines] == [(0, 0), (1, 0), (2, 0)]
 
 
+def test_one_file_adds_a_launcher(installed: Path, tmp_path: Path) -> None:
+    sweep = ["-m", "task=cart_pole", "seed=1,2", "max_steps=2", "hydra.sweep.dir=sweep"]
+    done = run(
+        installed,
+        tmp_path,
+        [
+            "run",
+            *sweep,
+            "hydra/launcher=forks",
+            "hydra.launcher.retries=1",
+            "hydra.launcher.cpus=2",
+        ],
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "hydra/launcher=forks" in done.stderr
+    logs = [path.parent.name for path in (tmp_path / "sweep").rglob("*.mcap")]
+    assert sorted(logs) == ["0", "1"], done.stderr
+
+
 def test_mistakes_name_what_is_installed(installed: Path, tmp_path: Path) -> None:
     (tmp_path / "log.mcap").touch()
     code = RUN.replace("if code:", "if code != 2:")
