@@ -132,3 +132,32 @@ def test_mistakes_name_what_is_installed(installed: Path, tmp_path: Path) -> Non
     for hint in ("reinforce", "steps", "ticker", "wipe"):
         assert f"Did you mean '{hint}'?" in said
     assert not (tmp_path / "outputs").exists()
+
+
+def test_a_broken_package_is_named_where_its_things_are_asked_for(tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    info = site / "broken-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    groups = ("formats", "learners", "viewers", "steps")
+    (info / "entry_points.txt").write_text(
+        "".join(f"[embodichain.{group}]\nlost = lost_{group}\n" for group in groups)
+    )
+    for group in groups:
+        (site / f"lost_{group}.py").write_text(f"raise RuntimeError('no {group} today')\n")
+    steps = "policy={func: expert, params: {steps: [{lost: cube}]}}"
+    done = run(
+        site,
+        tmp_path,
+        ["validate", "task=reach", "viewer=lost"],
+        ["validate", "--train", "task=reach", "algo=lost"],
+        ["validate", "task=lift_cube", steps],
+        ["validate", "task=reach"],
+        code=RUN.replace("if code:", "if code != (2 if 'lost' in str(line) else 0):"),
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    for group in ("learners", "viewers", "steps"):
+        assert f"(entry point 'lost' of broken) could not be loaded: RuntimeError: no {group}" in (
+            " ".join(done.stderr.split())
+        )
+    assert "no formats today" not in done.stderr

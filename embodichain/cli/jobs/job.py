@@ -474,6 +474,8 @@ def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
     if sys.platform in LIMITED:
         features = [*["record=mcap"] * logged, f"viewer={root.viewer.name}"]
         yield partial(platforms.need, *features)
+    if root.viewer.name in VIEWERS.entry_names():  # whose module may not work
+        yield partial(VIEWERS.__getitem__, root.viewer.name)
     images = root.record.images
     if images is not None and not logged and not _shows_pictures(root.viewer.name):
         images = None
