@@ -8,12 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydantic import GetCoreSchemaHandler
-from pydantic_core import CoreSchema, core_schema
-
 from embodichain.utils.register import Register
 
-__all__ = ["NO_VIEWER", "VIEWERS", "ViewerNames"]
+__all__ = ["NO_VIEWER", "VIEWERS"]
 
 NO_VIEWER = "none"
 VIEWERS: Register[Any] = Register(
@@ -22,12 +19,3 @@ VIEWERS: Register[Any] = Register(
     modules=("embodichain.recording.viewers.kinds.*",),
 )
 """``viewer.name`` -> `showing.Viewer`; modules and entry points are called as the viewers."""
-
-
-class ViewerNames:
-    """Tells pydantic the names of viewers, when it first builds a schema with them."""
-
-    def __get_pydantic_core_schema__(
-        self, source: Any, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        return core_schema.literal_schema([NO_VIEWER, *VIEWERS.names()])
