@@ -54,6 +54,7 @@ class Register(Generic[T]):
     def __init__(self, kind: str, *, group: str, modules: Sequence[str] = ()) -> None:
         self.kind = kind
         self.group = group
+        self._additions = 0
         self._modules = tuple(modules)
         self._members: dict[str, T] = {}
         self._places: dict[str, str] = {}
@@ -90,6 +91,7 @@ class Register(Generic[T]):
                     raise ValueError(
                         f"{self.kind} {each!r} of {place} is registered already, by {owner}"
                     )
+            self._additions += 1
             for each in (name, *other_names):
                 self._places[each] = place
                 self._members[each] = member  # type: ignore[assignment]
@@ -153,6 +155,12 @@ class Register(Generic[T]):
         """
         self[name]
         return self._places[name]
+
+    @property
+    def revision(self) -> int:
+        """How often something was registered: what follows from all of it is kept by this."""
+        self._loaded()
+        return self._additions
 
     @property
     def broken(self) -> tuple[str, ...]:
