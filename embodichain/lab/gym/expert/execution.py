@@ -7,24 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.expert.arms import Arm, DeclaredArm, arms_of, find_arm
-from embodichain.lab.gym.expert.fingers import read_fingers, unclear_fingers
-from embodichain.lab.gym.expert.instructions import EXACT, Goal, Grip, Move, Wait
+from embodichain.lab.gym.expert.arms import Arm, arms_of
+from embodichain.lab.gym.expert.fingers import Fingers, read_fingers, unclear_fingers
+from embodichain.lab.gym.expert.grasps import NOTHING, Grasp
+from embodichain.lab.gym.expert.instructions import EXACT, Grip, Instruction, Move, Wait
 from embodichain.lab.gym.expert.program import Program, check_steps, targets_in
 from embodichain.lab.gym.expert.pushes import Pushes
-from embodichain.lab.gym.expert.reading import ReadStep
 from embodichain.lab.gym.expert.targets import WORLD, TargetPoses, target_name
-from embodichain.lab.gym.expert.touches import is_touching, obstacles
-from embodichain.lab.gym.expert.trajectories import ToolPath, as_place, length
-from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.math import (
-    euler_xyz_to_quat,
-    quat_conjugate,
-    quat_multiply,
-    quat_rotate,
-    quat_to_matrix,
-    rotvec_to_quat,
-)
+from embodichain.lab.gym.expert.tool_goals import ToolGoals, check_orientations
+from embodichain.lab.gym.expert.touches import obstacles
+from embodichain.lab.gym.expert.trajectories import ToolPath, as_place
+from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,28 +26,67 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
     Rows = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
 
 __all__ = ["Execution"]
 
-_MOVE, _GRIP, _WAIT, _IDLE = range(4)
-_PATIENCE = 2.0
-"""Seconds after the end of its path in which the tool must arrive."""
-_TURN_TOLERANCES = 0.03, 0.2
-"""Rad: how exact the tool's orientation must be where its position must be exact, and elsewhere."""
-_FINGERS_REST = 0.003
-"""Share of the gripper's opening: fingers that move less in a control step rest."""
-_FINGERS_TIME = 2.0, 0.5
-"""Seconds after which fingers are taken to rest, and where their opening cannot be measured."""
-_NOTHING = 0.01
-"""Share of the gripper's opening that is left when it closes on nothing."""
-_SLIP = 0.03
-"""M: what moves farther in the gripper since it was grasped has been dropped."""
-_VERTICAL = 0.7
-"""The z component of the axis of a tool that points up or down."""
+_NO_INSTRUCTION = -1
+_BEFORE_FIRST_PHASE = -1
+_ARRIVAL_TIMEOUT_S = 2.0
+"""Time after the end of its path in which the tool must arrive."""
+_EXACT_TURN = 0.03
+"""Angle in rad within which the tool must be turned where its position must be exact."""
+_COARSE_TURN = 0.2
+"""Angle in rad elsewhere."""
+_SHORTEST_GRIP_STEPS = 3
+"""Control steps before fingers are asked whether they rest: at first they have not moved yet."""
+_LONGEST_GRIP_S = 2.0
+"""Time after which fingers are taken to rest."""
+_UNMEASURED_GRIP_S = 0.5
+"""Time after which they are, where the opening of the gripper cannot be measured."""
+
+
+class _ArmExecution:
+    """One arm: its tool, its gripper, and how far it has come with its instruction.
+
+    Attributes:
+        arm: The arm.
+        path: Its tool on its way.
+        grasp: What its gripper holds.
+        goals: Where its tool has to be.
+        instruction: (N,) index into the program, or -1.
+        elapsed_steps: (N,) control steps since it began.
+        wait_steps: (N,) control steps that a `Wait` takes.
+    """
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        arm: Arm,
+        fingers: Fingers,
+        objects: list[Any],
+        targets: TargetPoses,
+    ) -> None:
+        self.arm = arm
+        self.path = ToolPath(arm, env.num_envs, env.step_dt)
+        self.grasp = Grasp(env, arm, self.path, fingers, objects, targets)
+        self.goals = ToolGoals(arm, self.path, fingers, self.grasp, targets)
+        self.instruction: Rows = np.full(env.num_envs, _NO_INSTRUCTION, np.int64)
+        self.elapsed_steps: Rows = np.zeros(env.num_envs, np.int64)
+        self.wait_steps: Rows = np.zeros(env.num_envs, np.int64)
+
+    def reset(self, rows: Rows) -> None:
+        """Begin anew: the tool rests where it is, the gripper goes home."""
+        self.instruction[rows] = _NO_INSTRUCTION
+        self.path.rest(rows)
+        self.grasp.reset(rows)
 
 
 class Execution:
     """The steps of a task under way.
+
+    Each phase of the program has a list of instructions for each arm. Arms perform theirs side by
+    side; the next phase begins in an environment when all of them are done.
 
     Args:
         env: The environment.
@@ -71,327 +103,247 @@ class Execution:
     """
 
     def __init__(self, env: BaseEnv, values: Sequence[Any], pushes: float = 0.0) -> None:
-        self.env, count = env, env.num_envs
+        self.env = env
         pairs = arms_of(env)
-        declared = [one for one, _ in pairs]
-        steps, problems = check_steps(values, declared)
-        self._targets = TargetPoses(env)
+        declared_arms = [declared for declared, _ in pairs]
+        arms = [arm for _, arm in pairs]
+        steps, problems = check_steps(values, declared_arms)
+        targets = TargetPoses(env)
         for path, target in targets_in(steps):
             try:
-                self._targets.add(target, path)
+                targets.add(target, path)
             except ConfigError as error:
                 problems += error.problems
-        problems = problems or _orientations(steps, [arm for _, arm in pairs], declared)
-        self._fingers = [read_fingers(arm) for _, arm in pairs]
-        problems = problems or unclear_fingers(steps, pairs, self._fingers)
+        # Later checks need steps, arms and targets that are right.
+        problems = problems or check_orientations(steps, arms, declared_arms)
+        fingers = [read_fingers(arm) for arm in arms]
+        problems = problems or unclear_fingers(steps, pairs, fingers)
         if problems:
             raise ConfigError(problems)
-        self._targets.add(WORLD, "")
-        self._program = program = Program(steps, declared)
-        self._arms: list[Arm] = [arm for _, arm in pairs]
-        self._paths = [ToolPath(arm, count, env.step_dt) for arm in self._arms]
-        kinds = {Move: _MOVE, Grip: _GRIP, Wait: _WAIT}
-        self._kinds = np.array([*(kinds[type(one)] for one in program.instructions), _IDLE])
-        close = [one.tolerance if isinstance(one, Move) else None for one in program.instructions]
-        self._tolerances = np.array([np.inf if one is None else one for one in [*close, None]])
-        self._taken = program.taken()
-        self._taken_bodies = [self._targets.bodies(target) for target in self._taken]
-        self._shape = count, sum(env.single_action_space.shape or ())
-        shape = count, len(self._arms)
-        self._phase: Rows = np.zeros(count, np.int64)
-        self._now: Rows = np.full(shape, -1)  # the instruction that each arm performs, or -1
-        self._steps: Rows = np.zeros(shape, np.int64)  # control steps since it began
-        self._limit: Rows = np.zeros(shape, np.int64)  # of waiting
-        self._command: F64 = np.zeros(shape)  # of the gripper
-        self._opening: F64 = np.zeros(shape)
-        self._still: Rows = np.zeros(shape, np.int64)  # control steps in which fingers rested
-        self._held: Rows = np.full(shape, -1)  # what is held, a number in _taken
-        self._grasp: F64 = np.zeros((*shape, 3))  # its position in the tool's axes
-        self._fresh = np.ones(count, np.bool_)
-        self._pushes = Pushes(env, self._arms, pushes) if pushes else None
-        self.done: NDArray[np.bool_] = np.zeros(count, np.bool_)
-        self.failures: list[str | None] = [None] * count
+        targets.add(WORLD, "")
+
+        self._program = Program(steps, declared_arms)
+        objects = self._program.taken()
+        self._arms = [
+            _ArmExecution(env, arm, arm_fingers, objects, targets)
+            for arm, arm_fingers in zip(arms, fingers, strict=True)
+        ]
+        self._pushes = Pushes(env, arms, pushes) if pushes else None
+        instructions = self._program.instructions
+        self._is_move = _mark(instructions, Move)
+        self._is_grip = _mark(instructions, Grip)
+        self._is_wait = _mark(instructions, Wait)
+        self._tolerance = _tolerances(instructions)
+        self._phase: Rows = np.full(env.num_envs, _BEFORE_FIRST_PHASE, np.int64)
+        self._is_new_episode: Mask = np.ones(env.num_envs, np.bool_)
+        self.done: Mask = np.zeros(env.num_envs, np.bool_)
+        self.failures: list[str | None] = [None] * env.num_envs
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin anew in these environments, at the next action."""
         rows = np.arange(self.env.num_envs) if env_ids is None else np.asarray(env_ids)
-        self._fresh[rows] = True
+        self._is_new_episode[rows] = True
         self.done[rows] = False
         for row in rows:
             self.failures[row] = None
 
     def act(self) -> F64:
         """(N, A) the next actions, within the bounds of the action space."""
-        for path in self._paths:
-            path.measure()
-        self._begin()
-        self._look()
+        for arm in self._arms:
+            arm.path.measure()
+        self._begin_episodes()
+        for arm in self._arms:
+            arm.grasp.measure()
+            for target, rows in arm.grasp.dropped(is_watched=~self.done):
+                self._fail(arm, rows, f"the gripper has lost {target_name(target)}")
+        # An instruction may be over as soon as it begins: at most all of them are.
         for _ in range(len(self._program.instructions) + 1):
-            if not self._proceed():
+            if not self._advance():
                 break
-        self._steps += 1
+        for arm in self._arms:
+            arm.elapsed_steps += 1
         return self._action()
 
-    # -- what happens ------------------------------------------------------------------------------
+    # -- the course of the program -----------------------------------------------------------------
 
-    def _begin(self) -> None:
+    def _begin_episodes(self) -> None:
         """Set out in environments whose episode begins."""
-        rows = np.flatnonzero(self._fresh)
+        rows = np.flatnonzero(self._is_new_episode)
         if not len(rows):
             return
-        self._fresh[rows] = False
-        self._phase[rows], self._now[rows], self._held[rows] = -1, -1, -1
-        for a, (arm, path) in enumerate(zip(self._arms, self._paths, strict=True)):
-            path.rest(rows)
-            if arm.gripper is not None:
-                self._command[rows, a] = arm.gripper.home()
+        self._is_new_episode[rows] = False
+        self._phase[rows] = _BEFORE_FIRST_PHASE
+        for arm in self._arms:
+            arm.reset(rows)
 
-    def _look(self) -> None:
-        """See whether fingers rest and what they hold is still there."""
-        for a, arm in enumerate(self._arms):
-            opening = None if arm.gripper is None else arm.gripper.opening()
-            if opening is not None:
-                rests = np.abs(opening - self._opening[:, a]) < _FINGERS_REST
-                self._still[:, a] = np.where(rests, self._still[:, a] + 1, 0)
-                self._opening[:, a] = opening
-            for number, target in enumerate(self._taken):
-                held = self._held[:, a] == number
-                if not held.any():
-                    continue
-                here = self._in_tool(a, target)
-                moved = held & (length(here - self._grasp[:, a]) > _SLIP) & ~self.done
-                lost = [i for i in np.flatnonzero(moved).tolist() if not self._grips(i, a, number)]
-                self._grasp[moved, a] = here[moved]  # what only turns is held on there
-                why = f"the gripper has lost {target_name(target)}"
-                self._fail(np.array(lost, np.int64), a, why)
-
-    def _grips(self, row: int, a: int, number: int) -> bool:
-        """Whether fingers touch what they hold in an environment."""
-        fingers, held = self._fingers[a].bodies, self._taken_bodies[number]
-        return is_touching(self.env.sim.engine, row, fingers, held)
-
-    def _in_tool(self, a: int, target: Any) -> F64:
-        """(N, 3) position of a target in the axes of a tool."""
-        path = self._paths[a]
-        return quat_rotate(quat_conjugate(path.quat), self._targets(target)[0] - path.pos)
-
-    def _proceed(self) -> bool:
+    def _advance(self) -> bool:
         """Go on to the next instruction where one is over; return whether any was."""
-        over = self._over()
-        if not over.any():
+        is_over = [self._is_over(arm) for arm in self._arms]
+        for over in is_over:
+            over &= ~self.done  # another arm may have failed since
+        if not any(over.any() for over in is_over):
             return False
-        for index in np.unique(self._now[over]):
-            if index >= 0:
-                a = int(self._program.arm[index])
-                self._end(index, a, np.flatnonzero(over[:, a] & (self._now[:, a] == index)))
-        over &= ~self.done[:, None]
-        following = np.append(self._program.next, -1)[self._now]
-        begun = over & (following >= 0)
-        self._now = np.where(over, following, self._now)
-        finished = np.flatnonzero((self._now < 0).all(axis=1) & ~self.done)
-        if len(finished):
-            self._phase[finished] += 1
-            end = self._phase[finished] >= len(self._program.first)
-            self.done[finished[end]] = True
-            rows = finished[~end]
-            self._now[rows] = self._program.first[self._phase[rows]]
-            begun[rows] = self._now[rows] >= 0
-        for index in np.unique(self._now[begun]):
-            a = int(self._program.arm[index])
-            self._start(int(index), a, np.flatnonzero(begun[:, a] & (self._now[:, a] == index)))
+        for index, arm, rows in self._by_instruction(is_over):
+            self._finish(index, arm, rows)
+        begins: list[Mask] = []
+        following = np.append(self._program.next, _NO_INSTRUCTION)
+        for arm, over in zip(self._arms, is_over, strict=True):
+            over &= ~self.done  # what has failed goes on nowhere
+            arm.instruction = np.where(over, following[arm.instruction], arm.instruction)
+            begins.append(over & (arm.instruction != _NO_INSTRUCTION))
+        self._begin_phases(begins)
+        for index, arm, rows in self._by_instruction(begins):
+            self._start(index, arm, rows)
         return True
 
-    def _over(self) -> NDArray[np.bool_]:
-        """(N, arms) whether an arm's instruction is over; fails motions that do not arrive."""
-        kind, over = self._kinds[self._now], np.zeros(self._now.shape, np.bool_)
-        limit = round(_PATIENCE / self.env.step_dt)
-        slow, blind = (round(seconds / self.env.step_dt) for seconds in _FINGERS_TIME)
-        for a, (arm, path) in enumerate(zip(self._arms, self._paths, strict=True)):
-            steps, tolerance = self._steps[:, a], self._tolerances[self._now[:, a]]
-            distance, angle = path.remaining()
-            exact = tolerance < EXACT
-            near = (distance <= tolerance) & (angle <= np.where(exact, *_TURN_TOLERANCES))
-            near &= path.at_rest() | ~exact
-            there = path.asked() & (near | ~np.isfinite(tolerance))
-            late = (kind[:, a] == _MOVE) & ~there & (steps > path.steps + limit) & ~self.done
-            for row in np.flatnonzero(late).tolist():
-                missing = f"{1000 * distance[row]:.0f} mm and {angle[row]:.2f} rad are missing"
-                touched = self._obstacles(row, a)
-                self._fail(np.array([row]), a, f"the tool has not arrived: {touched}; {missing}")
-            known = arm.gripper is not None and arm.gripper.opening() is not None
-            rest = (self._still[:, a] >= 2) & (steps >= 3) if known else steps >= blind
-            over[:, a] |= (kind[:, a] == _MOVE) & there
-            over[:, a] |= (kind[:, a] == _GRIP) & (rest | (steps >= slow))
-            over[:, a] |= (kind[:, a] == _WAIT) & (steps >= self._limit[:, a])
-        over |= (self._phase < 0)[:, None]  # nothing was begun
-        over &= ~self.done[:, None]
+    def _by_instruction(self, masks: Sequence[Mask]) -> list[tuple[int, _ArmExecution, Rows]]:
+        """Return the instructions of arms in some environments, in order, with their rows.
+
+        Args:
+            masks: For each arm, (N,) the environments.
+        """
+        parts = [
+            (index, arm, np.flatnonzero(mask & (arm.instruction == index)))
+            for arm, mask in zip(self._arms, masks, strict=True)
+            for index in np.unique(arm.instruction[mask]).tolist()
+            if index != _NO_INSTRUCTION
+        ]
+        return sorted(parts, key=lambda part: part[0])
+
+    def _begin_phases(self, begins: list[Mask]) -> None:
+        """Begin the next phase where all arms are idle; mark the instructions that begin."""
+        is_idle = ~self.done
+        for arm in self._arms:
+            is_idle &= arm.instruction == _NO_INSTRUCTION
+        rows = np.flatnonzero(is_idle)
+        self._phase[rows] += 1
+        is_end = self._phase[rows] >= len(self._program.first)
+        self.done[rows[is_end]] = True
+        rows = rows[~is_end]
+        for number, (arm, begin) in enumerate(zip(self._arms, begins, strict=True)):
+            arm.instruction[rows] = self._program.first[self._phase[rows], number]
+            begin[rows] = arm.instruction[rows] != _NO_INSTRUCTION
+
+    def _is_over(self, arm: _ArmExecution) -> Mask:
+        """(N,) whether an arm's instruction is over; fails motions that do not arrive."""
+        index = arm.instruction
+        has_arrived = self._has_arrived(arm)
+        over: Mask = self._is_move[index] & has_arrived
+        over |= self._is_grip[index] & self._has_gripped(arm)
+        over |= self._is_wait[index] & (arm.elapsed_steps >= arm.wait_steps)
+        over |= self._phase == _BEFORE_FIRST_PHASE
         return over
 
-    def _obstacles(self, row: int, a: int) -> str:
-        """What an arm's robot, and what the arm holds, touches in an environment."""
-        number = self._held[row, a]
-        held = self._taken_bodies[number] if number >= 0 else frozenset()
-        robot = frozenset(map(int, self._arms[a].asset.entity.body_ids))
-        return obstacles(self.env.sim.engine, row, robot, held)
+    def _has_arrived(self, arm: _ArmExecution) -> Mask:
+        """(N,) whether an arm's tool is where its path leads; fails those that are late."""
+        path = arm.path
+        tolerance = self._tolerance[arm.instruction]
+        distance, angle = path.remaining()
+        is_exact = tolerance < EXACT
+        is_near = (distance <= tolerance) & (angle <= np.where(is_exact, _EXACT_TURN, _COARSE_TURN))
+        is_near &= path.at_rest() | ~is_exact
+        is_waypoint = ~np.isfinite(tolerance)  # passed without stopping
+        has_arrived: Mask = path.asked() & (is_near | is_waypoint)
 
-    def _start(self, index: int, a: int, rows: Rows) -> None:
+        deadline = path.steps + self._in_steps(_ARRIVAL_TIMEOUT_S)
+        is_late = self._is_move[arm.instruction] & (arm.elapsed_steps > deadline)
+        is_late &= ~has_arrived & ~self.done
+        for row in np.flatnonzero(is_late).tolist():
+            missing = f"{1000 * distance[row]:.0f} mm and {angle[row]:.2f} rad are missing"
+            why = f"the tool has not arrived: {self._obstacles(arm, row)}; {missing}"
+            self._fail(arm, np.array([row]), why)
+        return has_arrived
+
+    def _has_gripped(self, arm: _ArmExecution) -> Mask:
+        """(N,) whether an arm's fingers have come to rest, or had time to."""
+        elapsed_steps = arm.elapsed_steps
+        if not arm.grasp.is_measured:
+            shorter = min(_UNMEASURED_GRIP_S, _LONGEST_GRIP_S)
+            return elapsed_steps >= self._in_steps(shorter)
+        rests: Mask = arm.grasp.has_come_to_rest() & (elapsed_steps >= _SHORTEST_GRIP_STEPS)
+        return rests | (elapsed_steps >= self._in_steps(_LONGEST_GRIP_S))
+
+    def _in_steps(self, seconds: float) -> int:
+        """Return a time in control steps."""
+        return round(seconds / self.env.step_dt)
+
+    # -- instructions ------------------------------------------------------------------------------
+
+    def _start(self, index: int, arm: _ArmExecution, rows: Rows) -> None:
         """Begin an instruction in some environments."""
-        one = self._program.instructions[index]
-        self._steps[rows, a] = 0
-        if isinstance(one, Wait):
-            self._limit[rows, a] = max(1, round(one.seconds / self.env.step_dt))
-        elif isinstance(one, Grip):
-            gripper = self._arms[a].gripper
-            if gripper is None:
-                raise ValueError("there is no gripper")
-            self._command[rows, a] = (gripper.high if one.opens else gripper.low)[0]
-            self._still[rows, a] = 0
-            if one.opens:
-                self._held[rows, a] = -1
-        elif isinstance(one, Move):
-            if one.goal.held:
-                empty = rows[self._held[rows, a] < 0]
-                self._fail(empty, a, "the gripper holds nothing")
-                rows = rows[self._held[rows, a] >= 0]
-            if len(rows):
-                pos, quat = self._goal(one.goal, a, rows)
-                reached = self._paths[a].plan(rows, pos, quat, one.speed)
-                for row, place in zip(rows[~reached], pos[~reached], strict=True):
-                    why = f"{as_place(place)}: {self._paths[a].obstacles[int(row)]}"
-                    self._fail(np.array([row]), a, f"no straight line of the tool to {why}")
+        instruction = self._program.instructions[index]
+        arm.elapsed_steps[rows] = 0
+        if isinstance(instruction, Wait):
+            arm.wait_steps[rows] = max(1, self._in_steps(instruction.seconds))
+        elif isinstance(instruction, Grip):
+            arm.grasp.start(rows, instruction.opens)
+        elif isinstance(instruction, Move):
+            self._start_move(instruction, arm, rows)
 
-    def _end(self, index: int, a: int, rows: Rows) -> None:
-        """See what an instruction has achieved."""
-        one = self._program.instructions[index]
-        if not isinstance(one, Grip) or one.takes is None:
+    def _start_move(self, move: Move, arm: _ArmExecution, rows: Rows) -> None:
+        """Plan the path of a tool from where it is."""
+        if move.goal.held:
+            is_empty = arm.grasp.object[rows] == NOTHING
+            self._fail(arm, rows[is_empty], "the gripper holds nothing")
+            rows = rows[~is_empty]
+        if not len(rows):
             return
-        gripper = self._arms[a].gripper
-        opening = None if gripper is None else gripper.opening()
-        if opening is not None:
-            empty = opening[rows] < _NOTHING
-            self._fail(rows[empty], a, "the fingers closed on nothing")
-            rows = rows[~empty]
-        self._held[rows, a] = self._taken.index(one.takes)
-        self._grasp[rows, a] = self._in_tool(a, one.takes)[rows]
+        pos, quat = arm.goals.pose(move.goal, rows)
+        is_reachable = arm.path.plan(rows, pos, quat, move.speed)
+        for row, place in zip(rows[~is_reachable], pos[~is_reachable], strict=True):
+            obstacle = arm.path.obstacles[int(row)]
+            why = f"no straight line of the tool to {as_place(place)}: {obstacle}"
+            self._fail(arm, np.array([row]), why)
 
-    def _fail(self, rows: Rows, a: int, why: str) -> None:
+    def _finish(self, index: int, arm: _ArmExecution, rows: Rows) -> None:
+        """See what an instruction has achieved: what a gripper closed on."""
+        instruction = self._program.instructions[index]
+        if isinstance(instruction, Grip) and instruction.takes is not None:
+            empty = arm.grasp.take(rows, instruction.takes)
+            self._fail(arm, empty, "the fingers closed on nothing")
+
+    def _fail(self, arm: _ArmExecution, rows: Rows, why: str) -> None:
         """Stop in these environments: all arms stay where they are."""
         for row in rows[~self.done[rows]]:
-            index = self._now[row, a]
-            if index < 0:  # what another arm does, while this one has finished
-                index = self._now[row].max()
+            index = arm.instruction[row]
+            if index == _NO_INSTRUCTION:  # it has finished: the failure is another arm's
+                index = max(other.instruction[row] for other in self._arms)
             self.failures[row] = f"{self._program.instructions[index].step}: {why}"
             self.done[row] = True
-            for path in self._paths:
-                path.stop(row)
+            for other in self._arms:
+                other.path.stop(row)
+
+    def _obstacles(self, arm: _ArmExecution, row: int) -> str:
+        """Return what an arm's robot, and what the arm holds, touches in an environment."""
+        robot = frozenset(map(int, arm.arm.asset.entity.body_ids))
+        return obstacles(self.env.sim.engine, row, robot, arm.grasp.held_bodies(row))
+
+    # -- actions -----------------------------------------------------------------------------------
 
     def _action(self) -> F64:
-        """(N, A) the actions."""
-        env = self.env
-        manager = env.action_manager
-        action: F64 = (
-            manager.hold() if len(manager) else np.zeros((env.num_envs, self._arms[0].columns.stop))
-        )
-        for a, (arm, path) in enumerate(zip(self._arms, self._paths, strict=True)):
-            moves = self._kinds[self._now[:, a]] == _MOVE
-            action[:, arm.columns] = path.action(moves & ~self.done)
-            if arm.gripper is not None:
-                action[:, arm.fingers] = self._command[:, a, None]
-        return action if self._pushes is None else self._pushes.added(action, self.done)
-
-    # -- goals -------------------------------------------------------------------------------------
-
-    def _goal(self, goal: Goal, a: int, rows: Rows) -> tuple[F64, F64]:
-        """Position (n, 3) and orientation (n, 4) of the tool for a goal."""
-        path = self._paths[a]
-        tool_pos, tool_quat = path.path_pos[rows], path.path_quat[rows]
-        place, axes = tool_pos, tool_quat
-        if goal.target is not None:
-            place, axes = (part[rows] for part in self._targets(goal.target))
-        if goal.start is not None:
-            place = place + goal.beyond * self._direction(goal, rows)
-        if goal.axes == "world":
-            axes = np.tile([1.0, 0.0, 0.0, 0.0], (len(rows), 1))
-        elif goal.axes == "tool":
-            axes = tool_quat
-        place = place + quat_rotate(axes, np.tile(goal.offset, (len(rows), 1)))
-        place = place + np.array([0.0, 0.0, goal.above])
-        held_pos, held_quat = self._held_pose(goal, a, rows)
-        quat = tool_quat
-        if goal.rpy is not None:
-            given = quat_conjugate(euler_xyz_to_quat(-np.asarray(goal.rpy, np.float64)))
-            quat = quat_multiply(axes, np.tile(given, (len(rows), 1)))
-        elif goal.align is not None and self._arms[a].term.orientation == "any":
-            facing = quat_multiply(tool_quat, held_quat)
-            if not goal.held:
-                facing = self._fingers_along_x(facing, a)
-            quat = quat_multiply(self._turn(goal, facing, tool_quat, rows), tool_quat)
-        back = np.tile([0.0, 0.0, goal.back], (len(rows), 1))
-        return place - quat_rotate(quat, held_pos + back), quat
-
-    def _fingers_along_x(self, quat: F64, a: int) -> F64:
-        """(n, 4) orientations whose x axis is the line along which the tool's fingers move."""
-        angle = self._fingers[a].angle
-        if not angle:
-            return quat
-        turn = rotvec_to_quat(np.array([0.0, 0.0, angle]))
-        return quat_multiply(quat, np.tile(turn, (len(quat), 1)))
-
-    def _direction(self, goal: Goal, rows: Rows) -> F64:
-        """(n, 3) horizontal unit vectors, away from `goal.start` through the target."""
-        end, start = (self._targets(one or WORLD)[0] for one in (goal.target, goal.start))
-        way = (end - start)[rows]
-        way[:, 2] = 0.0
-        return way / np.maximum(length(way), 1e-9)[:, None]
-
-    def _held_pose(self, goal: Goal, a: int, rows: Rows) -> tuple[F64, F64]:
-        """Pose of what is held in the tool's frame, (n, 3), (n, 4); none without `goal.held`."""
-        pos, quat = np.zeros((len(rows), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(rows), 1))
-        if not goal.held:
-            return pos, quat
-        path, held = self._paths[a], self._held[rows, a]
-        back = quat_conjugate(path.quat[rows])
-        for number in np.unique(held):
-            which, target = held == number, self._taken[number]
-            place, facing = (part[rows][which] for part in self._targets(target))
-            pos[which] = quat_rotate(back[which], place - path.pos[rows][which])
-            quat[which] = quat_multiply(back[which], facing)
-        return pos, quat
-
-    def _turn(self, goal: Goal, facing: F64, tool_quat: F64, rows: Rows) -> F64:
-        """(n, 4) smallest rotation about the vertical that makes axes parallel to the target's."""
-        wanted = self._targets(goal.align or WORLD)[1][rows]
-        part = 2.0 * np.pi / goal.symmetry
-        angle = _heading(wanted) - _heading(facing) + 0.5 * part
-        angle = angle - part * np.floor(angle / part) - 0.5 * part
-        if not goal.level:
-            upright = np.abs(quat_to_matrix(tool_quat)[:, 2, 2]) > _VERTICAL
-            angle = np.where(upright, angle, 0.0)
-        zero = np.zeros_like(angle)
-        return rotvec_to_quat(np.stack([zero, zero, angle], axis=1))
+        """(N, A) the actions: tools go along their paths, everything else is held."""
+        manager = self.env.action_manager
+        action: F64
+        if len(manager):
+            action = manager.hold()
+        else:  # a class's own actions: those of its only arm
+            action = np.zeros((self.env.num_envs, self._arms[0].arm.columns.stop))
+        for arm in self._arms:
+            is_moving = self._is_move[arm.instruction] & ~self.done
+            action[:, arm.arm.columns] = arm.path.action(is_moving)
+            if arm.arm.gripper is not None:
+                action[:, arm.arm.fingers] = arm.grasp.command[:, None]
+        if self._pushes is None:
+            return action
+        return self._pushes.added(action, self.done)
 
 
-def _heading(quat: F64) -> F64:
-    """(n,) rad: direction in the plane of the x axis; if that is steep, of the y axis less 90°."""
-    matrix = quat_to_matrix(quat)
-    x = np.arctan2(matrix[:, 1, 0], matrix[:, 0, 0])
-    y = np.arctan2(matrix[:, 1, 1], matrix[:, 0, 1]) - 0.5 * np.pi
-    found: F64 = np.where(np.abs(matrix[:, 2, 0]) < _VERTICAL, x, y)
-    return found
+def _mark(instructions: Sequence[Instruction], kind: type[Instruction]) -> Mask:
+    """(I + 1,) whether each is of a kind; `_NO_INSTRUCTION` finds the last entry, False."""
+    return np.array([*(isinstance(item, kind) for item in instructions), False])
 
 
-def _orientations(
-    steps: Sequence[ReadStep], arms: Sequence[Arm], declared: Sequence[DeclaredArm]
-) -> list[Problem]:
-    """Steps that ask for an orientation of an arm whose action does not choose it."""
-    problems = []
-    kinds = {arm.name: arm.term.orientation for arm in arms}
-    for read in (one for step in steps for one in step.flat() if not one.within):
-        for arm, lane in (pair for phase in read.phases for pair in phase.items()):
-            goals = [one.goal for one in lane if isinstance(one, Move)]
-            turns = any(g.rpy or (g.align is not None and g.level) for g in goals)
-            name = find_arm(arm, declared, read.path).name
-            if turns and kinds[name] != "any":
-                message = f"the action {name!r} does not choose the tool's orientation"
-                problems.append(Problem(read.path, message))
-    return problems
+def _tolerances(instructions: Sequence[Instruction]) -> F64:
+    """(I + 1,) metres: how near each must come; inf for waypoints and for what does not move."""
+    tolerances = [item.tolerance if isinstance(item, Move) else None for item in instructions]
+    return np.array([np.inf if value is None else value for value in [*tolerances, None]])

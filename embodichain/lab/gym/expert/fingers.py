@@ -40,7 +40,7 @@ _FLAT = 0.01
 _RANK = 1e-6
 """Rows of constraints whose singular values are a smaller share of the largest add nothing."""
 _COUPLED = 1e-9
-"""M or rad per m or rad: a row of a constraint with smaller values leaves a joint alone."""
+"""Motion per motion of a joint (m or rad): a smaller one in a constraint leaves the joint alone."""
 _STILL = 1e-6
 """Share of the fastest finger's speed below which a body does not move."""
 _ROUNDED = 4

@@ -11,7 +11,7 @@ __all__ = ["EXACT", "Goal", "Grip", "Instruction", "Move", "Phase", "Target", "V
 Target = str | Callable[..., Any]
 """``ENTITY``, ``ENTITY/LINK``, a command, ``world``; in Python also ``f(env) -> (N, 7)`` poses."""
 EXACT = 0.02
-"""M: a motion with a smaller tolerance ends at rest."""
+"""Tolerance in metres below which a motion ends at rest."""
 Vector = tuple[float, float, float]
 
 

@@ -26,7 +26,7 @@ __all__ = ["is_touching", "obstacles"]
 _NAMED = 3
 """Contacts that a message names at most, the strongest first."""
 _WEAK = 0.5
-"""N: forces that are smaller stop no arm."""
+"""Force in newtons below which a contact stops no arm."""
 
 
 def obstacles(engine: Engine, row: int, robot: Collection[int], held: Collection[int]) -> str:

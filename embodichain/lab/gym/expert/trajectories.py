@@ -31,36 +31,40 @@ __all__ = ["ToolPath", "as_place", "length"]
 _WAYPOINTS = 16
 """Positions on a line that are solved by inverse kinematics."""
 _LONGEST_LEAP = 0.6
-"""Rad or m: a joint that moves farther between two of them has changed to another solution."""
-_TOOL_SPEED, _TOOL_TURN = 1.0, 2.5
-"""M/s and rad/s of the tool at most, even if the action could ask for more."""
-_TOOL_ACCELERATION, _TURN_ACCELERATION = 5.0, 15.0
-"""M/s^2 and rad/s^2 of the tool."""
+"""Distance in rad or m between two of them above which a joint has changed to another solution."""
+_TOOL_SPEED = 1.0
+"""Largest speed of the tool, m/s, even if the action could ask for more."""
+_TOOL_TURN = 2.5
+"""Largest turning speed of the tool, rad/s, likewise."""
+_TOOL_ACCELERATION = 5.0
+"""Acceleration of the tool, m/s^2."""
+_TURN_ACCELERATION = 15.0
+"""Angular acceleration of the tool, rad/s^2."""
 _JOINT_ACCELERATION = 15.0
-"""Rad/s^2 or m/s^2 of the joints."""
-_RISE = 0.06
+"""Acceleration of the joints, rad/s^2 or m/s^2."""
+_ACCELERATION_RISE = 0.06
 """Seconds in which the acceleration reaches its limit: the limit of jerk."""
-_MARGIN = 0.95
+_VELOCITY_MARGIN = 0.95
 """Share of the limits of velocity that is used."""
-_SLOW = 0.02
-"""M/s: what is missing is corrected only when the tool is slower."""
+_RESTING_SPEED = 0.02
+"""Speed in m/s of the tool below which a remaining error is corrected."""
 _CORRECTION = 0.5
-"""Share of the error that is corrected in a control step."""
+"""Share of the remaining error that is corrected in a control step."""
 _LARGEST_CORRECTION = 0.05
-"""M and rad."""
+"""Metres and rad that are added to the path's pose at most."""
 
 
 def length(vectors: F64) -> F64:
     """(n,) lengths of vectors (n, 3), added in a fixed order."""
     squares = vectors * vectors
-    found: F64 = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
-    return found
+    lengths: F64 = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
+    return lengths
 
 
 def as_place(pos: F64) -> str:
-    """A position (3,) in messages."""
-    spot = ", ".join(f"{x:.3f}" for x in pos)
-    return f"({spot}) m"
+    """Return a position (3,) as text, for messages."""
+    coordinates = ", ".join(f"{x:.3f}" for x in pos)
+    return f"({coordinates}) m"
 
 
 class ToolPath:
@@ -81,24 +85,34 @@ class ToolPath:
     """
 
     def __init__(self, arm: Arm, num_envs: int, step_dt: float) -> None:
-        self._arm, self._dt, self._count = arm, step_dt, num_envs
+        self._arm = arm
+        self._dt = step_dt
+        self._count = num_envs
         self._solver = arm.term.solver
-        self._free = arm.term.orientation == "free"
-        width = len(self._solver.moving)
-        self._joint_speeds = arm.term.joint_speeds * _MARGIN
-        linear, angular = arm.term.tool_speeds
-        self._speeds = min(linear * _MARGIN, _TOOL_SPEED), min(angular * _MARGIN, _TOOL_TURN)
-        self._path: F64 = np.zeros((num_envs, 1, width))
+        self._is_free = arm.term.orientation == "free"
+        self._joint_speeds = arm.term.joint_speeds * _VELOCITY_MARGIN
+        speed, turning_speed = arm.term.tool_speeds
+        self._tool_speed = min(speed * _VELOCITY_MARGIN, _TOOL_SPEED)
+        self._tool_turn = min(turning_speed * _VELOCITY_MARGIN, _TOOL_TURN)
+
+        # Measured.
+        self.pos, self.quat = self._solver.forward(arm.asset.read_qpos())
+        self._speed: F64 = np.zeros(num_envs)  # of the tool, m/s
+
+        # The path: joint positions of each control step, and how far it was asked for.
+        joints = len(self._solver.moving)
+        self._path: F64 = np.zeros((num_envs, 1, joints))
         self.steps: NDArray[np.int64] = np.zeros(num_envs, np.int64)
         self._step: NDArray[np.int64] = np.zeros(num_envs, np.int64)
-        self._shift: F64 = np.zeros((num_envs, 6))  # what is added to the path's pose
-        self._last: F64 = np.zeros((num_envs, width))
+        self._last_qpos: F64 = np.zeros((num_envs, joints))
+        self.path_pos = self.pos.copy()
+        self.path_quat = self.quat.copy()
+        self.obstacles: dict[int, str] = {}
+
+        # Its end, and what is added to the path's pose so that the tool arrives there.
         self._goal_pos: F64 = np.zeros((num_envs, 3))
         self._goal_quat: F64 = np.tile([1.0, 0.0, 0.0, 0.0], (num_envs, 1))
-        self.pos, self.quat = self._solver.forward(arm.asset.read_qpos())
-        self.path_pos, self.path_quat = self.pos.copy(), self.quat.copy()
-        self._speed: F64 = np.zeros(num_envs)
-        self.obstacles: dict[int, str] = {}
+        self._correction: F64 = np.zeros((num_envs, 6))  # m and rad
 
     def measure(self) -> None:
         """Read where the tool is."""
@@ -109,10 +123,15 @@ class ToolPath:
     def rest(self, rows: NDArray[np.int64]) -> None:
         """Stay where the tool is in these environments, whose episodes begin."""
         qpos = self._arm.asset.read_qpos()[rows][:, self._solver.moving]
-        self._last[rows], self._path[rows, 0] = qpos, qpos
-        self.steps[rows], self._step[rows], self._shift[rows] = 1, 0, 0.0
-        self.path_pos[rows], self.path_quat[rows] = self.pos[rows], self.quat[rows]
-        self._goal_pos[rows], self._goal_quat[rows] = self.pos[rows], self.quat[rows]
+        self._last_qpos[rows] = qpos
+        self._path[rows, 0] = qpos
+        self.steps[rows] = 1
+        self._step[rows] = 0
+        self._correction[rows] = 0.0
+        self.path_pos[rows] = self.pos[rows]
+        self.path_quat[rows] = self.quat[rows]
+        self._goal_pos[rows] = self.pos[rows]
+        self._goal_quat[rows] = self.quat[rows]
         self._speed[rows] = 0.0
 
     # -- planning, once for each motion ------------------------------------------------------------
@@ -129,133 +148,157 @@ class ToolPath:
         Returns:
             (n,) whether all of the line can be reached; where not, the tool stays.
         """
-        line, reached = self._line(rows, pos, quat)
-        times = self._timing(rows, pos, quat, line, speed)
-        longest = max((len(shares) for shares in times), default=1)
-        if longest > self._path.shape[1]:
-            longer = np.zeros((self._count, longest, self._path.shape[2]))
-            longer[:, : self._path.shape[1]] = self._path
-            self._path = longer
-        for row, shares, points, good in zip(rows, times, line, reached, strict=True):
-            if not good:
-                shares, points = np.ones(1), np.tile(self._last[row], (_WAYPOINTS + 1, 1))
-            at = shares * _WAYPOINTS
-            before = np.minimum(at.astype(np.int64), _WAYPOINTS - 1)
-            part = (at - before)[:, None]
-            path = points[before] * (1.0 - part) + points[before + 1] * part
+        line, is_reachable = self._line(rows, pos, quat)
+        timings = self._timing(rows, pos, quat, line, speed)
+        self._make_room(max((len(shares) for shares in timings), default=1))
+        for number, row in enumerate(rows):
+            shares = timings[number]
+            points = line[number]
+            if not is_reachable[number]:
+                shares = np.ones(1)
+                points = np.tile(self._last_qpos[row], (_WAYPOINTS + 1, 1))
+            # Joint positions between two of the points, linearly.
+            place = shares * _WAYPOINTS
+            before = np.minimum(place.astype(np.int64), _WAYPOINTS - 1)
+            fraction = (place - before)[:, None]
+            path = points[before] * (1.0 - fraction) + points[before + 1] * fraction
             self._path[row, : len(path)] = path
             self.steps[row] = len(path)
         self._step[rows] = 0
-        self._goal_pos[rows] = np.where(reached[:, None], pos, self.path_pos[rows])
-        self._goal_quat[rows] = np.where(reached[:, None], quat, self.path_quat[rows])
-        return reached
+        self._goal_pos[rows] = np.where(is_reachable[:, None], pos, self.path_pos[rows])
+        self._goal_quat[rows] = np.where(is_reachable[:, None], quat, self.path_quat[rows])
+        return is_reachable
+
+    def _make_room(self, steps: int) -> None:
+        """Let paths have at least this many control steps."""
+        count, length_now, joints = self._path.shape
+        if steps > length_now:
+            longer = np.zeros((count, steps, joints))
+            longer[:, :length_now] = self._path
+            self._path = longer
 
     def _line(self, rows: NDArray[np.int64], pos: F64, quat: F64) -> tuple[F64, NDArray[np.bool_]]:
         """(n, W + 1, k) joint positions on lines, and (n,) whether they reach all of them."""
-        start_pos, start_quat = self.path_pos[rows], self.path_quat[rows]
+        start_pos = self.path_pos[rows]
+        start_quat = self.path_quat[rows]
         turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(start_quat)))
-        seed = self._arm.asset.read_qpos()[rows].copy()
-        seed[:, self._solver.moving] = self._last[rows]
-        end, reached = self._inverse(rows, seed, pos, quat)
+        start_qpos = self._arm.asset.read_qpos()[rows].copy()
+        start_qpos[:, self._solver.moving] = self._last_qpos[rows]
+        end_qpos, is_reachable = self._inverse(rows, start_qpos, pos, quat)
+
+        # All points of all lines at once, each from a guess between the solutions at the ends.
         shares = np.linspace(0.0, 1.0, _WAYPOINTS + 1)[:, None, None]
-        place = start_pos + shares * (pos - start_pos)
+        points = start_pos + shares * (pos - start_pos)
         facing = quat_multiply(
             rotvec_to_quat(shares * turn), np.broadcast_to(start_quat, (len(shares), *quat.shape))
         )
-        seeds = (seed + shares * (end - seed)).reshape(-1, seed.shape[1])
-        found, there = self._inverse(
-            np.tile(rows, len(shares)), seeds, place.reshape(-1, 3), facing.reshape(-1, 4)
+        guesses = (start_qpos + shares * (end_qpos - start_qpos)).reshape(-1, start_qpos.shape[1])
+        solutions, is_solved = self._inverse(
+            np.tile(rows, len(shares)), guesses, points.reshape(-1, 3), facing.reshape(-1, 4)
         )
-        line = found.reshape(len(shares), len(rows), -1)
-        line[0] = seed
-        there = there.reshape(len(shares), -1)
-        there[0] = True
-        reached &= there.all(axis=0) & _smooth(line)
-        walk = np.flatnonzero(~reached)
-        if len(walk):  # from point to point: slower, but near the previous one
-            now = seed[walk]
-            for i in range(1, len(shares)):
-                now, arrived = self._inverse(rows[walk], now, place[i, walk], facing[i, walk])
-                line[i, walk], there[i, walk] = now, arrived
-            reached[walk] = there[:, walk].all(axis=0) & _smooth(line[:, walk])
-        for k in np.flatnonzero(~reached):
-            row = int(rows[k])
-            self.obstacles[row] = self._obstacle(row, line[:, k], there[:, k], place[:, k])
-        return np.moveaxis(line, 0, 1)[..., self._solver.moving], reached
+        line = solutions.reshape(len(shares), len(rows), -1)
+        line[0] = start_qpos
+        is_solved = is_solved.reshape(len(shares), -1)
+        is_solved[0] = True
+        is_reachable &= is_solved.all(axis=0) & _smooth(line)
 
-    def _obstacle(self, row: int, line: F64, there: NDArray[np.bool_], place: F64) -> str:
-        """Where a line ends in an environment, and which joint or distance ends it.
+        # Where that fails, from point to point: slower, but near the previous one.
+        retried = np.flatnonzero(~is_reachable)
+        if len(retried):
+            qpos = start_qpos[retried]
+            for i in range(1, len(shares)):
+                qpos, is_solved[i, retried] = self._inverse(
+                    rows[retried], qpos, points[i, retried], facing[i, retried]
+                )
+                line[i, retried] = qpos
+            is_reachable[retried] = is_solved[:, retried].all(axis=0) & _smooth(line[:, retried])
+        for k in np.flatnonzero(~is_reachable):
+            row = int(rows[k])
+            self.obstacles[row] = self._obstacle(row, line[:, k], is_solved[:, k], points[:, k])
+        return np.moveaxis(line, 0, 1)[..., self._solver.moving], is_reachable
+
+    def _obstacle(self, row: int, line: F64, is_solved: NDArray[np.bool_], points: F64) -> str:
+        """Return where a line ends in an environment, and which joint or distance ends it.
 
         Args:
             row: The environment.
             line: (W + 1, D) joint positions.
-            there: (W + 1,) whether they reach the line.
-            place: (W + 1, 3) points on it.
+            is_solved: (W + 1,) whether they reach the line.
+            points: (W + 1, 3) points on it.
         """
-        moving, names = self._solver.moving, self._solver.names
+        moving = self._solver.moving
+        names = self._solver.names
+        units = np.where(self._solver.hinges, "rad", "m")
         leaps = np.abs(np.diff(line[:, moving], axis=0))
-        i = 1 + int(np.argmax(~there[1:] | (leaps.max(axis=1) >= _LONGEST_LEAP)))
-        where = f"after {100 * (i - 1) / (len(line) - 1):.0f} % of it, at {as_place(place[i - 1])},"
-        if there[i]:
-            joint = int(np.argmax(leaps[i - 1]))
-            unit = "rad" if self._solver.hinges[joint] else "m"
-            return f"{where} {names[joint]} would leap by {leaps[i - 1, joint]:.2f} {unit}"
+        is_end = ~is_solved[1:] | (leaps.max(axis=1) >= _LONGEST_LEAP)
+        last = int(np.argmax(is_end))  # the last point that can be reached
+        share = 100 * last / (len(line) - 1)
+        where = f"after {share:.0f} % of it, at {as_place(points[last])},"
+        if is_solved[last + 1]:
+            joint = int(np.argmax(leaps[last]))
+            leap = f"{leaps[last, joint]:.2f} {units[joint]}"
+            return f"{where} {names[joint]} would leap by {leap}"
         ids = np.array([row])
         low, high = (limit[:, 0] for limit in self._solver.limits(ids))
-        now = line[i, moving]
-        ends = np.minimum(now - low, high - now)
-        missing = float(length(place[i, None] - self._solver.forward(line[i, None], ids)[0])[0])
-        left = f"{1000 * missing:.0f} mm are missing at the next point"
-        units = np.where(self._solver.hinges, "rad", "m")
-        at_end = [
-            f"{names[j]} is at its limit, {now[j]:.2f} {units[j]}"
-            for j in np.flatnonzero(ends < 1e-3)
+        qpos = line[last + 1, moving]
+        distance_to_limit = np.minimum(qpos - low, high - qpos)
+        reasons = [
+            f"{names[joint]} is at its limit, {qpos[joint]:.2f} {units[joint]}"
+            for joint in np.flatnonzero(distance_to_limit < 1e-3)
         ]
-        return f"{where} {', '.join([*at_end, left])}"
+        tool_pos, _ = self._solver.forward(line[last + 1, None], ids)
+        missing = float(length(points[last + 1, None] - tool_pos)[0])
+        reasons.append(f"{1000 * missing:.0f} mm are missing at the next point")
+        return f"{where} {', '.join(reasons)}"
 
     def _inverse(
         self, rows: NDArray[np.int64], seed: F64, pos: F64, quat: F64
     ) -> tuple[F64, NDArray[np.bool_]]:
-        turned = None if self._free else quat
-        return self._solver.inverse(seed, pos, turned, rows, restarts=False)
+        """Return (n, D) joint positions for poses of the tool, and (n,) whether they reach them."""
+        orientation = None if self._is_free else quat
+        return self._solver.inverse(seed, pos, orientation, rows, restarts=False)
 
     def _timing(
         self, rows: NDArray[np.int64], pos: F64, quat: F64, line: F64, speed: float
     ) -> list[F64]:
-        """For each line the shares of it, up to 1, at the next control steps."""
+        """Return for each line the shares of it, up to 1, at the next control steps."""
         turn = quat_to_rotvec(quat_multiply(quat, quat_conjugate(self.path_quat[rows])))
-        way, angle = length(pos - self.path_pos[rows]), length(turn)
-        change = np.abs(np.diff(line, axis=1)) * _WAYPOINTS  # rad or m per unit of the parameter
-        bend = np.abs(np.diff(line, 2, axis=1)) * _WAYPOINTS**2
+        way = length(pos - self.path_pos[rows])
+        angle = length(turn)
+        # Derivatives of the joints' path with respect to the path parameter, which is 0 to 1.
+        slope = (np.abs(np.diff(line, axis=1)) * _WAYPOINTS).max(axis=1)
+        bend = (np.abs(np.diff(line, 2, axis=1)) * _WAYPOINTS**2).max(axis=(1, 2))
+        # Half of the acceleration is for the bends of the joints' path, half for speeding up.
+        joint_acceleration = 0.5 * _JOINT_ACCELERATION
         tiny = 1e-9
-        joints = change.max(axis=1)
-        fastest = np.minimum(
-            np.minimum(self._speeds[0] / (way + tiny), self._speeds[1] / (angle + tiny)),
-            (self._joint_speeds / (joints + tiny)).min(axis=1),
+        velocity = np.minimum(
+            np.minimum(self._tool_speed / (way + tiny), self._tool_turn / (angle + tiny)),
+            (self._joint_speeds / (slope + tiny)).min(axis=1),
         )
-        # Half of the acceleration is left for the bends of the joints' path.
-        most = 0.5 * _JOINT_ACCELERATION
-        fastest = np.minimum(fastest, np.sqrt(most / (bend.max(axis=(1, 2)) + tiny))) * speed
-        limit = np.minimum(
+        velocity = np.minimum(velocity, np.sqrt(joint_acceleration / (bend + tiny))) * speed
+        acceleration = np.minimum(
             np.minimum(_TOOL_ACCELERATION / (way + tiny), _TURN_ACCELERATION / (angle + tiny)),
-            most / (joints.max(axis=1) + tiny),
+            joint_acceleration / (slope.max(axis=1) + tiny),
         )
-        moves = (way > 1e-6) | (angle > 1e-6)
+        acceleration = acceleration * np.sqrt(speed)
+        is_moving = (way > 1e-6) | (angle > 1e-6)
         return [
-            self._profile(*values) if there else np.ones(1)
-            for there, *values in zip(moves, fastest, limit * np.sqrt(speed), strict=True)
+            self._profile(velocity[k], acceleration[k]) if is_moving[k] else np.ones(1)
+            for k in range(len(rows))
         ]
 
     def _profile(self, velocity: float, acceleration: float) -> F64:
         """The path parameter after each control step, from rest at 0 to rest at 1."""
         import ruckig  # not by lazy_loader: collecting a module that is not executed yet crashes
 
-        given = ruckig.InputParameter(1)
-        given.current_position, given.target_position = [0.0], [1.0]
-        given.max_velocity, given.max_acceleration = [float(velocity)], [float(acceleration)]
-        given.max_jerk = [float(acceleration) / _RISE]
+        limits = ruckig.InputParameter(1)
+        limits.current_position = [0.0]
+        limits.target_position = [1.0]
+        limits.max_velocity = [float(velocity)]
+        limits.max_acceleration = [float(acceleration)]
+        limits.max_jerk = [float(acceleration) / _ACCELERATION_RISE]
         trajectory: Any = ruckig.Trajectory(1)
-        result = ruckig.Ruckig(1).calculate(given, trajectory)
+        result = ruckig.Ruckig(1).calculate(limits, trajectory)
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             raise RuntimeError(f"Ruckig found no trajectory: {result}")
         count = max(1, int(np.ceil(trajectory.duration / self._dt - 1e-9)))
@@ -264,16 +307,18 @@ class ToolPath:
 
     def stop(self, row: int) -> None:
         """Stay at this place of the path in an environment."""
-        self._path[row, 0] = self._last[row]
-        self.steps[row], self._step[row] = 1, 1
-        self._goal_pos[row], self._goal_quat[row] = self.pos[row], self.quat[row]
+        self._path[row, 0] = self._last_qpos[row]
+        self.steps[row] = 1
+        self._step[row] = 1
+        self._goal_pos[row] = self.pos[row]
+        self._goal_quat[row] = self.quat[row]
 
     # -- moving, in every control step -------------------------------------------------------------
 
     def asked(self) -> NDArray[np.bool_]:
         """(N,) whether all of the path was asked for."""
-        over: NDArray[np.bool_] = self._step >= self.steps
-        return over
+        is_over: NDArray[np.bool_] = self._step >= self.steps
+        return is_over
 
     def remaining(self) -> tuple[F64, F64]:
         """(N,) distance of the measured pose from the goal, m, and angle, rad (0 if it is free)."""
@@ -283,51 +328,59 @@ class ToolPath:
 
     def at_rest(self) -> NDArray[np.bool_]:
         """(N,) whether the tool hardly moves."""
-        slow: NDArray[np.bool_] = self._speed < 2.5 * _SLOW
-        return slow
+        is_slow: NDArray[np.bool_] = self._speed < 2.5 * _RESTING_SPEED
+        return is_slow
 
     def action(self, arriving: NDArray[np.bool_]) -> F64:
         """(N, A) the action for the next control step, which takes the tool along its path.
 
         Args:
-            arriving: (N,) where it is to be corrected what is missing at the end of the path.
+            arriving: (N,) where an error that remains at the end of the path is to be corrected.
         """
-        asked = self.asked()
-        self._correct(arriving & asked & (self._speed < _SLOW))
-        here = np.minimum(self._step, self.steps - 1)
-        self._step += ~asked
-        self._last = self._path[np.arange(self._count), here]
-        whole = self._arm.asset.read_qpos().copy()
-        whole[:, self._solver.moving] = self._last
-        self.path_pos, self.path_quat = pos, quat = self._solver.forward(whole)
-        if self._shift.any():
-            error = self._in_root(self._shift)[: 3 if self._free else 6]
-            widest = np.full(len(self._solver.moving), np.inf)
-            step = self._solver.approach(whole, self._solver.frames(whole), error, widest)
-            whole[:, self._solver.moving] += step.change
-            pos, quat = self._solver.forward(whole)
-        return self._arm.term.action_towards(pos, quat, whole[:, self._solver.moving])
+        is_over = self.asked()
+        self._correct(arriving & is_over & (self._speed < _RESTING_SPEED))
+        step = np.minimum(self._step, self.steps - 1)
+        self._step += ~is_over
+        self._last_qpos = self._path[np.arange(self._count), step]
+        qpos = self._arm.asset.read_qpos().copy()
+        qpos[:, self._solver.moving] = self._last_qpos
+        pos, quat = self._solver.forward(qpos)
+        self.path_pos = pos
+        self.path_quat = quat
+        if self._correction.any():
+            error = self._in_root(self._correction)[: 3 if self._is_free else 6]
+            unlimited = np.full(len(self._solver.moving), np.inf)
+            solution = self._solver.approach(qpos, self._solver.frames(qpos), error, unlimited)
+            qpos[:, self._solver.moving] += solution.change
+            pos, quat = self._solver.forward(qpos)
+        return self._arm.term.action_towards(pos, quat, qpos[:, self._solver.moving])
 
     def _correct(self, where: NDArray[np.bool_]) -> None:
-        """Ask for a part of what is missing in addition, in these environments."""
+        """Add a part of the remaining error to the path's pose, in these environments.
+
+        A drive without integral gain stops short of its target, by gravity or friction: the target
+        has to be moved beyond the goal until the tool is there.
+        """
         turn = quat_to_rotvec(quat_multiply(self._goal_quat, quat_conjugate(self.quat)))
         if self._arm.term.orientation != "any":
             turn = np.zeros_like(turn)
-        missing = np.concatenate([self._goal_pos - self.pos, turn], axis=1)
-        shift = np.clip(
-            self._shift + _CORRECTION * missing, -_LARGEST_CORRECTION, _LARGEST_CORRECTION
+        error = np.concatenate([self._goal_pos - self.pos, turn], axis=1)
+        correction = np.clip(
+            self._correction + _CORRECTION * error, -_LARGEST_CORRECTION, _LARGEST_CORRECTION
         )
-        self._shift = np.where(where[:, None], shift, self._shift)
+        self._correction = np.where(where[:, None], correction, self._correction)
 
-    def _in_root(self, shift: F64) -> F64:
+    def _in_root(self, correction: F64) -> F64:
         """(6, N) translations and rotations (N, 6) in the axes of the root."""
-        back = quat_conjugate(self._solver.root_pose()[1])
-        parts = [quat_rotate(back, np.ascontiguousarray(shift[:, c : c + 3])).T for c in (0, 3)]
-        return np.concatenate(parts)
+        _, root_quat = self._solver.root_pose()
+        to_root = quat_conjugate(root_quat)
+        translation = quat_rotate(to_root, np.ascontiguousarray(correction[:, :3]))
+        rotation = quat_rotate(to_root, np.ascontiguousarray(correction[:, 3:]))
+        return np.concatenate([translation.T, rotation.T])
 
 
 def _smooth(line: F64) -> NDArray[np.bool_]:
     """(n,) whether no joint leaps between points (W + 1, n, D)."""
     leaps = np.abs(np.diff(line, axis=0)).max(axis=(0, 2))
-    near: NDArray[np.bool_] = np.asarray(leaps < _LONGEST_LEAP)
-    return near
+    is_smooth: NDArray[np.bool_] = np.asarray(leaps < _LONGEST_LEAP)
+    return is_smooth

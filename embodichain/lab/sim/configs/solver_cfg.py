@@ -45,7 +45,7 @@ class SolverCfg:
     pos_eps: Annotated[float, Field(gt=0)] = 1e-5
     """Metres: a solution is at most this far from the target."""
     rot_eps: Annotated[float, Field(gt=0)] = 1e-5
-    """Rad: likewise."""
+    """Likewise, in rad."""
     max_iterations: Annotated[int, Field(ge=1)] = 60
     """Of one search from one initial point."""
     num_samples: Annotated[int, Field(ge=0)] = 30

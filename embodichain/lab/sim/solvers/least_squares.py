@@ -37,9 +37,9 @@ __all__ = [
 
 _DAMPING = 1e-8
 _LONGEST_STEP = 0.5
-"""Rad or m: no joint moves farther in one iteration."""
+"""Largest motion of a joint in one iteration, rad or m."""
 _SHORTEST_STEP = 1e-5
-"""Rad or m: a search ends when no joint moves farther than this in an iteration."""
+"""Motion in rad or m of every joint in an iteration below which a search ends."""
 _PATIENCE, _PROGRESS = 8, 0.9
 """A search ends when this many iterations leave more than this share of the squared error."""
 _ROWS = 8192

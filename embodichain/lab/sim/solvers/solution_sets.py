@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 __all__ = ["distinct", "ranked"]
 
 _CLOSE = 1e-6
-"""Rad or m: how far beyond a limit a position is still at it."""
+"""Distance in rad or m beyond a limit at which a position is still at it."""
 _SAME = 0.01
-"""Rad or m: solutions are the same where no joint differs by more."""
+"""Difference in rad or m of each joint below which two solutions are the same."""
 
 
 def ranked(

@@ -238,7 +238,7 @@ def test_every_mistake_has_its_place(gripper, tmp_path):
     assert "expected a 4x4 pose" in found["components.1.transform"].message
     assert "another component" in found["components.2.component_type"].message
     assert "nowhere/hand.urdf" in found["components.2.urdf_path"].message
-    assert "is no URDF" in found["components.3.urdf_path"].message
+    assert "is not a URDF" in found["components.3.urdf_path"].message
     assert set(found) >= {"sensors"} and len(found) == 6
 
 

@@ -35,7 +35,7 @@ __all__ = [
 Orientation = Literal["any", "keep", "free"]
 """Whether an action chooses the tool's orientation, keeps it, or leaves it free."""
 _TURNS_A_SECOND, _METRES_A_SECOND = np.pi, 1.0
-"""Rad/s and m/s of joints for which neither file nor drive has a limit."""
+"""Speed in rad/s or m/s of joints for which neither file nor drive has a limit."""
 
 
 class MovesTool(Protocol):

@@ -14,7 +14,8 @@ from embodichain.lab.sim.compiler.index import F64, Mask
 from embodichain.lab.sim.compiler.names import exact_pattern
 from embodichain.lab.sim.compiler.robot.contacts.self_collision import SelfCollision
 from embodichain.lab.sim.compiler.robot.drives.added_armature import RAISED
-from embodichain.lab.sim.compiler.robot.files.robot_joints import Keyframe, Servos
+from embodichain.lab.sim.compiler.robot.files.initial_state import Keyframe
+from embodichain.lab.sim.compiler.robot.files.robot_joints import ServoColumns
 from embodichain.lab.sim.compiler.robot.kept_inertias import HullLimit
 from embodichain.lab.sim.compiler.robot.robot_links import AttachedOptions
 from embodichain.lab.sim.compiler.robot.robot_root import Placement
@@ -111,7 +112,7 @@ class ParsedArticulation:
     own_actuators: bool
     driven: Mask
     drives: tuple[str, ...]
-    servos: Servos
+    servos: ServoColumns
     control_names: tuple[str, ...]
     ctrl_limits: F64
     init_ctrl: F64

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -16,7 +16,8 @@ from embodichain.lab.sim.compiler.robot.contacts.contact_patterns import (
     apply_contacts,
     check_contacts,
 )
-from embodichain.lab.sim.compiler.robot.drives.couplings import read_couplings
+from embodichain.lab.sim.compiler.robot.files.initial_state import Keyframe, resolve_qpos
+from embodichain.lab.sim.compiler.robot.files.joint_couplings import read_couplings
 from embodichain.lab.sim.compiler.robot.files.robot_files import (
     MUJOCO_ERRORS,
     ModelFile,
@@ -25,11 +26,7 @@ from embodichain.lab.sim.compiler.robot.files.robot_files import (
     locate,
     read_model,
 )
-from embodichain.lab.sim.compiler.robot.files.robot_joints import (
-    Keyframe,
-    read_joints,
-    resolve_qpos,
-)
+from embodichain.lab.sim.compiler.robot.files.robot_joints import read_joints
 from embodichain.lab.sim.compiler.robot.files.spec_frames import on_frame
 from embodichain.lab.sim.compiler.robot.files.urdf_reading import UrdfLimits
 from embodichain.lab.sim.compiler.robot.floors import move_to_world, without_references
@@ -105,8 +102,10 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
     spec.compiler.degree = False
     spec.compiler.fusestatic = False  # links of fixed joints keep their bodies
     spec.worldbody.add_body(name=cfg.base_link_name)
-    carrying: dict[str, str] = {}
-    links, joints = {cfg.base_link_name: cfg.base_link_name}, dict[str, str]()
+    # Names while the files are attached -> final names.
+    links: dict[str, str] = {cfg.base_link_name: cfg.base_link_name}
+    joints: dict[str, str] = {}
+    carrying_link: dict[str, str] = {}  # component -> the link on which its children are
     limits = UrdfLimits()
     for kind, prefix in cfg.prefixes().items():
         if kind not in files:
@@ -115,23 +114,25 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
         own_links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
         own_joints = [joint.name for joint in file.spec.joints]
         carrier = next((c for c in _CARRIERS.get(kind, ()) if c in files), None)
-        on = cfg.base_link_name if carrier is None else carrying[carrier]
-        attach(spec, file.spec, on, *transforms[kind], f"{kind}{_SEPARATOR}")
+        parent_link = cfg.base_link_name if carrier is None else carrying_link[carrier]
+        pos, quat = transforms[kind]
+        attach(spec, file.spec, parent_link, pos, quat, prefix=f"{kind}{_SEPARATOR}")
         case = cfg.name_case
         new_links = _renamed(own_links, prefix, kind, case.get("link"), set(links.values()))
         new_joints = _renamed(own_joints, prefix, "", case.get("joint"), set(joints.values()))
         links |= {f"{kind}{_SEPARATOR}{old}": new for old, new in new_links.items()}
         joints |= {f"{kind}{_SEPARATOR}{old}": new for old, new in new_joints.items()}
         limits = limits.joined(file.limits.renamed(new_joints))
-        last = own_links[0] if kind in _ON_FIRST else file.last_link
-        carrying[kind] = f"{kind}{_SEPARATOR}{last}"
+        carrier_link = own_links[0] if kind in _ON_FIRST else file.last_link
+        carrying_link[kind] = f"{kind}{_SEPARATOR}{carrier_link}"
     # The only references in a URDF are mimics, which are equalities.
     for body in spec.bodies[1:]:
         body.name = links[body.name]
     for joint in spec.joints:
         joint.name = joints[joint.name]
     for equality in spec.equalities:
-        equality.name1, equality.name2 = joints[equality.name1], joints[equality.name2]
+        equality.name1 = joints[equality.name1]
+        equality.name2 = joints[equality.name2]
     path = next(iter(files.values())).path
     notes = [note for file in files.values() for note in file.notes]
     return ModelFile(path, True, spec, compile_quietly(spec), limits, notes=notes)
@@ -169,7 +170,8 @@ def _read(
             problems += [Problem(f"{path}.urdf_path", str(p)) for p in error.problems]
             continue
         if not file.is_urdf and len(parts) > 1:
-            problems.append(Problem(f"{path}.urdf_path", f"{file.path} is no URDF: see attach"))
+            message = f"{file.path} is not a URDF: see attach"
+            problems.append(Problem(f"{path}.urdf_path", message))
         files.setdefault(kind, file)
     if problems:
         raise ConfigError(problems)
@@ -177,26 +179,34 @@ def _read(
 
 
 def _renamed(
-    names: Iterable[str], prefix: str, kind: str, case: str | None, taken: set[str]
+    names: Iterable[str], prefix: str, kind: str, case: str | None, used_names: set[str]
 ) -> dict[str, str]:
-    """Map old to new names. A taken name gets the prefix `kind` if given, else a number."""
+    """Map old to new names. A used name gets the prefix `kind`, if there is one, else a number.
 
-    def spelled(name: str) -> str:
-        return name.upper() if case == "upper" else name.lower() if case == "lower" else name
+    Names that are chosen are added to `used_names`.
+    """
 
-    found: dict[str, str] = {}
+    def in_case(name: str) -> str:
+        if case == "upper":
+            return name.upper()
+        if case == "lower":
+            return name.lower()
+        return name
+
+    new_names: dict[str, str] = {}
     for name in names:
         has_prefix = name.lower().startswith(prefix.lower())
-        new = spelled(name if has_prefix else f"{prefix}{name}")
-        if new in taken and kind and not prefix:
-            new = spelled(f"{kind}_{name}")
-        number, base = 0, new
-        while new in taken:
+        new_name = in_case(name if has_prefix else f"{prefix}{name}")
+        if new_name in used_names and kind and not prefix:
+            new_name = in_case(f"{kind}_{name}")
+        base = new_name
+        number = 0
+        while new_name in used_names:
             number += 1
-            new = f"{base}_{number}"
-        found[name] = new
-        taken.add(new)
-    return found
+            new_name = f"{base}_{number}"
+        new_names[name] = new_name
+        used_names.add(new_name)
+    return new_names
 
 
 # ----------------------------------------------------------------------------------- attached files
@@ -221,76 +231,96 @@ def attach_files(
     Raises:
         ConfigError: If MuJoCo refuses the whole.
     """
-    spec, problems = robot.spec, list[Problem]()
-    parts, urdf = {"": robot}, {n for n, u in _from_urdf(robot) if u}
-    options: list[AttachedOptions] = []
-    limits, notes = robot.joints.limits, [*robot.notes]
+    spec = robot.spec
+    problems: list[Problem] = []
+    parts = {"": robot}  # prefix of names -> the file; the robot's own has none
+    urdf_joints = {joint.name for joint in robot.joints.rows if joint.is_urdf}
+    attached_options: list[AttachedOptions] = []
+    limits = robot.joints.limits
+    notes = [*robot.notes]
     for name, cfg in attached.items():
-        found, file = _check(name, cfg, spec)
-        problems += found
-        if file is None or found:
+        mistakes, file = _check(name, cfg, spec)
+        if file is None or mistakes:
+            problems += mistakes
             continue
         prefix = f"{name}/"
-        part = parts[prefix] = prepare_file(file, cfg.attrs)
-        wrong = check_contacts(file.spec, cfg.contact)
-        problems += [p.below(f"attach.{name}") for p in wrong]
-        if not wrong:
+        part = prepare_file(file, cfg.attrs)
+        parts[prefix] = part
+        contact_mistakes = check_contacts(file.spec, cfg.contact)
+        problems += [problem.below(f"attach.{name}") for problem in contact_mistakes]
+        if not contact_mistakes:
             apply_contacts(file.spec, cfg.contact)
-        notes += [*part.notes, *_loosen(file), *_without_walls(file, part)]
-        urdf |= {f"{prefix}{n}" for n, u in _from_urdf(part) if u}
-        names = {name: f"{prefix}{name}" for name in part.joints.names}
-        limits = limits.joined(file.limits.renamed(names))
-        options.append((f"{file.path} (attach.{name})", mujoco.MjSpec(), file.options))
-        options[-1][1].option = file.spec.option
+        notes += part.notes
+        notes += _loosen(file)
+        notes += _without_walls(file, part)
+        urdf_joints |= {f"{prefix}{joint.name}" for joint in part.joints.rows if joint.is_urdf}
+        new_names = {joint: f"{prefix}{joint}" for joint in part.joints.names}
+        limits = limits.joined(file.limits.renamed(new_names))
+        options = mujoco.MjSpec()
+        options.option = file.spec.option
+        attached_options.append((f"{file.path} (attach.{name})", options, file.options))
         # The scene's options apply: MuJoCo would warn about each that differs.
         file.spec.option = spec.option
-        frame, _ = find_in_spec(spec, cfg.to, "")
-        if frame is None:
-            raise RuntimeError(f"{cfg.to!r} was found before")
-        link, pos, quat = on_frame(spec, *frame, *initial_pose(_pose(cfg)))
-        take_sizes(spec, file.spec)
-        equalities = len(spec.equalities)
-        attach(spec, file.spec, link, pos, quat, prefix)
-        bind_to_body(list(spec.equalities)[equalities:], link, pos, quat)
-        for plane in part.floors:  # planes cannot move; the scene's ground takes their place
-            move_to_world(spec, f"{prefix}{plane}", *part.planes[plane])
+        _attach_part(spec, file, part, cfg, prefix)
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError([Problem("attach", as_line(error)[0])]) from error
-    joints = read_joints(model, limits, urdf, tuple(prefix for prefix in parts if prefix))
-    keyframe = _joined(parts, joints.names)
-    notes = [*dict.fromkeys(notes)]  # two grippers of one file
-    is_urdf = {prefix: part.is_urdf[""] for prefix, part in parts.items()}
-    attached_parts = {prefix: part for prefix, part in parts.items() if prefix}
-    whole = RobotModel(
-        spec,
-        model,
-        joints,
-        *read_couplings(model, joints.names, urdf),
-        keyframe,
-        tuple(notes),
-        tuple(options),
+    return _joined_model(
+        robot, model, parts, urdf_joints, limits, notes, attached_options
+    ), problems
+
+
+def _attach_part(
+    spec: mujoco.MjSpec, file: ModelFile, part: RobotModel, cfg: AttachedFileCfg, prefix: str
+) -> None:
+    """Fix a file on its link, with its equalities and floors."""
+    frame, _ = find_in_spec(spec, cfg.to, "")
+    if frame is None:
+        raise RuntimeError(f"{cfg.to!r} was found before")
+    link, pos, quat = on_frame(spec, *frame, *initial_pose(_pose(cfg)))
+    take_sizes(spec, file.spec)
+    equality_count = len(spec.equalities)
+    attach(spec, file.spec, link, pos, quat, prefix)
+    bind_to_body(list(spec.equalities)[equality_count:], link, pos, quat)
+    for plane in part.floors:  # planes cannot move; the scene's ground takes their place
+        move_to_world(spec, f"{prefix}{plane}", *part.planes[plane])
+
+
+def _joined_model(
+    robot: RobotModel,
+    model: mujoco.MjModel,
+    parts: Mapping[str, RobotModel],
+    urdf_joints: Collection[str],
+    limits: UrdfLimits,
+    notes: Sequence[str],
+    attached_options: Sequence[AttachedOptions],
+) -> RobotModel:
+    """Return a robot with its attached files as one."""
+    prefixes = tuple(prefix for prefix in parts if prefix)
+    joints = read_joints(model, limits, urdf_joints, prefixes)
+    mimics, equalities = read_couplings(model, joints.names, urdf_joints)
+    attached_floors: list[str] = []
+    hulls = [*robot.hulls]
+    for prefix in prefixes:
+        part = parts[prefix]
+        attached_floors += [f"{prefix}{plane}" for plane in part.floors]
+        hulls += [replace(hull, mesh=f"{prefix}{hull.mesh}") for hull in part.hulls]
+    return RobotModel(
+        spec=robot.spec,
+        model=model,
+        joints=joints,
+        mimics=mimics,
+        equalities=equalities,
+        keyframe=_joined_keyframe(parts, joints.names),
+        notes=tuple(dict.fromkeys(notes)),  # two grippers of one file say the same
+        attached_options=tuple(attached_options),
         planes=robot.planes,
         floors=robot.floors,
-        attached_floors=tuple(
-            f"{prefix}{plane}" for prefix, part in attached_parts.items() for plane in part.floors
-        ),
-        hulls=(
-            *robot.hulls,
-            *(
-                replace(hull, mesh=f"{prefix}{hull.mesh}")
-                for prefix, part in attached_parts.items()
-                for hull in part.hulls
-            ),
-        ),
-        is_urdf=is_urdf,
+        attached_floors=tuple(attached_floors),
+        hulls=tuple(hulls),
+        is_urdf={prefix: part.is_urdf[""] for prefix, part in parts.items()},
     )
-    return whole, problems
-
-
-def _from_urdf(part: RobotModel) -> Iterable[tuple[str, bool]]:
-    return zip(part.joints.names, part.joints.from_urdf.tolist(), strict=True)
 
 
 def _check(
@@ -347,25 +377,36 @@ def _without_walls(file: ModelFile, part: RobotModel) -> list[str]:
     return [f"{file.path}: left out, for a plane cannot move: {names}"] if walls else []
 
 
-def _joined(parts: Mapping[str, RobotModel], names: tuple[str, ...]) -> Keyframe | None:
-    """Return the initial values of all files as one keyframe; None if none has one."""
-    given = [(prefix, p.keyframe) for prefix, p in parts.items() if p.keyframe is not None]
-    if not given:
+def _joined_keyframe(parts: Mapping[str, RobotModel], names: tuple[str, ...]) -> Keyframe | None:
+    """Return the initial values of all files as one keyframe; None if none has one.
+
+    Args:
+        parts: Prefix of names -> the file; the robot's own has none.
+        names: (D,) joints of all files, in the order of the keyframe's arrays.
+    """
+    keyframes = {
+        prefix: part.keyframe for prefix, part in parts.items() if part.keyframe is not None
+    }
+    if not keyframes:
         return None
-    qpos, qvel = dict[str, float](), dict[str, float]()
+    qpos: dict[str, float] = {}
+    qvel: dict[str, float] = {}
     for prefix, part in parts.items():
-        at, _ = resolve_qpos(None, part.joints, part.mimics, part.keyframe, part.equalities)
-        speeds = np.zeros(len(at)) if part.keyframe is None else part.keyframe.qvel
-        for name, value, speed in zip(part.joints.names, at, speeds, strict=True):
-            qpos[f"{prefix}{name}"], qvel[f"{prefix}{name}"] = value, speed
-    own = next((key for prefix, key in given if not prefix), None)
-    return Keyframe(
-        name=given[0][1].name,
+        positions, _ = resolve_qpos(None, part.joints, part.mimics, part.keyframe, part.equalities)
+        velocities = np.zeros(len(positions)) if part.keyframe is None else part.keyframe.qvel
+        for name, position, velocity in zip(part.joints.names, positions, velocities, strict=True):
+            qpos[f"{prefix}{name}"] = position
+            qvel[f"{prefix}{name}"] = velocity
+    own = keyframes.get("")
+    joined = Keyframe(
+        name=next(iter(keyframes.values())).name,
         qpos=np.array([qpos[name] for name in names]),
         qvel=np.array([qvel[name] for name in names]),
         root=None if own is None else own.root,
         root_qvel=np.zeros(6) if own is None else own.root_qvel,
-        balls={f"{prefix}{name}": v for prefix, key in given for name, v in key.balls.items()},
-        ctrl={f"{prefix}{name}": v for prefix, key in given for name, v in key.ctrl.items()},
-        act={f"{prefix}{name}": v for prefix, key in given for name, v in key.act.items()},
     )
+    for prefix, keyframe in keyframes.items():
+        joined.balls.update({f"{prefix}{name}": pose for name, pose in keyframe.balls.items()})
+        joined.ctrl.update({f"{prefix}{name}": ctrl for name, ctrl in keyframe.ctrl.items()})
+        joined.act.update({f"{prefix}{name}": act for name, act in keyframe.act.items()})
+    return joined

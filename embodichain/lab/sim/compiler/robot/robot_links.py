@@ -36,14 +36,13 @@ from embodichain.lab.sim.compiler.geoms.shape_geoms import (
 )
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import FrameKind, match, names_in_spec, no_such
-from embodichain.lab.sim.compiler.robot.drives.couplings import read_couplings
+from embodichain.lab.sim.compiler.robot.files.initial_state import Keyframe, read_keyframe
+from embodichain.lab.sim.compiler.robot.files.joint_couplings import JointCoupling, read_couplings
 from embodichain.lab.sim.compiler.robot.files.robot_files import ModelFile, compile_quietly
 from embodichain.lab.sim.compiler.robot.files.robot_joints import (
     FileJoints,
-    Keyframe,
-    Mimics,
+    movable_joints,
     read_joints,
-    read_keyframe,
 )
 from embodichain.lab.sim.compiler.robot.files.spec_frames import on_frame
 from embodichain.lab.sim.compiler.robot.floors import Plane, floors_of, planes_of
@@ -95,8 +94,8 @@ class RobotModel:
     spec: mujoco.MjSpec
     model: mujoco.MjModel
     joints: FileJoints
-    mimics: Mimics
-    equalities: Mimics
+    mimics: tuple[JointCoupling, ...]
+    equalities: tuple[JointCoupling, ...]
     keyframe: Keyframe | None
     notes: tuple[str, ...]
     attached_options: tuple[AttachedOptions, ...] = ()
@@ -113,31 +112,31 @@ def prepare_file(file: ModelFile, attrs: RigidBodyAttributesCfg) -> RobotModel:
     Lights and keyframes are removed, hulls of meshes limited, and shapes are given groups and
     attributes. Masses and inertias stay those of the file.
     """
-    spec, model = file.spec, file.model
-    urdf = [joint.name for joint in spec.joints] if file.is_urdf else ()
-    joints = read_joints(model, file.limits, urdf)
+    spec = file.spec
+    model = file.model
+    urdf_joints = [joint.name for joint in spec.joints] if file.is_urdf else []
+    joints = read_joints(model, file.limits, urdf_joints)
+    mimics, equalities = read_couplings(model, joints.names, urdf_joints)
     keyframe = read_keyframe(spec, model)
     planes = planes_of(spec, model)
-    floors = floors_of(planes)
-    said = [*leave_out_lights(spec), *_unused_keyframes(spec, keyframe), *leave_out_sizes(spec)]
+
+    lines = [*leave_out_lights(spec), *_unused_keyframes(spec, keyframe), *leave_out_sizes(spec)]
     for key in list(spec.keys):
         spec.delete(key)
     prepare_shapes(spec, attrs, file.is_urdf, planes)
     hulls = limit_hulls(spec, model)
     keep_inertias(spec, model, hulls)
-    notes = (
-        *file.notes,
-        *(f"{file.path}: {line}" for line in (*said, *_limited(hulls, file.is_urdf))),
-    )
+    lines += _limited_hulls(hulls, file.is_urdf)
     return RobotModel(
-        spec,
-        model,
-        joints,
-        *read_couplings(model, joints.names, urdf),
-        keyframe,
-        notes,
+        spec=spec,
+        model=model,
+        joints=joints,
+        mimics=mimics,
+        equalities=equalities,
+        keyframe=keyframe,
+        notes=(*file.notes, *(f"{file.path}: {line}" for line in lines)),
         planes=planes,
-        floors=floors,
+        floors=floors_of(planes),
         hulls=tuple(hulls),
         is_urdf={"": file.is_urdf},
     )
@@ -152,7 +151,7 @@ def _unused_keyframes(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[st
     return [f"it starts at its keyframe {used!r}; left out: {', '.join(others)}"]
 
 
-def _limited(hulls: Sequence[HullLimit], is_urdf: bool) -> list[str]:
+def _limited_hulls(hulls: Sequence[HullLimit], is_urdf: bool) -> list[str]:
     """Return a message about meshes whose hull is limited; `show` lists each."""
     if not hulls:
         return []
@@ -189,17 +188,15 @@ def prepare_shapes(
         # MuJoCo's URDF reader gives visual shapes no contact bits and group 1; collision shapes
         # that the config has switched off are recognized by group 0.
         geoms = list(body.geoms)
-        drawn = any(geom.group == 1 for geom in geoms)
+        has_visual_shapes = any(geom.group == 1 for geom in geoms)
         for geom in geoms:
             if geom.group == 1:
                 geom.group = VISUAL_GROUP
-            elif drawn:
+            elif has_visual_shapes:  # else its collision shapes are what is drawn
                 geom.group = COLLISION_GROUP
 
 
 # ------------------------------------------------------------------------------------ locked joints
-
-_KINDS = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def lock_joints(file: ModelFile, locked: Mapping[str, float]) -> list[Problem]:
@@ -220,22 +217,26 @@ def lock_joints(file: ModelFile, locked: Mapping[str, float]) -> list[Problem]:
         message = "joints of an MJCF cannot be locked: remove them from the file"
         return [Problem("locked_joints", message)]
     model = file.model
-    names = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in _KINDS]
-    mimics = {name for eq in file.spec.equalities for name in (eq.name1, eq.name2) if name}
+    names = [model.joint(i).name for i in movable_joints(model)]
+    coupled_joints: set[str] = set()
+    for equality in file.spec.equalities:
+        coupled_joints |= {equality.name1, equality.name2}
     positions: dict[str, float] = {}
     problems: list[Problem] = []
     for pattern, position in locked.items():
         path = f"locked_joints.{pattern}"
-        found, wrong = match(pattern, names, "joint", path)
-        problems += wrong
-        for name in (names[i] for i in found):
+        matching_joints, mistakes = match(pattern, names, "joint", path)
+        problems += mistakes
+        for i in matching_joints:
+            name = names[i]
             if name in positions:
                 problems.append(Problem(path, f"another entry matches joint {name!r} too"))
-            if name in mimics:
+            if name in coupled_joints:
                 problems.append(Problem(path, f"joint {name!r} follows or leads another (mimic)"))
             positions[name] = position
-            low, high = model.joint(name).range
-            if model.joint(name).limited[0] and not low <= position <= high:
+            joint = model.joint(name)
+            low, high = joint.range
+            if joint.limited[0] and not low <= position <= high:
                 message = f"{position:g} is outside the limits of joint {name!r}"
                 problems.append(Problem(path, f"{message}, [{low:g}, {high:g}]"))
     if problems:
@@ -250,13 +251,15 @@ def _lock(file: ModelFile, name: str, position: float) -> None:
     """Remove a joint; a URDF's has its origin in that of its link."""
     joint = file.model.joint(name)
     link = file.model.body(int(joint.bodyid[0]))
-    pos, quat = link.pos.copy(), link.quat.copy()
+    pos = link.pos.copy()
+    quat = link.quat.copy()
     if joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE:
         pos += quat_rotate(quat, joint.axis * position)
     else:
         quat = quat_multiply(quat, rotvec_to_quat(joint.axis * position))
     body = file.spec.body(link.name)
-    body.pos, body.quat = pos, quat
+    body.pos = pos
+    body.quat = quat
     file.spec.delete(file.spec.joint(name))
 
 
@@ -277,33 +280,37 @@ def check_attachments(
         path = f"attachments.{name}"
         if name in links:
             problems.append(Problem(path, "the file has a link of that name already"))
-        problems += [p.below(path) for p in _check_carrier(spec, cfg)]
+        mistakes = _check_carrier(spec, cfg)
         if isinstance(cfg.shape, PlaneCfg):
-            problems.append(Problem(f"{path}.shape", "a Plane cannot move"))
-        found = [*check_shape(cfg.shape, _UNSCALED), *check_pose(cfg)]
+            mistakes.append(Problem("shape", "a Plane cannot move"))
+        mistakes += check_shape(cfg.shape, _UNSCALED)
+        mistakes += check_pose(cfg)
         if cfg.contact is not None:
-            found += [p.below("contact") for p in check_contact(cfg.contact)]
+            mistakes += [problem.below("contact") for problem in check_contact(cfg.contact)]
             if cfg.contact.friction is not None and is_given(cfg.dynamic_friction):
                 message = "dynamic_friction is given as well: leave one of them out"
-                found.append(Problem("contact.friction", message))
-        problems += [p.below(path) for p in found]
+                mistakes.append(Problem("contact.friction", message))
+        problems += [problem.below(path) for problem in mistakes]
     return problems
 
 
 def _carrier(cfg: AttachmentCfg) -> dict[FrameKind, str]:
-    """What an attachment says it is fixed on, by kind."""
-    given: dict[FrameKind, str | None] = {"link": cfg.link, "site": cfg.site, "geom": cfg.geom}
-    return {kind: name for kind, name in given.items() if name}
+    """Return what an attachment says it is fixed on, by kind; a checked one has one entry."""
+    carriers: dict[FrameKind, str | None] = {"link": cfg.link, "site": cfg.site, "geom": cfg.geom}
+    return {kind: name for kind, name in carriers.items() if name}
 
 
 def _check_carrier(spec: mujoco.MjSpec, cfg: AttachmentCfg) -> list[Problem]:
-    given = _carrier(cfg)
-    if len(given) > 1:
-        first, second = list(given)[:2]
+    carriers = _carrier(cfg)
+    if len(carriers) > 1:
+        first, second = list(carriers)[:2]
         return [Problem(second, f"{first} is given as well: leave one of them out")]
-    kind: FrameKind = next(iter(given), "link")
-    names, name = names_in_spec(spec, kind), given.get(kind, "")
-    return [] if name in names else [no_such(kind, name, names or ("none",), kind)]
+    kind: FrameKind = next(iter(carriers), "link")
+    name = carriers.get(kind, "")
+    names = names_in_spec(spec, kind)
+    if name in names:
+        return []
+    return [no_such(kind, name, names or ("none",), kind)]
 
 
 def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg]) -> None:
@@ -314,9 +321,9 @@ def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg
         body = spec.body(link).add_body(name=name, pos=pos, quat=quat)
         geom = add_shape(spec, body, name, cfg.shape, _UNSCALED, number)
         geom.mass = float(cfg.mass)
-        usual = ContactParameters(friction=(float(cfg.dynamic_friction),))
-        given = ContactParameters.of_config(cfg.contact)
-        set_contact_parameters(body.geoms, given.over(usual))
+        defaults = ContactParameters(friction=(float(cfg.dynamic_friction),))
+        contact = ContactParameters.of_config(cfg.contact).over(defaults)
+        set_contact_parameters(body.geoms, contact)
         set_collision(body.geoms, cfg.enable_collision)
         keep_hull_inertia(spec, body)
 
@@ -350,40 +357,59 @@ def resolve_tools(
         links: The links of its file.
         sites: The sites of its file.
     """
+    solver_cfg = getattr(cfg, "solver_cfg", None) or {}
+    solvers: Mapping[str, SolverCfg] = (
+        {WHOLE: solver_cfg} if isinstance(solver_cfg, SolverCfg) else solver_cfg
+    )
     tools: dict[str, Tool] = {}
     problems: list[Problem] = []
-    given = getattr(cfg, "solver_cfg", None) or {}
-    solvers: Mapping[str, SolverCfg] = {WHOLE: given} if isinstance(given, SolverCfg) else given
     for part, solver in solvers.items():
         path = f"solver_cfg.{part}"
         if part not in parts and part != WHOLE:
             problems.append(no_such("control part", part, [*parts, WHOLE], path))
-        problems += [p.below(path) for p in _check_ends(solver, links, sites)]
-        pose = None
-        if solver.tcp is not None and not np.array_equal(np.asarray(solver.tcp), np.eye(4)):
-            at = ObjectBaseCfg(init_local_pose=solver.tcp)
-            wrong = check_pose(at)
-            problems += [Problem(f"{path}.tcp", p.message) for p in wrong]
-            pose = None if wrong else initial_pose(at)
-        kind: FrameKind = "link" if solver.end_site_name is None else "site"
-        end = solver.end_link_name if solver.end_site_name is None else solver.end_site_name
-        if end is None:
-            if pose is not None:
-                message = "missing value: tcp is a pose in the frame of this link"
-                problems.append(Problem(f"{path}.end_link_name", message))
-            continue
-        name, key = "tcp" if part == WHOLE else f"{part}_tcp", "tcp"
-        if kind == "site":
-            pose, key = pose or (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])), "end_site_name"
-        if pose is not None and name in links:
-            message = f"the file has a link called {name!r} already"
-            problems.append(Problem(f"{path}.{key}", message))
-        tools[part] = Tool(kind, end, end if pose is None else name, pose)
+        tool, mistakes = _resolve_tool(part, solver, links, sites)
+        problems += [problem.below(path) for problem in mistakes]
+        if tool is not None:
+            tools[part] = tool
     return tools, problems
 
 
+def _resolve_tool(
+    part: str, solver: SolverCfg, links: Sequence[str], sites: Sequence[str]
+) -> tuple[Tool | None, list[Problem]]:
+    """Return the tool point of one part; None if its solver names none."""
+    problems = list(_check_ends(solver, links, sites))
+    pose: tuple[F64, F64] | None = None
+    if solver.tcp is not None and not np.array_equal(np.asarray(solver.tcp), np.eye(4)):
+        tcp = ObjectBaseCfg(init_local_pose=solver.tcp)
+        mistakes = check_pose(tcp)
+        problems += [Problem("tcp", problem.message) for problem in mistakes]
+        if not mistakes:
+            pose = initial_pose(tcp)
+
+    name = "tcp" if part == WHOLE else f"{part}_tcp"
+    if solver.end_site_name is not None:
+        # A site is not a link: a link is added at it even without a pose.
+        if pose is None:
+            pose = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+        tool = Tool("site", solver.end_site_name, name, pose)
+        key = "end_site_name"
+    elif solver.end_link_name is not None:
+        link = solver.end_link_name if pose is None else name
+        tool = Tool("link", solver.end_link_name, link, pose)
+        key = "tcp"
+    else:
+        if pose is not None:
+            message = "missing value: tcp is a pose in the frame of this link"
+            problems.append(Problem("end_link_name", message))
+        return None, problems
+    if tool.pose is not None and name in links:
+        problems.append(Problem(key, f"the file has a link called {name!r} already"))
+    return tool, problems
+
+
 def _check_ends(solver: SolverCfg, links: Sequence[str], sites: Sequence[str]) -> Iterator[Problem]:
-    """What is wrong with the links and the site that a solver names."""
+    """Yield what is wrong with the links and the site that a solver names."""
     for key in ("root_link_name", "end_link_name"):
         name = getattr(solver, key)
         if name is None or name in links:

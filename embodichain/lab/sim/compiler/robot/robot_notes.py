@@ -12,8 +12,9 @@ from embodichain.lab.sim.compiler.geoms.poses import initial_pose
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import exact_pattern, match
 from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveGains
+from embodichain.lab.sim.compiler.robot.files.joint_couplings import JointCoupling
 from embodichain.lab.sim.compiler.robot.files.robot_files import ModelFile
-from embodichain.lab.sim.compiler.robot.files.robot_joints import FileJoints, Mimics, movable_joints
+from embodichain.lab.sim.compiler.robot.files.robot_joints import FileJoints, movable_joints
 from embodichain.utils.math import quat_conjugate, quat_rotate
 
 __all__ = [
@@ -39,13 +40,20 @@ def fixed_free_joints(cfg: ArticulationCfg, file: ModelFile) -> list[str]:
     return [f"{file.path}: free joint {', '.join(free)} left out: {why}"]
 
 
-def without_effort(cfg: ArticulationCfg, joints: FileJoints, mimics: Mimics) -> list[str]:
+def without_effort(
+    cfg: ArticulationCfg, joints: FileJoints, mimics: Sequence[JointCoupling]
+) -> list[str]:
     """Return a message about joints of URDF files whose effort limit, which is taken, is 0."""
-    zero = joints.limits.zero_effort
-    driven = [n for i, n in enumerate(joints.names) if i not in mimics.ids and n in zero]
-    if cfg.drive_pros.max_effort != "file" or not driven:
+    if cfg.drive_pros.max_effort != "file":
         return []
-    places = ", ".join(f"{name!r} ({zero[name]})" for name in driven)
+    place_of_zero = joints.limits.zero_effort
+    followers = {mimic.joint for mimic in mimics}
+    driven = [
+        name for i, name in enumerate(joints.names) if name in place_of_zero and i not in followers
+    ]
+    if not driven:
+        return []
+    places = ", ".join(f"{name!r} ({place_of_zero[name]})" for name in driven)
     entries = ", ".join(f"{exact_pattern(name)}: N" for name in driven)
     return [
         f'effort="0" is taken as no limit for joints {places}: write their limits into the file, '
@@ -58,22 +66,25 @@ def driven_mimics(
     cfg: ArticulationCfg,
     file: ModelFile,
     names: Sequence[str],
-    mimics: Mimics,
+    mimics: Sequence[JointCoupling],
     parts: Mapping[str, Sequence[int]],
 ) -> list[str]:
     """Return a message about entries of `drive_pros` that pick mimic joints only."""
-    leaders = dict(zip(mimics.ids, mimics.parents, strict=True))
-    idle: list[str] = []
+    leader_of = {mimic.joint: mimic.leader for mimic in mimics}
+    idle_entries: list[str] = []
     for field in ("stiffness", "damping", "max_effort"):
-        given = getattr(cfg.drive_pros, field)
-        for pattern in given if isinstance(given, Mapping) else ():
+        value = getattr(cfg.drive_pros, field)
+        if not isinstance(value, Mapping):
+            continue
+        for pattern in value:
             picked = parts.get(pattern) or match(pattern, names, "joint", field)[0]
-            if picked and all(i in leaders for i in picked):
-                which = ", ".join(f"{names[i]!r} mimics {names[leaders[i]]!r}" for i in picked)
-                idle.append(f"{field}.{pattern} ({which})")
-    if not idle:
+            if picked and all(i in leader_of for i in picked):
+                pairs = ", ".join(f"{names[i]!r} mimics {names[leader_of[i]]!r}" for i in picked)
+                idle_entries.append(f"{field}.{pattern} ({pairs})")
+    if not idle_entries:
         return []
-    return [f"{file.path}: drive_pros has no effect on joints that follow: {'; '.join(idle)}"]
+    entries = "; ".join(idle_entries)
+    return [f"{file.path}: drive_pros has no effect on joints that follow: {entries}"]
 
 
 def starts_beyond_limits(file: ModelFile, joints: FileJoints, qpos: F64) -> list[str]:
@@ -84,14 +95,14 @@ def starts_beyond_limits(file: ModelFile, joints: FileJoints, qpos: F64) -> list
         joints: Its joints.
         qpos: (D,) the start; what the config gives is within the limits.
     """
-    low, high = joints.qpos_limits.T
-    beyond = np.flatnonzero(((qpos < low) | (qpos > high)) & ~joints.from_urdf)
-    if not len(beyond):
+    beyond = [
+        f"{joint.name} {position:g} of [{joint.lower:g}, {joint.upper:g}]"
+        for joint, position in zip(joints.rows, qpos.tolist(), strict=True)
+        if not joint.is_urdf and (position < joint.lower or position > joint.upper)
+    ]
+    if not beyond:
         return []
-    listed = ", ".join(
-        f"{joints.names[i]} {qpos[i]:g} of [{low[i]:g}, {high[i]:g}]" for i in beyond.tolist()
-    )
-    return [f"{file.path}: joints start outside their limits, as in the file: {listed}"]
+    return [f"{file.path}: joints start outside their limits, as in the file: {', '.join(beyond)}"]
 
 
 def overloaded_drives(
@@ -101,11 +112,12 @@ def overloaded_drives(
     data = mujoco.MjData(model)
     joints = movable_joints(model)
     data.qpos[model.jnt_qposadr[joints]] = qpos
-    kept = model.opt.gravity.copy()
+    gravity = model.opt.gravity.copy()
     down = np.array([0.0, 0.0, -9.81])
+    # The model is the robot alone, whose base is the world: gravity turns in its place.
     model.opt.gravity = quat_rotate(quat_conjugate(initial_pose(cfg)[1]), down)
     mujoco.mj_forward(model, data)
-    model.opt.gravity = kept
+    model.opt.gravity = gravity
     needed = np.abs(data.qfrc_bias - data.qfrc_passive)[model.jnt_dofadr[joints]]
     weak = np.flatnonzero(gains.driven & (needed > gains.max_effort))
     if not len(weak):

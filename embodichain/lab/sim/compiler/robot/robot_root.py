@@ -11,6 +11,7 @@ import numpy as np
 from embodichain.lab.sim.cfg import ArticulationCfg
 from embodichain.lab.sim.compiler.geoms.poses import given_pose, initial_pose
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.robot.files.robot_joints import JOINT_TRANSMISSIONS
 from embodichain.lab.sim.compiler.robot.floors import Plane, move_to_world
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
@@ -86,7 +87,8 @@ def place(cfg: ArticulationCfg, file_pose: F64) -> Placement:
         cfg: Its config.
         file_pose: (7,) pose of its root in the file's world: x, y, z, qw, qx, qy, qz.
     """
-    pos, quat = file_pose[:3], file_pose[3:]
+    pos = file_pose[:3]
+    quat = file_pose[3:]
     if cfg.fix_base:
         world_pos, world_quat = initial_pose(cfg)
         root_pos = world_pos + quat_rotate(world_quat, pos)
@@ -101,18 +103,21 @@ def place(cfg: ArticulationCfg, file_pose: F64) -> Placement:
 
 def leave_out_lights(spec: mujoco.MjSpec) -> list[str]:
     """Remove a file's lights, for the scene has its own; return a message about them."""
-    lights = [light.name or "unnamed" for light in spec.lights]
+    names = [repr(light.name or "unnamed") for light in spec.lights]
+    if not names:
+        return []
     for light in list(spec.lights):
         spec.delete(light)
-    return [f"lights left out: {', '.join(map(repr, lights))}"] if lights else []
+    return [f"lights left out: {', '.join(names)}"]
 
 
 def leave_out_sizes(spec: mujoco.MjSpec) -> list[str]:
     """Remove sizes that a scene of several files cannot take from one; return a message."""
-    given = [f"{name}={getattr(spec, name)}" for name in _OWN_SIZES if getattr(spec, name) > 0]
+    sizes = [f"{name}={getattr(spec, name)}" for name in _OWN_SIZES if getattr(spec, name) > 0]
     for name in _OWN_SIZES:
+        # MuJoCo's own values: -1 lets it choose.
         setattr(spec, name, 0 if name == "nuserdata" else -1)
-    return [f"<size> left out: {', '.join(given)}"] if given else []
+    return [f"<size> left out: {', '.join(sizes)}"] if sizes else []
 
 
 def set_root(
@@ -143,56 +148,78 @@ def set_root(
         ConfigError: If the file has no bodies, several that float, or shapes in its world that
             would float.
     """
-    tops = list(spec.worldbody.bodies)
-    if not tops:
+    top_bodies = list(spec.worldbody.bodies)
+    if not top_bodies:
         raise ConfigError("the file contains no bodies")
-    free = {body.name: joint for body in tops for joint in body.joints if joint.type == _FREE}
-    if len(free) > 1:
-        names = ", ".join(map(repr, free))
-        message = f"one articulation is one tree, but {len(free)} bodies of the file float: {names}"
-        raise ConfigError(f"{message}; make all but one objects, or take the file as scene.fpath")
-    if free and not fixed:
-        return Root(spec, next(iter(free)), wrapped=False, notes=())
+    free_joints = {
+        body.name: joint for body in top_bodies for joint in body.joints if joint.type == _FREE
+    }
+    if len(free_joints) > 1:
+        names = ", ".join(map(repr, free_joints))
+        raise ConfigError(
+            f"one articulation is one tree, but {len(free_joints)} bodies of the file float: "
+            f"{names}; make all but one objects, or take the file as scene.fpath"
+        )
+    if free_joints and not fixed:
+        return Root(spec, next(iter(free_joints)), wrapped=False, notes=())
     notes: list[str] = []
-    for name, joint in free.items():
+    for name, joint in free_joints.items():
         left_out = remove_free_joint(spec, joint)
         if left_out:
             notes.append(f"fix_base is true; left out with its free joint: {', '.join(left_out)}")
-        if start is not None and spec.body(name).frame is None:
-            body = spec.body(name)
-            body.pos, body.quat = start[:3], start[3:]
-    wrap = len(tops) > 1 or bool(tops[0].joints)
+        body = spec.body(name)
+        if start is not None and body.frame is None:
+            body.pos = start[:3]
+            body.quat = start[3:]
+    needs_wrapper = len(top_bodies) > 1 or bool(top_bodies[0].joints)
     if fixed:
-        wrap = wrap or _holds_something(spec, planes)
+        needs_wrapper = needs_wrapper or _has_fixed_elements(spec, planes)
+        if needs_wrapper:
+            notes += _fix_mocap_bodies(top_bodies)
     else:
-        notes += _fixed_mocap(tops)
-    shapes = [geom.name for geom in spec.worldbody.geoms if geom.name not in planes]
-    if wrap and not fixed and shapes:
-        listed = ", ".join(map(repr, shapes))
-        message = f"fix_base is false, and shapes of the file's world would float along: {listed}"
-        raise ConfigError(f"{message}; fix_base: true fixes them, or take them out of the file")
-    if wrap:
-        notes += _fixed_mocap(tops) if fixed else []
+        notes += _fix_mocap_bodies(top_bodies)
+        if needs_wrapper:
+            _check_floating_shapes(spec, planes)
+    if needs_wrapper:
         spec, root = _wrapped(spec, planes)
     else:
-        root = tops[0]
+        root = top_bodies[0]
     root.mocap = fixed
     if not fixed:
         root.add_freejoint(name="free")
-    return Root(spec, root.name, wrap, tuple(notes))
+    return Root(spec, root.name, needs_wrapper, tuple(notes))
+
+
+def _check_floating_shapes(spec: mujoco.MjSpec, planes: Mapping[str, Plane]) -> None:
+    """Refuse shapes of the file's world that would float with a base that is added.
+
+    Raises:
+        ConfigError: If there are any.
+    """
+    shapes = [repr(geom.name) for geom in spec.worldbody.geoms if geom.name not in planes]
+    if shapes:
+        raise ConfigError(
+            "fix_base is false, and shapes of the file's world would float along: "
+            f"{', '.join(shapes)}; fix_base: true fixes them, or take them out of the file"
+        )
 
 
 def remove_free_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> list[str]:
     """Remove a free joint, and the actuators and sensors on it, whose names are returned."""
     name = joint.name
+    actuators = [
+        actuator
+        for actuator in spec.actuators
+        if int(actuator.trntype) in JOINT_TRANSMISSIONS and actuator.target == name
+    ]
+    actuator_names = {actuator.name for actuator in actuators}
     removed: list[str] = []
-    on_joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    actuators = [a for a in spec.actuators if a.trntype in on_joint and a.target == name]
-    names = {actuator.name for actuator in actuators}
     for sensor in list(spec.sensors):
-        on_it = sensor.objtype == mujoco.mjtObj.mjOBJ_JOINT and sensor.objname == name
-        on_actuator = sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and sensor.objname in names
-        if on_it or on_actuator:
+        reads_joint = sensor.objtype == mujoco.mjtObj.mjOBJ_JOINT and sensor.objname == name
+        reads_actuator = (
+            sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and sensor.objname in actuator_names
+        )
+        if reads_joint or reads_actuator:
             removed.append(f"sensor {sensor.name!r}")
             spec.delete(sensor)
     for actuator in actuators:
@@ -202,27 +229,29 @@ def remove_free_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> list[str]:
     return removed
 
 
-def _fixed_mocap(tops: Sequence[mujoco.MjsBody]) -> list[str]:
-    """Make mocap bodies bodies of the robot; return a message about them."""
-    mocap = [body for body in tops if body.mocap and len(tops) > 1]
+def _fix_mocap_bodies(top_bodies: Sequence[mujoco.MjsBody]) -> list[str]:
+    """Make mocap bodies beside others bodies of the robot; return a message about them."""
+    if len(top_bodies) == 1:
+        return []
+    mocap = [body for body in top_bodies if body.mocap]
     for body in mocap:
         body.mocap = False
     names = ", ".join(repr(body.name) for body in mocap)
     return [f"mocap bodies are fixed to its base: {names}"] if mocap else []
 
 
-def _holds_something(spec: mujoco.MjSpec, planes: Mapping[str, Plane]) -> bool:
+def _has_fixed_elements(spec: mujoco.MjSpec, planes: Mapping[str, Plane]) -> bool:
     """Whether anything of a file's world has to move with the base."""
     world = spec.worldbody
-    shapes = any(geom.name not in planes for geom in world.geoms)
-    anchored = any(_is_anchored(equality) for equality in spec.equalities)
-    return shapes or bool(world.sites) or anchored
+    has_shapes = any(geom.name not in planes for geom in world.geoms)
+    has_anchors = any(_is_anchored(equality) for equality in spec.equalities)
+    return has_shapes or bool(world.sites) or has_anchors
 
 
 def _is_anchored(equality: mujoco.MjsEquality) -> bool:
     """Whether an end of a connect or weld is in the world."""
-    of_bodies = equality.type in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
-    if not of_bodies or equality.objtype not in _BODIES:
+    joins_bodies = equality.type in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
+    if not joins_bodies or equality.objtype not in _BODIES:
         return False
     return equality.name1 in _WORLD or equality.name2 in _WORLD
 
@@ -250,16 +279,25 @@ def _wrapped(
     return outer, root
 
 
-_OWN_SIZES = "nconmax", "njmax", "nstack", "nuserdata"
-_SIZES = (
-    *("memory", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site", "nuser_cam"),
-    *("nuser_tendon", "nuser_actuator", "nuser_sensor"),
+_OWN_SIZES = ("nconmax", "njmax", "nstack", "nuserdata")
+"""Sizes that a scene of several files cannot take from one."""
+_SHARED_SIZES = (
+    "memory",
+    "nuser_body",
+    "nuser_jnt",
+    "nuser_geom",
+    "nuser_site",
+    "nuser_cam",
+    "nuser_tendon",
+    "nuser_actuator",
+    "nuser_sensor",
 )
+"""Sizes of which a scene takes the largest of its files."""
 
 
 def take_sizes(parent: mujoco.MjSpec, child: mujoco.MjSpec) -> None:
     """Raise the sizes of a model to those of one to be attached to it, which gives them up."""
-    for name in _SIZES:
+    for name in _SHARED_SIZES:
         setattr(parent, name, max(getattr(parent, name), getattr(child, name)))
         setattr(child, name, -1)
 
@@ -277,20 +315,20 @@ def bind_to_body(equalities: Sequence[mujoco.MjsEquality], body: str, pos: F64, 
         if not _is_anchored(equality):
             continue
         data = np.array(equality.data)
-        weld = equality.type == mujoco.mjtEq.mjEQ_WELD
-        given = weld and bool(data[6:10].any())  # a relpose; else MuJoCo computes it
+        is_weld = equality.type == mujoco.mjtEq.mjEQ_WELD
+        has_relpose = is_weld and bool(data[6:10].any())  # else MuJoCo computes it
         if equality.name1 in _WORLD:
             equality.name1 = body
-            if not weld:
+            if not is_weld:
                 data[:3] = pos + quat_rotate(quat, data[:3])
-            elif given:  # the pose of the second body in the first one's frame
+            elif has_relpose:  # the pose of the second body in the first one's frame
                 data[3:6] = pos + quat_rotate(quat, data[3:6])
                 data[6:10] = quat_multiply(quat, data[6:10])
         else:
             equality.name2 = body
-            if given:
+            if has_relpose:
                 data[6:10] = quat_multiply(data[6:10], quat_conjugate(quat))
                 data[3:6] -= quat_rotate(data[6:10], pos)
-            if weld:  # its anchor is in the second body's frame
+            if is_weld:  # its anchor is in the second body's frame
                 data[:3] = pos + quat_rotate(quat, data[:3])
         equality.data = data

@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 __all__ = ["Approach", "ArmSolver", "tool_bodies"]
 
 _SAME = 1e-9
-"""M and rad: initial positions with a smaller error are a solution, to the bit."""
+"""Errors in metres and rad below which initial positions are a solution, to the bit."""
 _FLAT = 0.02
-"""M or rad: the gradient of half the squared error over the error, below which it is stationary."""
+"""Gradient of half the squared error over the error, in m or rad, below which it is stationary."""
 
 
 def tool_bodies(asset: Articulation, joints: Sequence[int]) -> list[int]:

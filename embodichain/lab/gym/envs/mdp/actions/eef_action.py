@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 __all__ = ["EefDeltaPose", "EefPose", "EefTerm"]
 
 _POSITION_TOLERANCE, _ROTATION_TOLERANCE = 1e-3, 1e-2
-"""M and rad: a larger error is flagged where the joints cannot reduce it."""
+"""Error in metres and rad above which a target is flagged that the joints cannot come nearer."""
 
 
 class EefTerm(JointTerm):

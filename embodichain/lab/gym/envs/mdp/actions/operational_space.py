@@ -165,7 +165,7 @@ class OperationalSpace(JointTerm):
     def _largest_speeds(
         self, most: tuple[float, float], stiffness: F64, ratio: F64, decoupling: bool
     ) -> tuple[float, float]:
-        """M/s and rad/s at which the spring pulls the tool behind a target that is ahead of it."""
+        """Speeds in m/s and rad/s at which the spring pulls the tool behind a target."""
         if not decoupling:  # then the rate depends on the mass: that of the default is taken
             stiffness, ratio = np.full(6, 150.0), np.ones(6)
         rate = np.sqrt(stiffness) / (2.0 * np.maximum(ratio, 0.1))

@@ -7,7 +7,8 @@ import numpy as np
 
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.robot.contacts.link_siblings import Pair
-from embodichain.lab.sim.compiler.robot.files.robot_joints import Keyframe, movable_joints
+from embodichain.lab.sim.compiler.robot.files.initial_state import Keyframe
+from embodichain.lab.sim.compiler.robot.files.robot_joints import movable_joints
 from embodichain.utils.random import GAMMA, splitmix64
 
 __all__ = ["DEPTH", "POSTURES", "deepest_contacts", "draw_postures", "start_posture"]

@@ -7,7 +7,7 @@ left out by MuJoCo's excludes, so that everything else meets the links as before
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -82,15 +82,21 @@ class SelfCollision:
 
     def note(self) -> str:
         """Return what the rule left out as one line; empty if it is nothing."""
-        deep = [f"{a} and {b} ({1e3 * d:.3g} mm)" for (a, b), d in self.overlapping.items()]
-        alike = [f"{a} and {b}" for a, b in self.siblings]
-        found = [", ".join(deep)] if deep else []
-        found += ["those named like pairs that are: " + ", ".join(alike)] if alike else []
-        if not found:
+        left_out = [*self.overlapping, *self.siblings]
+        if not left_out:
             return ""
-        a, b = next(iter([*self.overlapping, *self.siblings]))
+        lists: list[str] = []
+        if self.overlapping:
+            pairs = [
+                f"{a} and {b} ({1e3 * depth:.3g} mm)" for (a, b), depth in self.overlapping.items()
+            ]
+            lists.append(", ".join(pairs))
+        if self.siblings:
+            pairs = [f"{a} and {b}" for a, b in self.siblings]
+            lists.append("those named like pairs that are: " + ", ".join(pairs))
+        a, b = left_out[0]
         return (
-            f"links that are in each other at the start do not collide: {'; '.join(found)}. "
+            f"links that are in each other at the start do not collide: {'; '.join(lists)}. "
             f"self_collision: {{include: [[{a}, {b}]]}} lets a pair collide, exclude leaves it out"
         )
 
@@ -118,8 +124,8 @@ class _Links:
     @property
     def colliding(self) -> Mask:
         """Pairs that MuJoCo lets collide."""
-        found: Mask = self.meet & ~self.rigid & ~self.related & ~self.excluded
-        return found | self.paired
+        by_bits: Mask = self.meet & ~self.rigid & ~self.related & ~self.excluded
+        return by_bits | self.paired
 
 
 def set_self_collision(
@@ -142,66 +148,87 @@ def set_self_collision(
         What was decided, every mistake with paths that begin with ``self_collision``, and whether
         the spec changed. With mistakes it did not.
     """
-    links = _read(model)
-    excluded, problems = _named(cfg, "exclude", links)
-    included, wrong = _named(cfg, "include", links)
-    problems += wrong + _contradictions(cfg)
+    links = _read_links(model)
+    excluded, problems = _read_pairs(cfg, "exclude", links)
+    included, mistakes = _read_pairs(cfg, "include", links)
+    problems += mistakes
+    problems += _contradictions(cfg)
     if problems:
         return SelfCollision(), problems, False
-    off, colliding = cfg.disable_self_collision, links.colliding
-    overlapping = {} if off else _overlapping(spec, model, qpos, origins, links)
-    parents = model.body_parentid.tolist()
-    alike = {
-        pair
-        for pair in sibling_pairs(overlapping, links.names, parents)
-        if colliding[pair] and _by_urdf_rule(pair, origins, links)
-    }
-    left_out = set(_pairs(colliding)) if off else {*overlapping, *alike}
-    left_out = (left_out | {pair for pair in excluded if colliding[pair]}) - included
-    wanted = {p for p in included if links.meet[p] and not links.paired[p]}
-    if not off:
-        lost = _of_static_base(origins, links) - excluded
-        wanted |= _within_reach(model, qpos, lost)
-    changed = _leave_out(spec, model, left_out, links)
-    changed |= _let_collide(spec, model, wanted, links)
 
-    def named(pairs: Iterable[Pair]) -> tuple[tuple[str, str], ...]:
-        return tuple((links.names[a], links.names[b]) for a, b in sorted(pairs))
+    is_off = cfg.disable_self_collision
+    colliding = links.colliding
+    overlapping: dict[Pair, float] = {}
+    siblings: set[Pair] = set()
+    if is_off:
+        left_out = set(_pairs(colliding))
+    else:
+        overlapping = _overlapping_pairs(spec, model, qpos, origins, links)
+        parents = model.body_parentid.tolist()
+        siblings = {
+            pair
+            for pair in sibling_pairs(overlapping, links.names, parents)
+            if colliding[pair] and _is_left_out_of_urdf(pair, origins, links)
+        }
+        left_out = {*overlapping, *siblings}
+    left_out |= {pair for pair in excluded if colliding[pair]}
+    left_out -= included
+    to_collide = {pair for pair in included if links.meet[pair] and not links.paired[pair]}
+    if not is_off:
+        lost_pairs = _pairs_of_static_base(origins, links) - excluded
+        to_collide |= _within_reach(model, qpos, lost_pairs)
+    is_changed = _exclude_pairs(spec, model, left_out, links)
+    is_changed |= _let_collide(spec, model, to_collide, links)
 
-    chosen = excluded | included
-    decided = SelfCollision(
-        rule=_OFF if off else _rule(origins),
-        overlapping={named([p])[0]: d for p, d in sorted(overlapping.items()) if p not in chosen},
-        siblings=named(alike - chosen),
-        excluded=() if off else named(left_out & excluded),
-        included=named(included),
+    def names_of(pair: Pair) -> tuple[str, str]:
+        return links.names[pair[0]], links.names[pair[1]]
+
+    by_config = excluded | included
+    decision = SelfCollision(
+        rule=_OFF if is_off else _rule(origins),
+        overlapping={
+            names_of(pair): depth
+            for pair, depth in sorted(overlapping.items())
+            if pair not in by_config
+        },
+        siblings=tuple(names_of(pair) for pair in sorted(siblings - by_config)),
+        excluded=() if is_off else tuple(names_of(p) for p in sorted(left_out & excluded)),
+        included=tuple(names_of(pair) for pair in sorted(included)),
     )
-    return decided, [], changed
+    return decision, [], is_changed
 
 
 def _rule(origins: LinkOrigins) -> str:
-    files = origins.is_urdf.items()
-    return "; ".join((f"{p}: " if p else "") + (_URDF if urdf else _MJCF) for p, urdf in files)
+    """Return the rule of each file in words; the robot's own has no name."""
+    rules: list[str] = []
+    for name, is_urdf in origins.is_urdf.items():
+        rule = _URDF if is_urdf else _MJCF
+        rules.append(f"{name}: {rule}" if name else rule)
+    return "; ".join(rules)
 
 
 # ---------------------------------------------------------------------------------------- the model
 
 
-def _read(model: mujoco.MjModel) -> _Links:
+def _read_links(model: mujoco.MjModel) -> _Links:
+    """Read what MuJoCo does with each pair of bodies."""
     count = model.nbody
     weld: Ids = model.body_weldid.astype(np.int64)
-    above = weld[model.body_parentid[weld]]
-    moving = (weld[:, None] != 0) & (weld[None, :] != 0)  # the world is nobody's parent here
-    related = moving & ((weld[:, None] == above[None, :]) | (above[:, None] == weld[None, :]))
-    excluded, paired = np.zeros((count, count), bool), np.zeros((count, count), bool)
+    parent = weld[model.body_parentid[weld]]
+    # As MuJoCo's filter of parent and child, in which the world is nobody's parent.
+    moving = (weld[:, None] != 0) & (weld[None, :] != 0)
+    related = moving & ((weld[:, None] == parent[None, :]) | (parent[:, None] == weld[None, :]))
+    excluded = np.zeros((count, count), bool)
+    paired = np.zeros((count, count), bool)
     signatures = model.exclude_signature.astype(np.int64)
     excluded[signatures >> 16, signatures & 0xFFFF] = True
     bodies = model.geom_bodyid
     paired[bodies[model.pair_geom1], bodies[model.pair_geom2]] = True
-    paired[0] = paired[:, 0] = False  # with shapes of the world
+    paired[0, :] = False  # pairs with shapes of the world
+    paired[:, 0] = False
     return _Links(
         names=tuple(model.body(i).name for i in range(count)),
-        meet=_meeting(model),
+        meet=_meeting_bodies(model),
         rigid=weld[:, None] == weld[None, :],
         related=related,
         excluded=excluded | excluded.T,
@@ -209,20 +236,21 @@ def _read(model: mujoco.MjModel) -> _Links:
     )
 
 
-def _meeting(model: mujoco.MjModel) -> Mask:
+def _meeting_bodies(model: mujoco.MjModel) -> Mask:
     """(B, B) bodies, except for the world, with shapes whose contact bits meet."""
-    bodies: dict[tuple[int, int], set[int]] = {}
-    bits = zip(model.geom_contype.tolist(), model.geom_conaffinity.tolist(), strict=True)
-    for body, bit in zip(model.geom_bodyid.tolist(), bits, strict=True):
-        if body and any(bit):
-            bodies.setdefault(bit, set()).add(body)
-    found = np.zeros((model.nbody, model.nbody), bool)
-    for bit, firsts in bodies.items():
-        for other, seconds in bodies.items():
-            if _bits_meet(bit, other):
-                found[np.ix_(sorted(firsts), sorted(seconds))] = True
-    np.fill_diagonal(found, False)
-    return found
+    # Few combinations of bits occur: pairs of these are compared, not pairs of shapes.
+    bodies_with: dict[tuple[int, int], set[int]] = {}
+    for geom, body in enumerate(model.geom_bodyid.tolist()):
+        bits = _bits(model, geom)
+        if body != 0 and any(bits):
+            bodies_with.setdefault(bits, set()).add(body)
+    meet = np.zeros((model.nbody, model.nbody), bool)
+    for bits, bodies in bodies_with.items():
+        for other_bits, others in bodies_with.items():
+            if _bits_meet(bits, other_bits):
+                meet[np.ix_(sorted(bodies), sorted(others))] = True
+    np.fill_diagonal(meet, False)
+    return meet
 
 
 def _bits_meet(bits: tuple[int, int], other: tuple[int, int]) -> bool:
@@ -243,50 +271,51 @@ def _pairs(mask: Mask) -> Iterator[Pair]:
 # ---------------------------------------------------------------------------------------- the rules
 
 
-def _by_urdf_rule(pair: Pair, origins: LinkOrigins, links: _Links) -> bool:
-    """Whether links that overlap at the start are left out: not those of one MJCF."""
+def _is_left_out_of_urdf(pair: Pair, origins: LinkOrigins, links: _Links) -> bool:
+    """Whether links are left out if they overlap at the start: not those of one MJCF."""
     if links.paired[pair]:  # the file says that they collide
         return False
     first, second = (origins.of_mjcf(links.names[link]) for link in pair)
     return first is None or first != second
 
 
-def _overlapping(
+def _overlapping_pairs(
     spec: mujoco.MjSpec, model: mujoco.MjModel, qpos: F64, origins: LinkOrigins, links: _Links
 ) -> dict[Pair, float]:
-    """Pairs that the URDF rule leaves out -> how deep they are in each other, m."""
-    one_mjcf = len(origins.is_urdf) == 1 and not any(origins.is_urdf.values())
-    if one_mjcf and not origins.added:
+    """Return pairs that the URDF rule leaves out -> how deep they are in each other, m."""
+    is_one_mjcf = len(origins.is_urdf) == 1 and not any(origins.is_urdf.values())
+    if is_one_mjcf and not origins.added:
         return {}
     data = mujoco.MjData(model)
-    found = deepest_contacts(model, data, qpos)
+    depths = deepest_contacts(model, data, qpos)
     if data.warning[mujoco.mjtWarning.mjWARN_CONTACTFULL].number:
+        # Links deep in each other may have more contacts than the robot's memory has room for.
         larger = spec.copy()
         larger.memory = _MEMORY
         model = larger.compile()
-        found = deepest_contacts(model, mujoco.MjData(model), qpos)
+        depths = deepest_contacts(model, mujoco.MjData(model), qpos)
     return {
         pair: depth
-        for pair, depth in found.items()
-        if depth > DEPTH and links.colliding[pair] and _by_urdf_rule(pair, origins, links)
+        for pair, depth in depths.items()
+        if depth > DEPTH and links.colliding[pair] and _is_left_out_of_urdf(pair, origins, links)
     }
 
 
-def _of_static_base(origins: LinkOrigins, links: _Links) -> set[Pair]:
+def _pairs_of_static_base(origins: LinkOrigins, links: _Links) -> set[Pair]:
     """Return pairs of an MJCF that collide only because the file fixes one of them to the world.
 
     MuJoCo lets the children of a body that is fixed to the world collide with it. Here the base is
     a mocap body, whose children do not.
     """
-    static = np.array([name in origins.static for name in links.names])
-    one = static[:, None] != static[None, :]
-    lost = links.meet & links.related & ~links.excluded & ~links.paired & one
-    found = set[Pair]()
+    is_static = np.array([name in origins.static for name in links.names])
+    one_is_static = is_static[:, None] != is_static[None, :]
+    lost = links.meet & links.related & ~links.excluded & ~links.paired & one_is_static
+    pairs: set[Pair] = set()
     for pair in _pairs(lost):
         first, second = (origins.of_mjcf(links.names[link]) for link in pair)
         if first is not None and first == second:
-            found.add(pair)
-    return found
+            pairs.add(pair)
+    return pairs
 
 
 def _within_reach(model: mujoco.MjModel, qpos: F64, pairs: set[Pair]) -> set[Pair]:
@@ -296,38 +325,44 @@ def _within_reach(model: mujoco.MjModel, qpos: F64, pairs: set[Pair]) -> set[Pai
     every step. A child on one hinge is turned through its whole range; any other child is taken to
     reach its parent.
     """
-    hinges = {_single_hinge(model, body) for pair in pairs for body in pair} - {-1}
-    columns = model.jnt_qposadr[sorted(hinges)]
-    low, high = _ranges(model, sorted(hinges))
-    turned = {int(model.jnt_bodyid[hinge]) for hinge in hinges}
-    welded = model.body_weldid
-    found = {(a, b) for a, b in pairs if turned.isdisjoint((int(welded[a]), int(welded[b])))}
+    hinges = sorted({_single_hinge(model, body) for pair in pairs for body in pair} - {-1})
+    turned_bodies = {int(model.jnt_bodyid[hinge]) for hinge in hinges}
+    weld = model.body_weldid.tolist()
+    near_pairs = {(a, b) for a, b in pairs if turned_bodies.isdisjoint((weld[a], weld[b]))}
     if not hinges:
-        return found
-    margins = model.geom_margin.copy(), model.body_margin.copy()
+        return near_pairs
+    columns = model.jnt_qposadr[hinges]
+    low, high = _ranges(model, hinges)
+    # With margins MuJoCo reports shapes that come near each other as contacts.
+    geom_margin = model.geom_margin.copy()
+    body_margin = model.body_margin.copy()
     model.geom_margin += _NEAR / 2
     model.body_margin += _NEAR / 2
-    data, posture = mujoco.MjData(model), qpos.copy()
+    data = mujoco.MjData(model)
+    posture = qpos.copy()
     for share in np.linspace(0.0, 1.0, _TURNS):
         posture[columns] = low + share * (high - low)
-        found |= pairs & set(deepest_contacts(model, data, posture, _WITH_PARENTS))
-    model.geom_margin[:], model.body_margin[:] = margins
-    return found
+        near_pairs |= pairs & set(deepest_contacts(model, data, posture, _WITH_PARENTS))
+    model.geom_margin[:] = geom_margin
+    model.body_margin[:] = body_margin
+    return near_pairs
 
 
 def _single_hinge(model: mujoco.MjModel, body: int) -> int:
     """Return the one hinge on which a body, with what it is welded to, turns; -1 if not one."""
     carrier = int(model.body_weldid[body])
-    first = int(model.body_jntadr[carrier])
-    single = model.body_jntnum[carrier] == 1
-    return first if single and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_HINGE else -1
+    joint = int(model.body_jntadr[carrier])
+    has_one_joint = model.body_jntnum[carrier] == 1
+    if has_one_joint and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
+        return joint
+    return -1
 
 
 def _ranges(model: mujoco.MjModel, joints: Sequence[int]) -> tuple[F64, F64]:
     """Return (J,) bounds of hinges; one without limits turns once around."""
-    limited = model.jnt_limited[joints].astype(np.bool_)
-    low = np.where(limited, model.jnt_range[joints, 0], -np.pi)
-    high = np.where(limited, model.jnt_range[joints, 1], np.pi)
+    is_limited = model.jnt_limited[joints].astype(np.bool_)
+    low = np.where(is_limited, model.jnt_range[joints, 0], -np.pi)
+    high = np.where(is_limited, model.jnt_range[joints, 1], np.pi)
     return low, high
 
 
@@ -335,17 +370,17 @@ def _ranges(model: mujoco.MjModel, joints: Sequence[int]) -> tuple[F64, F64]:
 
 
 def _contradictions(cfg: ArticulationCfg) -> list[Problem]:
-    exclude = [set(entry) for entry in cfg.self_collision.exclude]
+    excluded = [set(entry) for entry in cfg.self_collision.exclude]
     return [
         Problem(f"self_collision.include.{i}", f"{list(entry)} is excluded too")
         for i, entry in enumerate(cfg.self_collision.include)
-        if set(entry) in exclude
+        if set(entry) in excluded
     ]
 
 
-def _named(cfg: ArticulationCfg, key: str, links: _Links) -> tuple[set[Pair], list[Problem]]:
+def _read_pairs(cfg: ArticulationCfg, key: str, links: _Links) -> tuple[set[Pair], list[Problem]]:
     """Return the pairs that one key of `self_collision` names, and every mistake."""
-    found: set[Pair] = set()
+    named_pairs: set[Pair] = set()
     problems: list[Problem] = []
     names = links.names[1:]  # the first is the world
     for number, entry in enumerate(getattr(cfg.self_collision, key)):
@@ -355,26 +390,26 @@ def _named(cfg: ArticulationCfg, key: str, links: _Links) -> tuple[set[Pair], li
             continue
         sides: list[tuple[int, ...]] = []
         for i, pattern in enumerate(entry):
-            matched, wrong = match(str(pattern), names, "link", f"{path}.{i}")
-            problems += wrong
-            sides.append(tuple(link + 1 for link in matched))
-        pairs = {(min(a, b), max(a, b)) for a in sides[0] for b in sides[1] if a != b}
+            matching_links, mistakes = match(str(pattern), names, "link", f"{path}.{i}")
+            problems += mistakes
+            sides.append(tuple(link + 1 for link in matching_links))
         if not (sides[0] and sides[1]):
             continue
+        pairs = {(min(a, b), max(a, b)) for a in sides[0] for b in sides[1] if a != b}
         if not pairs:
             problems.append(Problem(path, f"{list(entry)} is one link: name two"))
             continue
         usable = {pair for pair in pairs if not links.rigid[pair]}
         if key == "include":
-            usable = {p for p in usable if links.meet[p] or links.paired[p]}
+            usable = {pair for pair in usable if links.meet[pair] or links.paired[pair]}
         if not usable:
-            problems.append(Problem(path, _never(pairs, links)))
-        found |= usable
-    return found, problems
+            problems.append(Problem(path, _why_never_colliding(pairs, links)))
+        named_pairs |= usable
+    return named_pairs, problems
 
 
-def _never(pairs: set[Pair], links: _Links) -> str:
-    """Why pairs cannot collide."""
+def _why_never_colliding(pairs: set[Pair], links: _Links) -> str:
+    """Return why pairs cannot collide."""
     a, b = min(pairs)
     names = f"{links.names[a]!r} and {links.names[b]!r}"
     if all(links.rigid[pair] for pair in pairs):
@@ -385,7 +420,9 @@ def _never(pairs: set[Pair], links: _Links) -> str:
 # ----------------------------------------------------------------------------------------- the spec
 
 
-def _leave_out(spec: mujoco.MjSpec, model: mujoco.MjModel, pairs: set[Pair], links: _Links) -> bool:
+def _exclude_pairs(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, pairs: set[Pair], links: _Links
+) -> bool:
     """Exclude pairs, and remove the file's contact pairs of their shapes."""
     for a, b in sorted(pairs):
         if not links.excluded[a, b] and not links.related[a, b]:
@@ -401,41 +438,44 @@ def _let_collide(
     spec: mujoco.MjSpec, model: mujoco.MjModel, pairs: set[Pair], links: _Links
 ) -> bool:
     """Remove the file's excludes of pairs, and list those that MuJoCo leaves out by itself."""
-    number = {name: i for i, name in enumerate(links.names)}
-    changed = False
+    index_of = {name: i for i, name in enumerate(links.names)}
+    is_changed = False
     for exclude in list(spec.excludes):
-        a, b = number[exclude.bodyname1], number[exclude.bodyname2]
+        a = index_of[exclude.bodyname1]
+        b = index_of[exclude.bodyname2]
         if (min(a, b), max(a, b)) in pairs:
             spec.delete(exclude)
-            changed = True
+            is_changed = True
     for pair in sorted(pairs):
         if not links.related[pair]:
             continue
-        for first, second in _shapes(model, pair):
-            _add_pair(spec, model, first, second)
-            changed = True
-    return changed
+        for first, second in _meeting_shapes(model, pair):
+            _add_contact_pair(spec, model, first, second)
+            is_changed = True
+    return is_changed
 
 
-def _add_pair(spec: mujoco.MjSpec, model: mujoco.MjModel, first: int, second: int) -> None:
+def _add_contact_pair(spec: mujoco.MjSpec, model: mujoco.MjModel, first: int, second: int) -> None:
     """List a pair of shapes, with the parameters that MuJoCo gives a contact of the two.
 
     The pair has the parameters that the shapes have now: changing theirs later does not change it.
     """
-    names = [model.geom(geom).name for geom in (first, second)]
-    pair = spec.add_pair(geomname1=names[0], geomname2=names[1])
-    for name, size in (("friction", 5), ("solref", 2), ("solimp", 5)):
-        setattr(pair, name, np.full(size, np.nan))  # MuJoCo combines those of the shapes
+    pair = spec.add_pair(geomname1=model.geom(first).name, geomname2=model.geom(second).name)
+    # NaN: MuJoCo combines the values of the shapes.
+    pair.friction = np.full(5, np.nan)
+    pair.solref = np.full(2, np.nan)
+    pair.solimp = np.full(5, np.nan)
     pair.solreffriction = np.zeros(2)
-    priority, condim = model.geom_priority, model.geom_condim
-    decides = [g for g in (first, second) if priority[g] == max(priority[first], priority[second])]
-    pair.condim = int(max(condim[decides]))
+    # MuJoCo takes the larger condim of the shapes with the higher priority.
+    highest = max(model.geom_priority[[first, second]])
+    deciding = [geom for geom in (first, second) if model.geom_priority[geom] == highest]
+    pair.condim = int(max(model.geom_condim[deciding]))
     pair.margin = float(model.geom_margin[first] + model.geom_margin[second])
     pair.gap = float(model.geom_gap[first] + model.geom_gap[second])
 
 
-def _shapes(model: mujoco.MjModel, pair: Pair) -> Iterator[tuple[int, int]]:
-    """Shapes of two bodies whose contact bits meet."""
+def _meeting_shapes(model: mujoco.MjModel, pair: Pair) -> Iterator[tuple[int, int]]:
+    """Yield shapes of two bodies whose contact bits meet."""
     firsts, seconds = (np.flatnonzero(model.geom_bodyid == body).tolist() for body in pair)
     for first in firsts:
         for second in seconds:

@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.compiler.index import F64, Mask
-from embodichain.lab.sim.compiler.robot.drives.couplings import moving_mimics, rigid_armature
 from embodichain.lab.sim.compiler.robot.drives.pd_drives import (
     DriveChange,
     DriveGains,
@@ -16,7 +15,8 @@ from embodichain.lab.sim.compiler.robot.drives.pd_drives import (
     drawn_joints,
     quiet_armature,
 )
-from embodichain.lab.sim.compiler.robot.files.robot_joints import Mimics
+from embodichain.lab.sim.compiler.robot.drives.rigid_couplings import moving_mimics, rigid_armature
+from embodichain.lab.sim.compiler.robot.files.joint_couplings import JointCoupling
 
 __all__ = ["RAISED", "add_armature", "rounded"]
 
@@ -29,7 +29,7 @@ def add_armature(
     model: mujoco.MjModel,
     names: Sequence[str],
     gains: DriveGains,
-    mimics: Mimics,
+    mimics: Sequence[JointCoupling],
     home: F64,
     parts: Mapping[str, Sequence[int]],
     step: PhysicsStep,
@@ -40,29 +40,33 @@ def add_armature(
     Returns:
         (D,) added armature, and messages for the user.
     """
-    quiet = quiet_armature(model, names, gains, home, parts, step, changes)
-    lacking = quiet
-    if mimics.ids:
+    lacking_for_quiet = quiet_armature(model, names, gains, home, parts, step, changes)
+    lacking = lacking_for_quiet
+    if mimics:
         rigid = moving_mimics(model, names, mimics)
         lacking = quiet_armature(model, names, gains, home, parts, step, changes, rigid)
         lacking = rigid_armature(model, names, gains, mimics, home, step, lacking)
-    given = gains.armature_given | drawn_joints("armature", names, parts, changes)
-    added = np.where(given, 0.0, lacking)
+    # Armature that the config gives, or that events draw, is the user's: a message says if it is
+    # too small.
+    is_given = gains.armature_given | drawn_joints("armature", names, parts, changes)
+    added = np.where(is_given, 0.0, lacking)
     for i in np.flatnonzero(added > 0).tolist():
         total = float(rounded(gains.armature + added)[i])
         spec.joint(names[i]).armature = total
         model.dof_armature[model.joint(names[i]).dofadr[0]] = total
     if added.any():
         mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    reason = "limited drives would chatter"
+    if not (lacking_for_quiet > 0).any():
+        reason = "joints that mimic others would not follow them"
+    elif (lacking > lacking_for_quiet).any():
+        reason += ", and joints that mimic others would not follow them,"
+    reason += f" at a time step of {step.dt:g} s"
     enough = gains.armature + lacking
-    why = "limited drives would chatter"
-    if not (quiet > 0).any():
-        why = "joints that mimic others would not follow them"
-    elif (lacking > quiet).any():
-        why += ", and joints that mimic others would not follow them,"
     notes = (
-        _armature_note(RAISED, names, enough, added > 0, why, step),
-        _armature_note("is too small", names, enough, given & (lacking > 0), why, step),
+        _armature_note(RAISED, reason, names, enough, added > 0),
+        _armature_note("is too small", reason, names, enough, is_given & (lacking > 0)),
     )
     return added, [note for note in notes if note]
 
@@ -73,8 +77,10 @@ def rounded(values: F64) -> F64:
 
 
 def _armature_note(
-    what: str, names: Sequence[str], enough: F64, joints: Mask, why: str, step: PhysicsStep
+    what: str, reason: str, names: Sequence[str], enough: F64, concerned: Mask
 ) -> str:
-    listed = ", ".join(f"{names[i]}: {enough[i]:.4g}" for i in np.flatnonzero(joints).tolist())
-    because = f"{why} at a time step of {step.dt:g} s"
-    return f"drive_pros.armature {what}: {because}; enough is {{{listed}}}" if listed else ""
+    """Return a message about the joints that it concerns; empty if there are none."""
+    if not concerned.any():
+        return ""
+    values = ", ".join(f"{names[i]}: {enough[i]:.4g}" for i in np.flatnonzero(concerned).tolist())
+    return f"drive_pros.armature {what}: {reason}; enough is {{{values}}}"

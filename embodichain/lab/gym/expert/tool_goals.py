@@ -1,0 +1,170 @@
+"""`ToolGoals`: the pose of the tool that a `Goal` asks for, from what is measured now."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from embodichain.lab.gym.expert.arms import Arm, DeclaredArm, find_arm
+from embodichain.lab.gym.expert.instructions import Goal, Move
+from embodichain.lab.gym.expert.targets import WORLD, TargetPoses
+from embodichain.lab.gym.expert.trajectories import ToolPath, length
+from embodichain.utils.errors import Problem
+from embodichain.utils.math import (
+    euler_xyz_to_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_rotate,
+    quat_to_matrix,
+    rotvec_to_quat,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.expert.fingers import Fingers
+    from embodichain.lab.gym.expert.grasps import Grasp
+    from embodichain.lab.gym.expert.reading import ReadStep
+    from embodichain.lab.sim.engine.api import F64
+
+    Rows = NDArray[np.int64]
+
+__all__ = ["ToolGoals", "check_orientations"]
+
+_NO_TURN = (1.0, 0.0, 0.0, 0.0)
+_VERTICAL = 0.7
+"""The z component of an axis that counts as vertical."""
+
+
+class ToolGoals:
+    """Computes where one arm's tool has to be.
+
+    Args:
+        arm: The arm.
+        path: Its tool, measured, and where its path has led.
+        fingers: Those of its gripper.
+        grasp: What its gripper holds.
+        targets: Poses of the targets.
+    """
+
+    def __init__(
+        self, arm: Arm, path: ToolPath, fingers: Fingers, grasp: Grasp, targets: TargetPoses
+    ) -> None:
+        self._arm = arm
+        self._path = path
+        self._fingers = fingers
+        self._grasp = grasp
+        self._targets = targets
+
+    def pose(self, goal: Goal, rows: Rows) -> tuple[F64, F64]:
+        """Position (n, 3) and orientation (n, 4) of the tool for a goal, in n environments."""
+        tool_pos = self._path.path_pos[rows]
+        tool_quat = self._path.path_quat[rows]
+        pos, axes = tool_pos, tool_quat
+        if goal.target is not None:
+            target_pos, target_quat = self._targets(goal.target)
+            pos = target_pos[rows]
+            axes = target_quat[rows]
+        if goal.start is not None:
+            pos = pos + goal.beyond * self._direction(goal, rows)
+        if goal.axes == "world":
+            axes = np.tile(_NO_TURN, (len(rows), 1))
+        elif goal.axes == "tool":
+            axes = tool_quat
+        pos = pos + quat_rotate(axes, np.tile(goal.offset, (len(rows), 1)))
+        pos = pos + np.array([0.0, 0.0, goal.above])
+
+        held_pos, held_quat = self._held_pose(goal, rows)
+        quat = tool_quat
+        if goal.rpy is not None:
+            # About fixed axes, roll first: the inverse of the intrinsic rotations by -rpy.
+            rotation = quat_conjugate(euler_xyz_to_quat(-np.asarray(goal.rpy, np.float64)))
+            quat = quat_multiply(axes, np.tile(rotation, (len(rows), 1)))
+        elif goal.align is not None and self._arm.term.orientation == "any":
+            facing = quat_multiply(tool_quat, held_quat)
+            if not goal.held:
+                facing = self._fingers_along_x(facing)
+            turn = self._turn(goal, facing, tool_quat, rows)
+            quat = quat_multiply(turn, tool_quat)
+        # What is held, or the point ahead of the tool, is at the place: the tool is behind it.
+        lead = held_pos + np.tile([0.0, 0.0, goal.back], (len(rows), 1))
+        return pos - quat_rotate(quat, lead), quat
+
+    def _fingers_along_x(self, quat: F64) -> F64:
+        """(n, 4) orientations whose x axis is the line along which the tool's fingers move."""
+        if not self._fingers.angle:
+            return quat
+        turn = rotvec_to_quat(np.array([0.0, 0.0, self._fingers.angle]))
+        return quat_multiply(quat, np.tile(turn, (len(quat), 1)))
+
+    def _direction(self, goal: Goal, rows: Rows) -> F64:
+        """(n, 3) horizontal unit vectors, away from `goal.start` through the target."""
+        end, _ = self._targets(goal.target or WORLD)
+        start, _ = self._targets(goal.start or WORLD)
+        way = (end - start)[rows]
+        way[:, 2] = 0.0
+        return way / np.maximum(length(way), 1e-9)[:, None]
+
+    def _held_pose(self, goal: Goal, rows: Rows) -> tuple[F64, F64]:
+        """Pose of what is held in the tool's frame, (n, 3), (n, 4); none without `goal.held`."""
+        pos = np.zeros((len(rows), 3))
+        quat = np.tile(_NO_TURN, (len(rows), 1))
+        if not goal.held:
+            return pos, quat
+        to_tool = quat_conjugate(self._path.quat[rows])
+        held = self._grasp.object[rows]
+        for number in np.unique(held):
+            holds_this = held == number
+            target_pos, target_quat = self._targets(self._grasp.objects[number])
+            way = target_pos[rows][holds_this] - self._path.pos[rows][holds_this]
+            pos[holds_this] = quat_rotate(to_tool[holds_this], way)
+            quat[holds_this] = quat_multiply(to_tool[holds_this], target_quat[rows][holds_this])
+        return pos, quat
+
+    def _turn(self, goal: Goal, facing: F64, tool_quat: F64, rows: Rows) -> F64:
+        """(n, 4) smallest rotation about the vertical that makes axes parallel to the target's."""
+        _, align_quat = self._targets(goal.align or WORLD)
+        period = 2.0 * np.pi / goal.symmetry
+        angle = _heading(align_quat[rows]) - _heading(facing) + 0.5 * period
+        angle = angle - period * np.floor(angle / period) - 0.5 * period
+        if not goal.level:
+            is_upright = np.abs(quat_to_matrix(tool_quat)[:, 2, 2]) > _VERTICAL
+            angle = np.where(is_upright, angle, 0.0)
+        zero = np.zeros_like(angle)
+        return rotvec_to_quat(np.stack([zero, zero, angle], axis=1))
+
+
+def _heading(quat: F64) -> F64:
+    """(n,) rad: direction in the plane of the x axis; if that is steep, of the y axis less 90°."""
+    matrix = quat_to_matrix(quat)
+    of_x = np.arctan2(matrix[:, 1, 0], matrix[:, 0, 0])
+    of_y = np.arctan2(matrix[:, 1, 1], matrix[:, 0, 1]) - 0.5 * np.pi
+    heading: F64 = np.where(np.abs(matrix[:, 2, 0]) < _VERTICAL, of_x, of_y)
+    return heading
+
+
+def check_orientations(
+    steps: Sequence[ReadStep], arms: Sequence[Arm], declared: Sequence[DeclaredArm]
+) -> list[Problem]:
+    """Return steps that ask for an orientation of an arm whose action does not choose it."""
+    problems: list[Problem] = []
+    orientation_of = {arm.name: arm.term.orientation for arm in arms}
+    for step in steps:
+        for part in step.flat():
+            if part.within:  # a step inside another is checked as a part of it
+                continue
+            for phase in part.phases:
+                for arm, instructions in phase.items():
+                    name = find_arm(arm, declared, part.path).name
+                    goals = [item.goal for item in instructions if isinstance(item, Move)]
+                    if orientation_of[name] != "any" and any(map(_is_oriented, goals)):
+                        message = f"the action {name!r} does not choose the tool's orientation"
+                        problems.append(Problem(part.path, message))
+    return problems
+
+
+def _is_oriented(goal: Goal) -> bool:
+    """Whether a goal needs an arm that can turn its tool."""
+    return bool(goal.rpy) or (goal.align is not None and goal.level)
