@@ -126,9 +126,12 @@ def _command_line() -> Iterator[str]:
 
 
 def _keys() -> Iterator[str]:
+    from embodichain.config.keys.learners import LEARNERS
     from embodichain.config.keys.schema import RootCfg
 
     yield from _fields("", RootCfg, ())
+    for _, entry in LEARNERS.items():
+        yield from _fields("algo", entry.config, ())
 
 
 def _fields(path: str, config: type, above: tuple[type, ...]) -> Iterator[str]:

@@ -57,7 +57,7 @@ VERBS = {
     "recover": "Write a clean log from a broken one, up to where it can be read.",
     "diff": "Print the first step and field where two logs differ.",
     "bench": "Measure control steps/s beside the bare batch of the same model.",
-    "list": "List tasks, robots, policies or terms.",
+    "list": "List tasks, robots, policies, terms, export formats, viewers, learners or steps.",
     "show": "Show a task: resolved config, scene, spaces, terms; or one term.",
     "render": "Write a picture of a task: one environment, or a grid of several.",
     "validate": "Check a task, build it as `run` does, and print every mistake.",

@@ -7,13 +7,14 @@ Keys that the user or the task gives are kept. Does not import torch.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from embodichain.config.keys.algorithms import ALGORITHMS
-from embodichain.config.keys.tensor_algorithms import PUBLISHED_STEPS
+from embodichain.config.keys.learners import LEARNERS
+from embodichain.config.keys.tensor_algorithms import PUBLISHED_STEPS, TensorAlgoCfg
 from embodichain.utils.errors import Problem
 
 __all__ = ["LearningScale", "doubtful_scale", "scale_learning"]
@@ -30,9 +31,6 @@ MINIBATCHES = 4
 """Minibatches of a rollout."""
 GRADIENT_STEPS = 64
 """Most gradient steps between steps of the environments, of algorithms with a replay buffer."""
-
-_STEPS_KEYS = {"rsl_rl_ppo": "num_steps_per_env", "skrl_ppo": "rollouts"}
-"""Algorithm of rsl_rl or skrl -> its key for the control steps of a rollout."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +64,12 @@ def scale_learning(
         num_envs: Number of environments.
         total_timesteps: Length of the training, in environment steps; None if it is not known.
     """
-    name = algo["name"]
-    if name in _STEPS_KEYS:
-        return _scale_tensor_rollout(algo, _STEPS_KEYS[name], num_envs, total_timesteps)
-    keys = ALGORITHMS[name][1].split()
+    config = LEARNERS[algo["name"]].config
+    if issubclass(config, TensorAlgoCfg):
+        if not config.rollout_key:
+            return LearningScale({})
+        return _scale_tensor_rollout(algo, config.rollout_key, num_envs, total_timesteps)
+    keys = {field.name for field in dataclasses.fields(config)}
     if "gradient_steps" in keys:
         return _scale_gradient_steps(algo, num_envs)
     if "gae_lambda" in keys:
@@ -87,7 +87,8 @@ def doubtful_scale(
         num_envs: Number of environments.
         total_timesteps: Length of the training, in environment steps.
     """
-    key = _STEPS_KEYS.get(algo["name"], "n_steps")
+    config = LEARNERS[algo["name"]].config
+    key = config.rollout_key if issubclass(config, TensorAlgoCfg) else "n_steps"
     steps = algo.get(key)
     if steps is None or "gradient_steps" in algo:  # there, n_steps is of n-step returns
         return []
@@ -136,7 +137,7 @@ def _scale_rollout(
 def _scale_tensor_rollout(
     algo: Mapping[str, Any], key: str, num_envs: int, total_timesteps: int | None
 ) -> LearningScale:
-    """Choose the control steps of a rollout of rsl_rl or skrl."""
+    """Choose the control steps of a rollout of a learner on tensors."""
     if algo.get(key) is not None:
         return LearningScale({})
     wanted = max(PUBLISHED_STEPS * num_envs, ROLLOUT[0])  # thousands of environments are usual

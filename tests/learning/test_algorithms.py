@@ -1,15 +1,14 @@
 import dataclasses
+import importlib.util
 import inspect
-import typing
 
 import numpy as np
 import pytest
 import torch
 
-from embodichain.config.keys.algorithms import AnyAlgoCfg
+from embodichain.config.keys.algorithms import AlgoCfg
 from embodichain.config.keys.check_types import check_types
-from embodichain.config.keys.tensor_algorithms import TENSOR_ALGORITHMS
-from embodichain.learning.sb3 import algorithms
+from embodichain.config.keys.learners import LEARNERS
 from embodichain.learning.sb3.algorithms import Algorithm, action_noise, algorithm_class
 from embodichain.learning.sb3.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError
@@ -74,11 +73,7 @@ GIVEN = {
 }
 
 
-WITH_SB3 = [
-    cfg
-    for cfg in typing.get_args(typing.get_args(AnyAlgoCfg)[0])
-    if cfg.name not in TENSOR_ALGORITHMS
-]
+WITH_SB3 = [entry.config for _, entry in LEARNERS.items() if issubclass(entry.config, AlgoCfg)]
 
 
 @pytest.mark.parametrize("cfg", WITH_SB3)
@@ -96,12 +91,8 @@ def test_dqn_says_what_would_fit():
 
 
 def test_a_missing_package_is_named(monkeypatch):
-    monkeypatch.setattr(algorithms.importlib, "import_module", missing)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda package: None)
     assert problems("tqc")["algo.name"].message == "tqc needs a package: pip install sb3-contrib"
-
-
-def missing(name):
-    raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 
 def test_schedules_fall_to_zero():

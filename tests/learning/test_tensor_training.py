@@ -13,7 +13,7 @@ import torch
 import embodichain
 from embodichain.config import make_env, resolve
 from embodichain.config.keys.check_types import check_types
-from embodichain.config.keys.tensor_algorithms import TENSOR_ALGORITHMS
+from embodichain.config.keys.learners import LEARNERS
 from embodichain.learning import evaluate, export_policy, load_policy
 from embodichain.learning.checkpoints.checkpoint import DIGEST, read_note
 from embodichain.learning.checkpoints.plain_state import read_tree, write_tree
@@ -300,7 +300,7 @@ def test_mistakes_are_told_before_a_training(tmp_path):
     assert found["checkpoint.replay_buffer"] == "rsl_rl_ppo learns from no replay buffer"
 
 
-@pytest.mark.parametrize("name", TENSOR_ALGORITHMS)
+@pytest.mark.parametrize("name", ["rsl_rl_ppo", "skrl_ppo"])
 def test_a_missing_package_is_named(monkeypatch, name):
     checked = check_types({"task": {}, "algo": {"name": name}})
     assert checked.problems == []
@@ -308,9 +308,8 @@ def test_a_missing_package_is_named(monkeypatch, name):
     monkeypatch.setattr(importlib.util, "find_spec", lambda package: None)
     with pytest.raises(ConfigError) as caught:
         TensorAlgorithm.of(checked.root.algo)
-    extra = TENSOR_ALGORITHMS[name][1]
     assert str(caught.value) == (
-        f"algo.name: {name} needs a package: pip install 'embodichain[{extra}]'"
+        f"algo.name: {name} needs a package: pip install '{LEARNERS[name].requires}'"
     )
 
 

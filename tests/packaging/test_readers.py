@@ -23,7 +23,7 @@ ALLOWED = {
     # Only written.
     ("recording/export/hdf5_files.py", "h5py.File"),
     # What this process has pickled itself, for a process that it has started.
-    ("cli/sweeps/ray_launcher.py", "pickle.loads"),
+    ("cli/sweeps/clusters/ray.py", "pickle.loads"),
     # Classes made of PyYAML's safe one.
     ("compat/gym_config/file.py", "yaml.load(_Loader)"),
 }

@@ -105,7 +105,7 @@ def test_importing_the_recorder_changes_nothing_of_other_packages() -> None:
 
         before = size()
         from embodichain.recording import McapRecorder
-        from embodichain.recording.export import ros2
+        from embodichain.recording.export.formats import ros2
         from embodichain.recording.read.recover import recover
         print(size() == before, mcap.writer.zstandard is zstandard, mcap.writer.Message is Message)
     """

@@ -24,6 +24,7 @@ from embodichain.cli.terminal.process import Interrupted, StopFlag, started
 from embodichain.cli.terminal.reporting import ProgressDisplay, log_to, warn_if_public
 from embodichain.cli.verb import command_line
 from embodichain.cli.words import split_overrides
+from embodichain.config.keys.viewers import NO_VIEWER, VIEWERS
 from embodichain.config.run_folder import LOG
 from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils.errors import ConfigError, Problem, RenderError
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from embodichain.recording import ImageOptions, McapRecorder
     from embodichain.recording.film.filming import Filmed
     from embodichain.recording.shards.shard_logs import ShardLogs
+    from embodichain.recording.viewers.showing import Shown
     from embodichain.recording.viewers.web import WebView
 
 __all__ = [
@@ -182,7 +184,7 @@ class Job:
             The page, if it is one.
         """
         cfg = self.root.viewer
-        teleop, page_view = None, None
+        teleop = None
         if policy_name(self.root) == "teleop":
             from embodichain.lab.gym.teleop import Teleop
 
@@ -190,42 +192,32 @@ class Job:
                 teleop = policy
                 teleop.bind(env)
                 realtime = True
-        if cfg.name == "foxglove":
-            from embodichain.recording.viewers.foxglove import FoxgloveView
-
-            record = self.root.record
-            shown = sorted({cfg.env, *record.view_envs})
-            if (images := self.images) is not None:
-                images = replace(images, envs=sorted({cfg.env, *images.envs}))
-            live = FoxgloveView(
-                *(env, cfg.host, cfg.port, shown),
-                realtime=realtime,
-                images=images,
-                access=self.resolved.access,
-            )
-            env.add_observer(live)
-            url, address = live.server.url, live.server.address
-            what = " (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
-        elif cfg.name == "web":
-            from embodichain.recording.viewers.web import PageOptions, WebView
-
-            page = PageOptions(
-                *(cfg.host, cfg.port, cfg.env, realtime, resets), access=self.resolved.access
-            )
-            page_view = WebView(env, page, stopped=self.stop.is_stopped, teleop=teleop)
-            env.add_observer(page_view)
-            url, address, what = page_view.url, page_view.address, ""
-        else:
-            if teleop is not None and cfg.name == "native":
-                from embodichain.recording.viewers.operators.native_operator import NativeOperator
-
-                teleop.operator = NativeOperator(env, teleop, self.stop.is_stopped)
+        if cfg.name == NO_VIEWER:
             return None
-        _log.info("viewer: %s%s", address, what)  # a log has no token
-        if not self.quiet or url != address:  # a token that is not printed opens nothing
-            sys.stderr.write(f"viewer: {url}{what}\n")
-        warn_if_public(cfg.host, url, controls=cfg.name == "web")
-        return page_view
+        from embodichain.recording.viewers.showing import Viewing
+
+        viewer = VIEWERS[cfg.name]
+        shown: Shown | None = viewer.show(
+            Viewing(
+                env=env,
+                cfg=cfg,
+                access=self.resolved.access,
+                stopped=self.stop.is_stopped,
+                realtime=realtime,
+                resets=resets,
+                teleop=teleop,
+                view_envs=self.root.record.view_envs,
+                images=self.images,
+            )
+        )
+        if shown is None:
+            return None
+        what = f" ({shown.how})" if shown.how else ""
+        _log.info("viewer: %s%s", shown.address, what)  # a log has no token
+        if not self.quiet or shown.url != shown.address:  # a token not printed opens nothing
+            sys.stderr.write(f"viewer: {shown.url}{what}\n")
+        warn_if_public(cfg.host, shown.url, controls=viewer.controls)
+        return shown.page
 
     def film(self, log: str | Path | None) -> dict[str, str]:
         """Render the log to a video if `video` is set; call it after everything else is written.
@@ -482,13 +474,22 @@ def check_extras(root: RootCfg) -> None:
         raise ConfigError(problems)
 
 
+def _shows_pictures(viewer: str) -> bool:
+    """Whether a viewer draws pictures of cameras."""
+    return viewer != NO_VIEWER and bool(VIEWERS[viewer].pictures)
+
+
 def _needs(root: RootCfg) -> Iterator[Callable[[], None]]:
     """The checks of what a job needs besides the plain package; each raises what is missing."""
     logged = root.record.format != "none"
     if sys.platform in LIMITED:
         features = [*["record=mcap"] * logged, f"viewer={root.viewer.name}"]
         yield partial(platforms.need, *features)
-    images = root.record.images if logged or root.viewer.name == "foxglove" else None
+    if root.viewer.name in VIEWERS.entry_names():  # whose module may not work
+        yield partial(VIEWERS.__getitem__, root.viewer.name)
+    images = root.record.images
+    if images is not None and not logged and not _shows_pictures(root.viewer.name):
+        images = None
     drawn = ["video"] * bool(root.video) + ["record.images"] * (images is not None)
     if root.video:
         from embodichain.utils.system.video import need_encoder

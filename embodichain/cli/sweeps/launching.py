@@ -1,4 +1,7 @@
-"""Launchers of Hydra that run the jobs of a sweep on a cluster, `slurm` and `ray`.
+"""What a launcher of sweeps on a cluster is: `ClusterLauncher`, and `cluster`, which registers one.
+
+A package outside names its module with an entry point of the group ``embodichain.launchers``,
+called as the launcher, which is then an option of the group `hydra/launcher` too.
 
 The machines share the sweep's folder. Whether a job is finished, and its objective, is read from
 its folder, not from what the cluster returns: jobs may outlive the process that started them.
@@ -9,10 +12,10 @@ from __future__ import annotations
 import os
 import sys
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.singleton import Singleton
@@ -22,10 +25,13 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from embodichain.cli.sweeps.sweep_jobs import is_finished, objective_in
+from embodichain.config.keys.launchers import LAUNCHERS
 from embodichain.config.keys.schema import Verb
 from embodichain.utils.errors import EmbodichainError
 
-__all__ = ["ClusterJob", "ClusterLauncher", "JobError"]
+__all__ = ["Cluster", "ClusterJob", "ClusterLauncher", "JobError", "cluster"]
+
+Launching = TypeVar("Launching", bound="type[ClusterLauncher]")
 
 
 class JobError(EmbodichainError):
@@ -89,7 +95,11 @@ class ClusterJob:
 
 
 class ClusterLauncher(Launcher):
-    """Starts the jobs that are not finished on a cluster, and waits for them."""
+    """Starts the jobs that are not finished on a cluster, and waits for them.
+
+    The arguments of a subclass are the keys of ``hydra.launcher``; `cpus`, if it is one, is the
+    number of cores of each job, and of its physics threads.
+    """
 
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
@@ -150,6 +160,48 @@ class ClusterLauncher(Launcher):
         for job in left:
             done[job.number] = _returned(job, self.verb, said.get(job.number, ""))
         return [done[job.number] for job in jobs]
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A launcher as a sweep names it.
+
+    Attributes:
+        launcher: Its class.
+        package: A module that must be installed; empty is none.
+        requires: What pip installs then.
+    """
+
+    launcher: type[ClusterLauncher]
+    package: str = ""
+    requires: str = ""
+
+
+def cluster(
+    name: str, *, package: str = "", requires: str = ""
+) -> Callable[[Launching], Launching]:
+    """Register a `ClusterLauncher`; arguments as of `Cluster`.
+
+    Its module imports `package` only where jobs are run.
+
+    Args:
+        name: What `hydra/launcher` takes; also the name of its module and its entry point.
+        package: A module that must be installed; empty is none.
+        requires: What pip installs then.
+
+    Returns:
+        A decorator that returns its argument.
+
+    Raises:
+        ValueError: If another class has the name.
+    """
+
+    def decorate(launcher: Launching) -> Launching:
+        entry = Cluster(launcher, package=package, requires=requires)
+        LAUNCHERS.add(name, describes=launcher)(entry)
+        return launcher
+
+    return decorate
 
 
 def _composed(

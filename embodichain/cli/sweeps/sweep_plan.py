@@ -26,6 +26,7 @@ from embodichain.config.composition.hydra_loader import (
     searched,
 )
 from embodichain.config.composition.override_text import readable
+from embodichain.config.keys.launchers import LAUNCHERS
 from embodichain.config.keys.schema import Verb
 from embodichain.config.resolved import Resolved
 from embodichain.lab.sim.engine.cpu.mujoco_process import all_cores
@@ -34,8 +35,6 @@ from embodichain.utils.errors import ConfigError, Problem
 __all__ = ["Plan", "composed_for_hydra", "plan_sweep", "swept_keys", "with_sweepers_params"]
 
 LAUNCHER = "hydra/launcher"
-CLUSTERS = ("slurm", "ray")
-"""Launchers that start jobs on other machines, each with its own number of cores."""
 _FOLDER = "hydra.sweep.dir"
 _PARAMS = "hydra.sweeper.params"
 _AT_ONCE = "joblib"
@@ -185,8 +184,8 @@ def _batch(config: DictConfig, jobs: int) -> int:
 def _shares(config: DictConfig, launcher: str, cores: int, most: int) -> tuple[int, int]:
     """Jobs at once, and threads of each."""
     settings = config.hydra.launcher
-    if launcher in CLUSTERS:
-        return most, max(1, int(settings.cpus))
+    if launcher in LAUNCHERS.names():  # on other machines, each with its own number of cores
+        return most, max(1, int(settings.get("cpus", 1)))
     asked = int(settings.get("n_jobs", cores))
     workers = asked if asked > 0 else max(1, cores + 1 + asked)  # as joblib counts
     at_once = min(workers, most)
@@ -196,5 +195,5 @@ def _shares(config: DictConfig, launcher: str, cores: int, most: int) -> tuple[i
 def _note(jobs: int, at_once: int, threads: int, launcher: str) -> str:
     whole = f"{jobs} jobs" if jobs != 1 else "1 job"
     each = "every core" if threads == 0 else f"{threads} thread{'s' * (threads > 1)}"
-    at = "" if launcher in CLUSTERS else f", {at_once} at once"
+    at = "" if launcher in LAUNCHERS.names() else f", {at_once} at once"
     return f"{whole}{at}, {each} of physics in each (sim.num_threads), {LAUNCHER}={launcher}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import shlex
 import signal
 import sys
 import threading
@@ -14,12 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.plugins import Plugins
-from hydra.plugins.launcher import Launcher
 
+from embodichain.cli.sweeps.launching import Cluster
 from embodichain.cli.sweeps.sweep_jobs import is_finished, process_log, stop_mark
-from embodichain.cli.sweeps.sweep_plan import CLUSTERS, Plan
+from embodichain.cli.sweeps.sweep_plan import Plan
 from embodichain.cli.sweeps.sweep_progress import shown_progress
 from embodichain.cli.terminal.process import Interrupted, StopFlag
+from embodichain.config.composition.registered_options import hydras_name
+from embodichain.config.keys.launchers import LAUNCHERS
 from embodichain.config.keys.schema import Verb
 from embodichain.config.run_folder import CONFIG
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
@@ -27,8 +30,6 @@ from embodichain.utils.system.processes import end_with, own_process
 
 __all__ = ["SweepError", "run_sweep"]
 
-_PACKAGES = {"slurm": "submitit", "ray": "ray"}
-_HYDRAS_NAME = "hydra_plugins.embodichain.{}"
 _BACKEND = "loky"
 _ENDED_BY = " ERROR   run: ended by "
 _TAIL = 12
@@ -52,7 +53,7 @@ def run_sweep(plan: Plan, verb: Verb, job: Callable[[], Any], *, quiet: bool) ->
         SweepError: Jobs failed. They are shown with the last lines of their logs.
         Exception: Any exception before the first job.
     """
-    if plan.launcher in CLUSTERS:
+    if plan.launcher in LAUNCHERS.names():
         _register(plan.launcher)
     if plan.note and not quiet:
         sys.stderr.write(f"{plan.note}\n{plan.folder}\n")
@@ -181,21 +182,17 @@ def _register(launcher: str) -> None:
     at every start. The class is registered under such a name instead.
 
     Args:
-        launcher: ``slurm`` or ``ray``.
+        launcher: Its name in `LAUNCHERS`.
 
     Raises:
         ConfigError: Its package is not installed.
     """
-    package = _PACKAGES[launcher]
-    if importlib.util.find_spec(package) is None:
-        message = f"{launcher!r} needs a package: pip install 'embodichain[{launcher}]'"
+    entry: Cluster = LAUNCHERS[launcher]
+    if entry.package and importlib.util.find_spec(entry.package) is None:
+        requires = shlex.quote(entry.requires or entry.package)
+        message = f"{launcher!r} needs a package: pip install {requires}"
         raise ConfigError([Problem("hydra/launcher", message)])
-    found: type[Launcher]
-    if launcher == "slurm":
-        from embodichain.cli.sweeps.slurm_launcher import SlurmLauncher as found
-    else:
-        from embodichain.cli.sweeps.ray_launcher import RayLauncher as found
-    Plugins.instance().class_name_to_class[_HYDRAS_NAME.format(found.__name__)] = found
+    Plugins.instance().class_name_to_class[hydras_name(entry.launcher)] = entry.launcher
 
 
 def _begun(sweep: Path) -> list[str]:

@@ -36,6 +36,7 @@ from embodichain.config.keys.schema import (
     SimCfg,
     Verb,
 )
+from embodichain.config.keys.viewers import NO_VIEWER, VIEWERS
 from embodichain.config.run_folder import CHECKPOINT, checkpoint_of, newest_run
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.terms.check import check_terms
@@ -435,8 +436,12 @@ def _check_teleop(root: RootCfg, allow_import: bool) -> list[Problem]:
     from embodichain.lab.gym.teleop import check_teleop
 
     problems = []
-    if root.viewer.name not in ("web", "native"):
-        message = f"teleop needs a viewer: viewer=web or viewer=native, not {root.viewer.name}"
+    shown = None if root.viewer.name == NO_VIEWER else VIEWERS[root.viewer.name]
+    if shown is None or not shown.controls:
+        names = [name for name, entry in VIEWERS.items() if entry.controls]
+        names.sort(key=lambda name: name != "web")  # first the one that needs no display
+        allowed = " or ".join(f"viewer={name}" for name in names)
+        message = f"teleop needs a viewer: {allowed}, not {root.viewer.name}"
         problems.append(Problem("policy", message))
     if (root.num_envs or 1) > 1:
         message = f"policy: teleop moves one robot; set num_envs=1, not {root.num_envs}"

@@ -41,6 +41,7 @@ from embodichain.config.composition.locate import (
     depth_of,
     display_path,
 )
+from embodichain.config.composition.registered_options import PLACE, RegisteredOptions
 from embodichain.config.gymnasium_ids import CONFIG_MODULE, ENTRY_POINTS, LOCAL
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
@@ -162,8 +163,7 @@ def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader
     base = version.getbase()
     if not (hasattr(base, "major") or isinstance(base, str)):  # a string: Hydra 1.4
         version.setbase(_BASE)  # unset until a Hydra application starts
-    # In a job of a sweep Hydra has replaced its plug-ins by those that it finds itself.
-    Plugins.instance().register(EmbodichainSearchPath)
+    _register_plugins()
     with user_configs(config_dir):
         yield _Loader(create_config_search_path(f"pkg://{CONFIG_MODULE}"))
 
@@ -212,9 +212,16 @@ class EmbodichainSearchPath(SearchPathPlugin):
                 search_path.prepend(provider, place)
         for entry in sorted(importlib.metadata.entry_points(group=ENTRY_POINTS)):
             search_path.append(entry.name, f"pkg://{entry.value}")
+        search_path.append("embodichain", PLACE)
 
 
-Plugins.instance().register(EmbodichainSearchPath)
+def _register_plugins() -> None:
+    """Tell Hydra of our places; in a job of a sweep it has replaced its plug-ins by others."""
+    Plugins.instance().register(EmbodichainSearchPath)
+    Plugins.instance().register(RegisteredOptions)
+
+
+_register_plugins()
 
 
 def folder_of_source(scheme: str, path: str) -> Path | None:

@@ -11,16 +11,17 @@ from functools import reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema
 
-from embodichain.config.keys.tensor_algorithms import RslRlPpoCfg, SkrlPpoCfg, TensorAlgoCfg
+from embodichain.config.keys.learners import LEARNERS, Demonstrations, learner
+from embodichain.config.keys.tensor_algorithms import TensorAlgoCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
     "ALGORITHMS",
     "ALGO_INSTEAD",
     "DEFAULT_ALGORITHM",
-    "LEARN_FROM_DATA",
     "PATTERNS",
     "AlgoCfg",
     "AnyAlgoCfg",
@@ -199,10 +200,14 @@ ALGORITHMS: dict[str, tuple[str, str]] = {
 """Algorithm -> its class, and the keys of its config besides those of `AlgoCfg`. Those of rsl_rl
 and skrl are in `tensor_algorithms`."""
 
-
-LEARN_FROM_DATA = "bc", "sac", "td3", "ddpg", "tqc", "crossq"
-"""Algorithms that take demonstrations: `bc` learns from them alone, the others begin with them."""
-
+_DEMONSTRATIONS: dict[str, Demonstrations] = {
+    "bc": "only",
+    "sac": "more",
+    "td3": "more",
+    "ddpg": "more",
+    "tqc": "more",
+    "crossq": "more",
+}
 _DEFAULTS: dict[str, dict[str, Any]] = {"bc": {"learning_rate": "lin_1e-3", "normalize": "obs"}}
 """Values of keys that are not those of the algorithm's class."""
 _POLICIES = "MlpPolicy", "CnnPolicy", "MultiInputPolicy"
@@ -217,12 +222,31 @@ def _config(name: str) -> type[AlgoCfg]:
     members |= _DEFAULTS.get(name, {})
     annotations = {"name": Literal[name], "policy": Literal[policies]}
     annotations |= {key: kinds[key] | None for key in keys}
-    return configclass(type(name, (AlgoCfg,), {"__annotations__": annotations, **members}))
+    namespace = {"__annotations__": annotations, "__module__": __name__, **members}
+    return configclass(type(name, (AlgoCfg,), namespace))
+
+
+for _name, (_path, _) in ALGORITHMS.items():
+    learner(
+        _name,
+        builds=":".join(_path.rsplit(".", 1)),
+        demonstrations=_DEMONSTRATIONS.get(_name, "none"),
+    )(_config(_name))
+
+
+class _RegisteredConfigs:
+    """Tells pydantic the configs of all learners, when it first builds a schema with them."""
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        configs = [entry.config for _, entry in LEARNERS.items()]
+        union: Any = reduce(or_, configs)
+        return handler.generate_schema(Annotated[union, Field(discriminator="name")])
 
 
 if TYPE_CHECKING:
     AnyAlgoCfg = AlgoCfg | TensorAlgoCfg
 else:
-    _members = reduce(or_, map(_config, ALGORITHMS)) | RslRlPpoCfg | SkrlPpoCfg
-    AnyAlgoCfg = Annotated[_members, Field(discriminator="name")]
+    AnyAlgoCfg = Annotated[AlgoCfg | TensorAlgoCfg, _RegisteredConfigs()]
 """The union of the algorithms' configs, chosen by ``name``."""

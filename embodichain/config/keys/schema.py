@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
 
 from embodichain.config.keys.algorithms import AnyAlgoCfg
+from embodichain.config.keys.viewers import NO_VIEWER, VIEWERS
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.sim.cfg import EngineName, WarpCfg
 from embodichain.utils.configclass import configclass
@@ -124,11 +126,20 @@ class RecordCfg:
     """Pictures of cameras; None is none."""
 
 
+class _ViewerNames:
+    """Tells pydantic the names of viewers, when it first builds a schema with them."""
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.literal_schema([NO_VIEWER, *VIEWERS.names()])
+
+
 @configclass
 class ViewerCfg:
     """The viewer of a run."""
 
-    name: Literal["none", "native", "web", "foxglove"] = "none"
+    name: Annotated[str, _ViewerNames()] = NO_VIEWER
     """`native` is MuJoCo's window; `web` and `foxglove` serve a page and a WebSocket."""
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     """The address to listen on."""

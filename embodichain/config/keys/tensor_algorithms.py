@@ -10,16 +10,14 @@ and `action_scale`.
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
+from embodichain.config.keys.learners import learner
 from embodichain.utils.configclass import configclass
 
-__all__ = ["PUBLISHED_STEPS", "TENSOR_ALGORITHMS", "RslRlPpoCfg", "SkrlPpoCfg", "TensorAlgoCfg"]
-
-TENSOR_ALGORITHMS = {"rsl_rl_ppo": ("rsl_rl", "rsl-rl"), "skrl_ppo": ("skrl", "skrl")}
-"""Algorithm -> the package that it needs, and the extra that installs it."""
+__all__ = ["PUBLISHED_STEPS", "RslRlPpoCfg", "SkrlPpoCfg", "TensorAlgoCfg"]
 
 PUBLISHED_STEPS = 24
 """Control steps of each environment in a rollout, in Isaac Lab's settings."""
@@ -35,6 +33,11 @@ _NOT_ARGUMENTS = (
 class TensorAlgoCfg:
     """The keys that every such algorithm has."""
 
+    rollout_key: ClassVar[str] = ""
+    """The key with the control steps of each environment between updates; where it is null, it
+    follows `num_envs` and `total_timesteps`. Empty: the learner decides."""
+    batches_key: ClassVar[str] = ""
+    """The key with the number of batches of a rollout; empty: there is none."""
     name: str = ""
     critic_groups: Annotated[list[str], Field(min_length=1)] | None = None
     """Observation groups that the critic reads; null is `policy`, the group that the actor reads.
@@ -59,10 +62,18 @@ class TensorAlgoCfg:
         return {name: getattr(self, name) for name in names if name not in _NOT_ARGUMENTS}
 
 
+@learner(
+    "rsl_rl_ppo",
+    builds="embodichain.learning.tensors.rsl_rl_ppo:RslRlPpo",
+    package="rsl_rl",
+    requires="embodichain[rsl-rl]",
+)
 @configclass
 class RslRlPpoCfg(TensorAlgoCfg):
     """Keys of ``rsl_rl_ppo``."""
 
+    rollout_key: ClassVar[str] = "num_steps_per_env"
+    batches_key: ClassVar[str] = "num_mini_batches"
     name: Literal["rsl_rl_ppo"] = "rsl_rl_ppo"
     num_steps_per_env: PositiveInt | None = None
     """Control steps of each environment between updates; null follows `num_envs` and
@@ -82,10 +93,18 @@ class RslRlPpoCfg(TensorAlgoCfg):
     use_mixed_precision: bool = False
 
 
+@learner(
+    "skrl_ppo",
+    builds="embodichain.learning.tensors.skrl_ppo:SkrlPpo",
+    package="skrl",
+    requires="embodichain[skrl]",
+)
 @configclass
 class SkrlPpoCfg(TensorAlgoCfg):
     """Keys of ``skrl_ppo``."""
 
+    rollout_key: ClassVar[str] = "rollouts"
+    batches_key: ClassVar[str] = "mini_batches"
     name: Literal["skrl_ppo"] = "skrl_ppo"
     rollouts: PositiveInt | None = None
     """Control steps of each environment between updates; null follows `num_envs` and

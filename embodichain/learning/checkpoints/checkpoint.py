@@ -1,6 +1,6 @@
 """Checkpoints: zip files with metadata (a note), written atomically.
 
-They are models of Stable-Baselines3, or policies of rsl_rl and skrl as TorchScript.
+They are models of Stable-Baselines3, or policies of other learners as TorchScript.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ __all__ = [
     "FINAL",
     "SCRIPT",
     "find_checkpoint",
+    "has_script",
     "made_by",
     "read_digest",
     "read_note",
@@ -41,7 +42,7 @@ DIGEST = "trained_in"
 NOTE = "embodichain"
 """Key of the note in the zip's ``data``: an attribute, which Stable-Baselines3 saves as JSON."""
 SCRIPT = "policy.pt"
-"""The TorchScript file in a zip of rsl_rl or skrl."""
+"""The TorchScript file in a zip of a learner on tensors, such as rsl_rl's."""
 _MODEL = "policy.pth"
 
 
@@ -83,6 +84,17 @@ def find_checkpoint(path: str | Path) -> Path:
         ConfigError: If there is none; lists the checkpoints of the folder.
     """
     return checkpoint_of(path)
+
+
+def has_script(path: Path) -> bool:
+    """Whether a checkpoint contains a policy as TorchScript, which needs no learner to act.
+
+    Raises:
+        ConfigError: If the file cannot be read or is no checkpoint, see `read_note`.
+    """
+    read_note(path)
+    with zipfile.ZipFile(path) as archive:
+        return SCRIPT in archive.namelist()
 
 
 def read_note(path: Path) -> dict[str, Any]:

@@ -13,8 +13,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from embodichain.config.keys.tensor_algorithms import TENSOR_ALGORITHMS
-from embodichain.learning.checkpoints.checkpoint import find_checkpoint, read_digest, read_note
+from embodichain.learning.checkpoints.checkpoint import (
+    find_checkpoint,
+    has_script,
+    read_digest,
+    read_note,
+)
 from embodichain.learning.checkpoints.curriculum_stage import read_stage
 from embodichain.learning.checkpoints.trust import NeedsTrust, say_trusted
 from embodichain.learning.cloning.chunk_policy import ChunkPolicy
@@ -103,7 +107,7 @@ def load_checkpoint(
     Raises:
         ConfigError: If the file is not a policy, needs `trust`, or its statistics are missing.
     """
-    if read_note(file).get("algo") in TENSOR_ALGORITHMS:
+    if has_script(file):
         return _only_means(file, deterministic, trust)
     return load_model(file, env, deterministic=deterministic, trust=trust)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import logging
 import warnings
@@ -27,7 +26,8 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from embodichain.config.keys.algorithms import ALGORITHMS, AlgoCfg
+from embodichain.config.keys.algorithms import AlgoCfg
+from embodichain.config.keys.learners import LEARNERS
 from embodichain.learning.sb3.asymmetric import ASYMMETRIC
 from embodichain.learning.sb3.extractors import EXTRACTORS
 from embodichain.learning.sb3.normalization import number_keys
@@ -85,18 +85,11 @@ def algorithm_class(name: str) -> type[BaseAlgorithm]:
     Raises:
         ConfigError: If the name is unknown (lists all), or a package is not installed (names it).
     """
-    if name not in ALGORITHMS:
-        message = f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}"
-        raise ConfigError([Problem("algo.name", message, did_you_mean(name, ALGORITHMS).strip())])
-    package, _, attribute = ALGORITHMS[name][0].rpartition(".")
-    try:
-        module = importlib.import_module(package)
-    except ModuleNotFoundError as error:
-        if error.name != package:
-            raise
-        message = f"{name} needs a package: pip install {package.replace('_', '-')}"
-        raise ConfigError([Problem("algo.name", message)]) from error
-    algorithm: type[BaseAlgorithm] = getattr(module, attribute)
+    names = [key for key, entry in LEARNERS.items() if issubclass(entry.config, AlgoCfg)]
+    if name not in names:
+        message = f"unknown algorithm {name!r}; allowed: {', '.join(names)}"
+        raise ConfigError([Problem("algo.name", message, did_you_mean(name, names).strip())])
+    algorithm: type[BaseAlgorithm] = LEARNERS[name].load()
     return algorithm
 
 
@@ -174,7 +167,7 @@ class Algorithm:
     @property
     def is_cloning(self) -> bool:
         """Whether the algorithm learns from demonstrations alone."""
-        return self.name == "bc"
+        return LEARNERS[self.name].demonstrations == "only"
 
     def build(self, vec_env: SB3VecEnv, seed: int | None) -> BaseAlgorithm:
         """Construct the algorithm for an environment, with `VecNormalize` if configured.

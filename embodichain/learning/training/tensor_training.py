@@ -1,12 +1,10 @@
-"""Training of rsl_rl and skrl: `TensorAlgorithm` builds, `TensorSession` trains and saves.
+"""Training on the environment's tensors: `TensorAlgorithm` builds, `TensorSession` trains.
 
-The loop, logs and checkpoints are the same for both libraries; a `Learner` is one of them.
+The loop, logs and checkpoints are the same for all libraries; a `Learner` is one of them.
 """
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import random
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -20,7 +18,8 @@ from stable_baselines3.common.utils import set_random_seed
 from torch import Tensor
 
 from embodichain import __version__
-from embodichain.config.keys.tensor_algorithms import TENSOR_ALGORITHMS, TensorAlgoCfg
+from embodichain.config.keys.learners import LEARNERS
+from embodichain.config.keys.tensor_algorithms import TensorAlgoCfg
 from embodichain.learning.checkpoints.checkpoint import DIGEST, save_script
 from embodichain.learning.checkpoints.curriculum_stage import save_stage
 from embodichain.learning.checkpoints.plain_state import write_tree
@@ -45,7 +44,10 @@ __all__ = ["Learner", "TensorAlgorithm", "TensorSession"]
 
 
 class Learner(Protocol):
-    """An algorithm of a library: it acts, stores steps, and learns from so many of them.
+    """An algorithm: it acts, stores steps, and learns from so many of them.
+
+    It is made by ``build(cfg, env)``, with its config and the `TensorEnv` that it learns in, and
+    registered with `learner`, see `embodichain.config.keys.learners`.
 
     Attributes:
         steps: Control steps of each environment between two updates.
@@ -81,7 +83,7 @@ class Learner(Protocol):
 
 @dataclass(frozen=True)
 class TensorAlgorithm:
-    """A checked algorithm of rsl_rl or skrl, not yet built; see `Algorithm`."""
+    """A checked algorithm on tensors, not yet built; see `Algorithm`."""
 
     cfg: TensorAlgoCfg
     flat: ClassVar[bool] = True
@@ -95,10 +97,7 @@ class TensorAlgorithm:
         Raises:
             ConfigError: It is not; names the extra.
         """
-        package, extra = TENSOR_ALGORITHMS[cfg.name]
-        if importlib.util.find_spec(package) is None:
-            message = f"{cfg.name} needs a package: pip install 'embodichain[{extra}]'"
-            raise ConfigError([Problem("algo.name", message)])
+        LEARNERS[cfg.name].require()
         return cls(cfg)
 
     @property
@@ -117,13 +116,13 @@ class TensorAlgorithm:
         Raises:
             ConfigError: If a rollout has fewer steps than there are batches.
         """
-        module = importlib.import_module(f"embodichain.learning.tensors.{self.name}")
+        build = LEARNERS[self.name].load()
         if seed is not None:
             set_random_seed(seed)
-        learner: Learner
-        learner = (module.RslRlPpo if self.name == "rsl_rl_ppo" else module.SkrlPpo)(self.cfg, env)
-        key = "num_mini_batches" if self.name == "rsl_rl_ppo" else "mini_batches"
-        batches, steps = getattr(self.cfg, key), learner.steps * env.num_envs
+        learner: Learner = build(self.cfg, env)
+        key = self.cfg.batches_key
+        batches = getattr(self.cfg, key) if key else 1
+        steps = learner.steps * env.num_envs
         if batches > steps:
             message = (
                 f"a rollout has {steps} steps in all environments, {batches} batches need more"

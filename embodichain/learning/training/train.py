@@ -16,7 +16,8 @@ from stable_baselines3.common.logger import KVWriter
 
 from embodichain.config import Resolved, make_batch
 from embodichain.config.checks.validation import check_training_keys
-from embodichain.config.keys.algorithms import DEFAULT_ALGORITHM, LEARN_FROM_DATA, AlgoCfg
+from embodichain.config.keys.algorithms import DEFAULT_ALGORITHM, AlgoCfg
+from embodichain.config.keys.learners import LEARNERS
 from embodichain.config.keys.schema import RootCfg
 from embodichain.config.keys.tensor_algorithms import TensorAlgoCfg
 from embodichain.config.run_folder import SUMMARY
@@ -324,12 +325,14 @@ def _algorithm(cfg: AlgoCfg | TensorAlgoCfg) -> AnyAlgorithm:
 def _check_dataset(root: RootCfg) -> list[Problem]:
     """Check that there are demonstrations if the algorithm needs them, and only if it takes any."""
     algo = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
+    use = LEARNERS[algo].demonstrations
     if root.dataset is None:
-        message = "bc learns from demonstrations: dataset=FOLDER of `embodichain collect`, or a log"
-        return [Problem("dataset", message)] if algo == "bc" else []
-    if algo not in LEARN_FROM_DATA:
+        message = f"{algo} learns from demonstrations: dataset=FOLDER of `embodichain collect`, "
+        return [Problem("dataset", f"{message}or a log")] if use == "only" else []
+    if use == "none":
+        takers = [name for name, entry in LEARNERS.items() if entry.demonstrations != "none"]
         message = f"{algo} learns from its own steps alone; what takes demonstrations: "
-        return [Problem("dataset", message + ", ".join(LEARN_FROM_DATA))]
+        return [Problem("dataset", message + ", ".join(takers))]
     paths = [root.dataset] if isinstance(root.dataset, str) else root.dataset
     missing = [path for path in paths if not Path(path).exists()]
     return [Problem("dataset", f"there is no file or folder {path!r}") for path in missing]

@@ -9,6 +9,14 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "episodes": ["export_episodes"],
-        "formats": ["EPISODE_FORMATS", "FORMATS", "Part", "export"],
+        "format_register": [
+            "EPISODE_FORMATS",
+            "FORMATS",
+            "episode_format",
+            "log_format",
+            "required",
+        ],
+        "log_export": ["export"],
+        "log_parts": ["Part"],
     },
 )

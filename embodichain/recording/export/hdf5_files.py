@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from embodichain.config.robomimic_env import ENV_NAME
-from embodichain.recording.export.formats import required
+from embodichain.recording.export.format_register import required
 from embodichain.recording.export.meaning import action_names, describe_action, instruction_of
 from embodichain.recording.format.attachments import SCENE, scene_files
 from embodichain.recording.format.log_error import LogError

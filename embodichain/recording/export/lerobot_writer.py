@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording.export.formats import required
+from embodichain.recording.export.format_register import required
 from embodichain.recording.export.parquet_files import new_parquet
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system.video import VideoFile, need_encoder

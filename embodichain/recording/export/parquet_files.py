@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from embodichain.recording.export.formats import required
+from embodichain.recording.export.format_register import required
 
 __all__ = ["new_parquet"]
 

@@ -142,7 +142,7 @@ def test_the_command(logs, tmp_path, capsys):
         ("export", "a", "--format", "csv", "--observations"): "csv has no observations",
         ("export", "a", "--format", "lerobot", "--failures"): "--failures needs --observations",
         ("export", "a", "b", "--format", "lerobot"): "one log at a time: a, b",
-        ("export", "a", "--observations"): "--format is needed: csv, npz",
+        ("export", "a", "--observations"): "--format is needed: csv, hdf5",
     }.items():
         assert main(list(wrong)) == 2
         assert why in capsys.readouterr().err

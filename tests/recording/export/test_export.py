@@ -22,7 +22,7 @@ import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import RecordOptions
 from embodichain.recording.export import FORMATS, Part, export
-from embodichain.recording.export.ros2 import urdf
+from embodichain.recording.export.formats.ros2 import urdf
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL
 
@@ -412,7 +412,7 @@ def test_the_command(record, tmp_path, capsys):
     assert pd.read_csv(said["file"])["step"].tolist() == np.repeat([2, 3, 4], 3).tolist()
     for arguments, message in [
         (["--format", "csv"], "exists; it is never replaced"),
-        (["--format", "cvs"], "no format 'cvs'. Did you mean 'csv'?"),
+        (["--format", "cvs"], "unknown export format 'cvs'; there are: csv, hdf5"),
         (["--format", "npz", "--episode", "1"], "--episode needs --env"),
         (["--format", "npz", "--env", "7"], "no environment 7 in the log: there are 0 to 2"),
         (["--format", "npz", "-o", str(tmp_path / "no" / "x")], "does not exist"),
@@ -445,3 +445,19 @@ def test_hdf5_on_a_full_disk_is_an_error_and_nothing_is_left(record, tmp_path, k
     assert done.returncode == 1
     assert done.stderr == f"error: File too large: {out}/x.hdf5\n"
     assert list(out.iterdir()) == []
+
+
+def test_formats_are_named_in_help_without_importing_one():
+    script = (
+        "import sys\n"
+        "from embodichain.cli import main\n"
+        "assert main(['export', '--help']) == 0\n"
+        "heavy = {'torch', 'mujoco'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    words = " ".join(done.stdout.split())
+    assert f"Of a log: {', '.join(FORMATS)}, robomimic" in words

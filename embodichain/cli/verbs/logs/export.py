@@ -21,7 +21,7 @@ from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.learning.policies.exporting import Format
-    from embodichain.recording.export.formats import Part
+    from embodichain.recording.export.log_parts import Part
     from embodichain.recording.read.api import Log
 
 __all__ = ["command"]
@@ -29,6 +29,36 @@ __all__ = ["command"]
 _POLICIES: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
 """Format of a policy -> the suffix of its file."""
 _NOTHING = "nothing was written, an export is whole or not there"
+_OF_PARTS = {
+    "env": "env",
+    "episode": "episode",
+    "from": "start",
+    "to": "stop",
+    "camera": "cameras",
+    "size": "size",
+}
+"""Flag -> option, of what chooses a part of a log."""
+
+
+def _log_formats() -> list[str]:
+    """Names of the formats of logs, none of which is imported."""
+    from embodichain.recording.export.format_register import EPISODE_FORMATS, FORMATS
+
+    return list(dict.fromkeys([*FORMATS.names(), *EPISODE_FORMATS.names()]))
+
+
+class _FormatOption(click.Option):
+    """`--format`, whose help names the formats that are installed."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Look the formats up when help is asked for, not when the verb is imported."""
+        logs, policies = ", ".join(_log_formats()), ", ".join(_POLICIES)
+        self.help = f"Of a log: {logs} (`embodichain list formats`); of a policy: {policies}."
+        return super().get_help_record(ctx)
+
+
+def _complete_format(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    return [name for name in [*_log_formats(), *_POLICIES] if name.startswith(incomplete)]
 
 
 def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
@@ -93,16 +123,16 @@ class ExportOptions:
 @click.option(
     "--format",
     "form",
+    cls=_FormatOption,
     metavar="F",
-    help="Of a log: csv, npz, parquet, hdf5, robomimic, lerobot, rrd, ros2 or mp4; of a policy: "
-    "onnx (default) or torchscript.",
+    shell_complete=_complete_format,
 )
-@click.option("--output", "-o", metavar="OUT", help="A new file (lerobot: folder).")
+@click.option("--output", "-o", metavar="OUT", help="A new file, or folder if the format is one.")
 @click.option(
     "--observations",
     is_flag=True,
-    help="lerobot: the task's observations instead of states; of several logs, too. robomimic has "
-    "no other.",
+    help="The task's observations instead of states, where a format has both (lerobot); of "
+    "several logs, too.",
 )
 @click.option("--group", metavar="G", help="The observation group. Default: policy.")
 @click.option(
@@ -117,7 +147,7 @@ class ExportOptions:
     "cameras",
     multiple=True,
     metavar="NAME",
-    help="hdf5, lerobot, rrd, mp4: draw this camera; may be repeated. Default: the task's sensors.",
+    help="Formats with pictures: draw this camera; may be repeated. Default: the task's sensors.",
 )
 @click.option("--size", metavar="WxH", help="Pixels of the pictures. Default: each camera's own.")
 def command(options: ExportOptions) -> None:
@@ -127,9 +157,7 @@ def command(options: ExportOptions) -> None:
     if options.words[0] == "policy":
         _export_policy(options)
     elif options.form is None:
-        from embodichain.recording.export.formats import EPISODE_FORMATS, FORMATS
-
-        raise ConfigError(f"--format is needed: {', '.join(FORMATS | EPISODE_FORMATS)}")
+        raise ConfigError(f"--format is needed: {', '.join(_log_formats())}")
     elif _has_observations(options):
         _export_episodes(options.form, options)
     elif len(options.words) > 1:
@@ -144,16 +172,17 @@ def _has_observations(options: ExportOptions) -> bool:
     Raises:
         ConfigError: If other options do not fit.
     """
-    if options.form == "robomimic" or options.observations:
-        of_steps = ("env", "episode", "start", "stop", "cameras", "size")
-        typed = [name for name in of_steps if getattr(options, name) not in (None, ())]
-        if typed:
-            flag = {"start": "from", "stop": "to", "cameras": "camera"}.get(typed[0], typed[0])
-            raise ConfigError(f"--{flag} is not for observations: they are of whole episodes")
+    from embodichain.recording.export.format_register import EPISODE_FORMATS, FORMATS
+
+    alone = [name for name in EPISODE_FORMATS.names() if name not in FORMATS.names()]
+    if options.form in alone or options.observations:
+        for flag, name in _OF_PARTS.items():
+            if getattr(options, name) not in (None, ()):
+                raise ConfigError(f"--{flag} is not for observations: they are of whole episodes")
         return True
     for flag in ("group", "failures"):
         if getattr(options, flag):
-            raise ConfigError(f"--{flag} needs --observations or --format robomimic")
+            raise ConfigError(f"--{flag} needs --observations or --format {', '.join(alone)}")
     return False
 
 
@@ -244,7 +273,8 @@ def _write_policy(target: Target, overrides: list[str], out: Path, form: Format)
 
 
 def _export_log(form: str, options: ExportOptions) -> None:
-    from embodichain.recording.export.formats import Part
+    from embodichain.recording.export.format_register import FORMATS
+    from embodichain.recording.export.log_parts import Part
     from embodichain.recording.shards import joining
 
     if options.episode is not None and options.env is None:
@@ -262,8 +292,8 @@ def _export_log(form: str, options: ExportOptions) -> None:
     )
     ended = ""
     with warnings_on_stderr(), joining.open(log_of(options.words[0]), simulate=True) as log:
-        if form == "mp4":
-            path, ended = _film(log, part, options)
+        if FORMATS[form].film:
+            path, ended = _film(log, form, part, options)
         else:
             path = _write(log, form, part, options.output)
         say_warnings(log.path, log.warnings)
@@ -277,7 +307,7 @@ def _export_log(form: str, options: ExportOptions) -> None:
 
 def _write(log: Log, form: str, part: Part, out: str | None) -> Path:
     """Write any format but a video; a signal leaves no file."""
-    from embodichain.recording.export.formats import export
+    from embodichain.recording.export.log_export import export
 
     try:
         return export(log, form, out, part)
@@ -285,9 +315,9 @@ def _write(log: Log, form: str, part: Part, out: str | None) -> Path:
         raise Interrupted(f"{error}; {_NOTHING}") from None
 
 
-def _film(log: Log, part: Part, options: ExportOptions) -> tuple[Path, str]:
+def _film(log: Log, form: str, part: Part, options: ExportOptions) -> tuple[Path, str]:
     """Write a video; also returns a message if a signal ended it early."""
-    from embodichain.recording.export.formats import export
+    from embodichain.recording.export.log_export import export
     from embodichain.recording.film.filming import Filmed
 
     filmed = Filmed(0, -1, whole=False)
@@ -299,14 +329,7 @@ def _film(log: Log, part: Part, options: ExportOptions) -> tuple[Path, str]:
             filmed = now
             show(now)
 
-        path = export(
-            log,
-            "mp4",
-            options.output,
-            part,
-            progress=progress,
-            stop=stop.is_stopped,
-        )
+        path = export(log, form, options.output, part, progress=progress, stop=stop.is_stopped)
         if not filmed.pictures:
             raise Interrupted(ended_early(stop, filmed, path))
         if stop.is_stopped():

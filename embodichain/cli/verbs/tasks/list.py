@@ -1,7 +1,11 @@
-"""`embodichain list`: lists tasks, robots, policies or terms. Imports neither MuJoCo nor torch."""
+"""`embodichain list`: lists tasks, robots, policies, terms and what else is registered.
+
+Imports neither MuJoCo nor torch.
+"""
 
 from __future__ import annotations
 
+import inspect
 import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -19,6 +23,7 @@ __all__ = ["command"]
 
 Rows = list[dict[str, Any]]
 _FAULT = "cannot load"
+_KINDS = ("tasks", "robots", "policies", "terms", "formats", "viewers", "learners", "steps")
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,7 @@ class ListOptions:
     """What was typed after `list`.
 
     Attributes:
-        what: ``tasks``, ``robots``, ``policies`` or ``terms``.
+        what: The kind: an entry of `_KINDS`.
         markdown: Print terms as the page docs/terms.md.
         json: Print the result as one JSON object.
     """
@@ -43,13 +48,15 @@ class ListOptions:
     ("list policies", "trained policies that ship, and how often they succeed"),
     ("list terms", "functions for events, observations, rewards, ..."),
     ("list terms --markdown", "the same as a page, with parameters and examples"),
+    ("list formats", "what logs can be exported as"),
+    ("list learners", "algorithms of algo=NAME"),
     options=ListOptions,
     config_dir=True,
 )
-@click.argument("what", type=click.Choice(["tasks", "robots", "policies", "terms"]))
+@click.argument("what", type=click.Choice(_KINDS))
 @click.option("--markdown", is_flag=True, help="Terms as the page docs/terms.md.")
 def command(options: ListOptions) -> None:
-    """List tasks, robots, policies or terms, as a table or as JSON."""
+    """List things of one kind, as a table or as JSON."""
     if options.markdown:
         if options.what != "terms" or options.json:
             raise ConfigError("--markdown goes with `list terms`, without --json")
@@ -57,8 +64,17 @@ def command(options: ListOptions) -> None:
 
         sys.stdout.write(catalogue())
         return
-    made = {"tasks": _tasks, "robots": _robots, "policies": _policies, "terms": _terms}
-    rows = made[options.what]()
+    makers = {
+        "tasks": _tasks,
+        "robots": _robots,
+        "policies": _policies,
+        "terms": _terms,
+        "formats": _formats,
+        "viewers": _viewers,
+        "learners": _learners,
+        "steps": _steps,
+    }
+    rows = makers[options.what]()
     if options.json:
         print_json({options.what: rows})
         return
@@ -154,4 +170,48 @@ def _terms() -> Rows:
         for kind in SECTION_OF
         for entry in entries
         if kind in entry.kinds
+    ]
+
+
+def _formats() -> Rows:
+    """Formats of logs, none of which is imported."""
+    from embodichain.recording.export.format_register import EPISODE_FORMATS, FORMATS
+
+    both = {"the log": FORMATS.summaries(), "observations": EPISODE_FORMATS.summaries()}
+    return [
+        {"name": name, "of": contents, "what": summary}
+        for contents, summaries in both.items()
+        for name, summary in summaries.items()
+    ]
+
+
+def _viewers() -> Rows:
+    """Viewers, none of which is imported."""
+    from embodichain.config.keys.viewers import VIEWERS
+
+    return [{"name": name, "what": summary} for name, summary in VIEWERS.summaries().items()]
+
+
+def _learners() -> Rows:
+    """Learners; their configs are imported, the algorithms are not."""
+    from embodichain.config.keys.learners import LEARNERS
+
+    return [
+        {"name": name, "algorithm": entry.builds, "demonstrations": entry.demonstrations}
+        for name, entry in LEARNERS.items()
+    ]
+
+
+def _steps() -> Rows:
+    """Steps of experts, with their parameters."""
+    from embodichain.lab.gym.envs.managers.terms.registry import describe_term
+    from embodichain.lab.gym.expert.step_register import STEPS
+
+    return [
+        {
+            "name": name,
+            "params": ", ".join(describe_term("step", step, name).params),
+            "what": (inspect.getdoc(step) or "").partition("\n")[0],
+        }
+        for name, step in STEPS.items()
     ]

@@ -11,21 +11,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import groupby
-from typing import Any
+from typing import Any, get_args
 
 from embodichain.lab.gym.envs.managers.param_types import Fraction
 from embodichain.lab.gym.envs.managers.terms.check import check_params
 from embodichain.lab.gym.envs.managers.terms.registry import TermSpec, describe_term
 from embodichain.lab.gym.expert.instructions import Grip, Phase, Target
-from embodichain.lab.gym.expert.steps import STEPS, Maker
+from embodichain.lab.gym.expert.step_register import COMPOSITES, STEPS, Aim, Arm, Maker
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import show_value
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["ReadStep", "read_steps"]
 
-_NAMES = (*STEPS, "repeat", "together")
-_TARGETS = ("to", "of", "align")
+_NAMING = ("to", "of", "align")
+"""Parameters whose value tells steps of one kind apart in messages; the first that is set does."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,8 @@ def _read(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
         value = {value: None}
     if not isinstance(value, Mapping) or len(value) != 1:
         names = ", ".join(map(str, value)) if isinstance(value, Mapping) else show_value(value)
-        message = f"a step is a map with one key, its name, got {names}; steps: {', '.join(_NAMES)}"
+        allowed = ", ".join([*STEPS, *COMPOSITES])
+        message = f"a step is a map with one key, its name, got {names}; steps: {allowed}"
         raise ConfigError([Problem(path, message)])
     name, given = next(iter(value.items()))
     path = f"{path}.{name}"
@@ -104,8 +105,7 @@ def _read(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
     if name == "together":
         return _together(given, path, number, lane)
     if name not in STEPS:
-        message = f"unknown step {str(name)!r}; allowed: {', '.join(_NAMES)}."
-        raise ConfigError([Problem(path, message, did_you_mean(str(name), _NAMES).strip())])
+        raise ConfigError([_unknown_step(str(name), path)])
     spec = _described(name)
     params = _params(given, next(iter(spec.params), ""), path)
     common: dict[str, Any] = {key: params.pop(key) for key in ("arm", "speed") if key in params}
@@ -114,20 +114,35 @@ def _read(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
     if problems or found:
         raise ConfigError([*problems, *found])
     arm = shared.get("arm", lane or "")
-    if lane is not None and arm != lane or (lane is not None and name == "hand_over"):
-        message = f"contradicts {lane!r}, whose steps these are"
-        raise ConfigError([Problem(f"{path}.{'to' if name == 'hand_over' else 'arm'}", message)])
-    arms = {"arm": arm} | ({"to": values["to"]} if name == "hand_over" else {})
-    named = next((values[key] for key in _TARGETS if isinstance(values.get(key), str)), "")
+    other_arms = {key: values[key] for key in _parameters_of_type(spec, Arm) if key in values}
+    if lane is not None:
+        contradiction = "arm" if arm != lane else next(iter(other_arms), None)
+        if contradiction is not None:
+            message = f"contradicts {lane!r}, whose steps these are"
+            raise ConfigError([Problem(f"{path}.{contradiction}", message)])
+    targets = [
+        (f"{path}.{key}", values[key])
+        for key in _parameters_of_type(spec, Aim)
+        if values.get(key) is not None
+    ]
+    named = next((values[key] for key in _NAMING if isinstance(values.get(key), str)), "")
     maker = Maker(f"step {number}, {name} {named}".rstrip(), arm, shared.get("speed", 1.0))
     made = STEPS[name](maker, **spec.arguments(values))
     phases: list[Phase] = [{arm: list(part)} for arm, part in groupby(made, lambda one: one.arm)]
-    targets = [
-        (f"{path}.{key}", aim)
-        for key, aim in values.items()
-        if key in _TARGETS and key not in arms and aim is not None and not isinstance(aim, bool)
-    ]
-    return ReadStep(path, phases, targets, arms, lane=lane)
+    return ReadStep(path, phases, targets, {"arm": arm} | other_arms, lane=lane)
+
+
+def _unknown_step(name: str, path: str) -> Problem:
+    """Name the steps that exist, and the packages with steps that could not be loaded."""
+    names = [*STEPS, *COMPOSITES]
+    besides = "".join(f" Besides, {reason}." for reason in STEPS.broken)
+    message = f"unknown step {name!r}; allowed: {', '.join(names)}.{besides}"
+    return Problem(path, message, did_you_mean(name, names).strip())
+
+
+def _parameters_of_type(spec: TermSpec, kind: Any) -> list[str]:
+    """Names of the parameters annotated with a type, or with it or None, in order."""
+    return [name for name, hint in spec.hints().items() if hint == kind or kind in get_args(hint)]
 
 
 @cache

@@ -11,70 +11,29 @@ the directions in a full turn that are as good.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
-
-from pydantic import Field, PlainValidator
 
 from embodichain.lab.gym.envs.managers.param_types import Fraction, NonNegative, Positive
-from embodichain.lab.gym.expert.instructions import (
-    Goal,
-    Grip,
-    Instruction,
-    Move,
-    Target,
-    Vector,
-    Wait,
+from embodichain.lab.gym.expert.instructions import Goal, Vector
+from embodichain.lab.gym.expert.step_register import (
+    PASSING_DISTANCE,
+    STEPS,
+    Aim,
+    Arm,
+    Axes,
+    Made,
+    Maker,
+    Turns,
+    expert_step,
 )
 
 __all__ = ["STEPS", "Maker"]
 
-
-def _as_target(value: Any) -> Target:
-    if not isinstance(value, str) and not callable(value):
-        raise ValueError("must be an entity, ENTITY/NAME, a command or world")
-    return value
-
-
-Aim = Annotated[Target, PlainValidator(_as_target)]
-Axes = Literal["world", "target", "tool"]
-Turns = Annotated[int, Field(ge=1)]
-Made = Iterator[Instruction]
 _ZERO: Vector = (0.0, 0.0, 0.0)
 _NEAR = 0.004
-"""M: how near the tool must be to a place where it grasps, releases or presses."""
-_PASS = 0.03
-"""M: how near it must be to a place that it passes."""
+"""Distance in metres that the tool must be within where it grasps, releases or presses."""
 
 
-@dataclass(frozen=True)
-class Maker:
-    """Makes the instructions of a step.
-
-    Attributes:
-        step: The step, for messages.
-        arm: Its arm; "" is the only one.
-        speed: Share of the largest speed.
-    """
-
-    step: str
-    arm: str = ""
-    speed: float = 1.0
-
-    def move(self, goal: Goal, near: float | None = _PASS, share: float = 1.0) -> Move:
-        """A motion at a share of the speed of the step."""
-        return Move(self.step, self.arm, goal, self.speed * share, near)
-
-    def grip(self, opens: bool, takes: Target | None = None) -> Grip:
-        """The fingers."""
-        return Grip(self.step, self.arm, opens, takes)
-
-    def wait(self, seconds: float) -> Wait:
-        """Time."""
-        return Wait(self.step, self.arm, seconds)
-
-
+@expert_step("move_to")
 def move_to(
     make: Maker,
     to: Aim | None = None,
@@ -95,6 +54,7 @@ def move_to(
     yield make.move(goal, tolerance)
 
 
+@expert_step("grasp")
 def grasp(
     make: Maker,
     of: Aim,
@@ -118,6 +78,7 @@ def grasp(
     yield make.grip(False, of)
 
 
+@expert_step("release")
 def release(make: Maker, retreat: NonNegative = 0.0) -> Made:
     """Opens the gripper, then moves back."""
     yield make.grip(True)
@@ -125,16 +86,19 @@ def release(make: Maker, retreat: NonNegative = 0.0) -> Made:
         yield make.move(Goal(back=retreat))
 
 
+@expert_step("close")
 def close(make: Maker) -> Made:
     """Closes the gripper on nothing, as for pressing."""
     yield make.grip(False)
 
 
+@expert_step("lift")
 def lift(make: Maker, by: Positive = 0.1) -> Made:
     """Moves the tool up."""
     yield make.move(Goal(above=by))
 
 
+@expert_step("place")
 def place(
     make: Maker,
     to: Aim,
@@ -154,6 +118,7 @@ def place(
     yield from release(make, retreat)
 
 
+@expert_step("push")
 def push(
     make: Maker,
     of: Aim,
@@ -176,6 +141,7 @@ def push(
     yield from lift(make, above)
 
 
+@expert_step("open")
 def open_(
     make: Maker,
     of: Aim,
@@ -190,9 +156,11 @@ def open_(
 ) -> Made:
     """Grasps a handle, as `grasp` does, and moves it straight by a vector at the speed `pull`."""
     yield from grasp(make, of, offset, axes, approach, align, symmetry, rpy)
-    yield make.move(Goal(offset=by, axes="tool" if axes == "tool" else "world"), _PASS, pull)
+    direction: Axes = "tool" if axes == "tool" else "world"
+    yield make.move(Goal(offset=by, axes=direction), PASSING_DISTANCE, pull)
 
 
+@expert_step("press")
 def press(
     make: Maker,
     of: Aim,
@@ -209,10 +177,11 @@ def press(
     yield make.move(Goal(back=approach + depth))
 
 
+@expert_step("hand_over")
 def hand_over(
     make: Maker,
     of: Aim,
-    to: str,
+    to: Arm,
     at: Vector | None = None,
     offset: Vector = _ZERO,
     axes: Axes = "world",
@@ -230,22 +199,7 @@ def hand_over(
     yield from release(make, retreat)
 
 
+@expert_step("wait")
 def wait(make: Maker, seconds: Positive) -> Made:
     """Waits."""
     yield make.wait(seconds)
-
-
-STEPS: dict[str, Callable[..., Made]] = {
-    "move_to": move_to,
-    "grasp": grasp,
-    "release": release,
-    "close": close,
-    "lift": lift,
-    "place": place,
-    "push": push,
-    "open": open_,
-    "press": press,
-    "hand_over": hand_over,
-    "wait": wait,
-}
-"""Name in a task file -> the step; `reading` has ``repeat`` and ``together`` besides."""

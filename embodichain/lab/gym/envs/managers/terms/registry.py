@@ -11,19 +11,18 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import logging
 import pkgutil
 import re
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
 from types import SimpleNamespace
 from typing import Any, Literal, TypeVar, cast, get_args
 
 from embodichain.lab.gym.envs.managers.terms.other_projects import translation_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.plugins import TERM_MODULES
+from embodichain.utils.register import load_entry_points
 from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
@@ -89,8 +88,6 @@ policy, which is described here but is not a term, only parameters; so are funct
 the steps of an expert)."""
 _LEAD_OF_QUANTITIES = ("obs", "action", "info")
 """Arguments that a quantity may take after `env`, in this order; not in observations."""
-
-logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
 Draws = Callable[..., Iterable[Any]]
@@ -215,7 +212,7 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
             except BaseException:
                 self._loaded = False
                 raise
-            self.broken = _load_entry_points()
+            self.broken = load_entry_points(ENTRY_POINTS, "the terms")
         return self.registered[kind]
 
     def __iter__(self) -> Iterator[Kind]:
@@ -223,24 +220,6 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
 
     def __len__(self) -> int:
         return len(KINDS)
-
-
-def _load_entry_points() -> list[str]:
-    """Import users' modules of terms; modules that fail are reported and left out."""
-    broken: list[str] = []
-    for entry in sorted(entry_points(group=ENTRY_POINTS)):
-        try:
-            entry.load()
-        except Exception as error:  # a user's module may raise anything; other terms must work
-            owner = "" if entry.dist is None else f" of {entry.dist.name}"
-            reason = f"{type(error).__name__}: {error}"
-            broken.append(
-                f"the terms of {entry.value!r} (entry point {entry.name!r}{owner}) could not be "
-                f"loaded: {reason}"
-            )
-            logger.warning("%s", broken[-1])
-            logger.debug("the traceback:", exc_info=error)
-    return broken
 
 
 def _import_modules(package: str) -> None:

@@ -17,10 +17,9 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
-import cloudpickle  # type: ignore[import-untyped]
 from omegaconf import OmegaConf
 
-from embodichain.cli.sweeps.launching import ClusterJob, ClusterLauncher
+from embodichain.cli.sweeps.launching import ClusterJob, ClusterLauncher, cluster
 from embodichain.cli.sweeps.sweep_jobs import process_log
 from embodichain.cli.terminal.process import Interrupted, signals_raise
 from embodichain.utils.errors import ConfigError, Problem
@@ -31,6 +30,7 @@ _CANCELLING = 120.0
 """Seconds for jobs to save after an interrupt."""
 
 
+@cluster("ray", package="ray", requires="embodichain[ray]")
 class RayLauncher(ClusterLauncher):
     """Runs jobs on Ray; the arguments are the keys of `conf/hydra/launcher/ray.yaml`."""
 
@@ -59,6 +59,7 @@ class RayLauncher(ClusterLauncher):
 
     def run_jobs(self, jobs: Sequence[ClusterJob], sweep: Path) -> Mapping[int, str]:
         """Start a task for each job, and wait for them."""
+        import cloudpickle  # type: ignore[import-untyped]
         import ray
 
         started = not ray.is_initialized()

@@ -15,7 +15,8 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.api import F64
-from embodichain.recording.export.formats import Part, poses, required
+from embodichain.recording.export.format_register import log_format, required
+from embodichain.recording.export.log_parts import Part, poses
 from embodichain.recording.format.container.mcap_writer import McapWriter
 from embodichain.recording.read.api import Log
 from embodichain.recording.views.channels import frame_names, scalar_joints
@@ -41,6 +42,7 @@ _ENDLESS = 1e9
 _ZERO, _UNIT = np.zeros(3), np.array([1.0, 0, 0, 0])
 
 
+@log_format("ros2", suffix=".mcap", requires="embodichain[ros2]")
 def write_ros2(log: Log, part: Part, path: Path) -> None:
     """Write the bag of the selected environment, or of the viewed ones.
 

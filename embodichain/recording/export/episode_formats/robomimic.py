@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording.demos.demonstrations import Episode
-from embodichain.recording.export.episodes import DataSet
+from embodichain.recording.export.data_set import DataSet
+from embodichain.recording.export.format_register import episode_format
 from embodichain.recording.export.hdf5_files import (
     ModelFiles,
     describe_root,
@@ -37,6 +38,7 @@ FLAT = "flat"
 """The vector of the whole group: the only observation of robomimic's gym environments."""
 
 
+@episode_format("robomimic", suffix=".hdf5", requires="embodichain[hdf5]")
 def write_episodes(data: DataSet, path: Path) -> None:
     """Write a data set.
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from embodichain.cli.sweeps.launching import ClusterJob, ClusterLauncher
+from embodichain.cli.sweeps.launching import ClusterJob, ClusterLauncher, cluster
 from embodichain.cli.sweeps.sweep_jobs import is_finished, process_log
 from embodichain.cli.terminal.process import INTERRUPTED, Interrupted, signals_raise
 from embodichain.utils.errors import ConfigError, Problem
@@ -69,6 +69,7 @@ class _SlurmJob:
         subprocess.run(["scontrol", "requeue", identity], check=True)
 
 
+@cluster("slurm", package="submitit", requires="embodichain[slurm]")
 class SlurmLauncher(ClusterLauncher):
     """Runs jobs on Slurm; the arguments are the keys of `conf/hydra/launcher/slurm.yaml`."""
 

@@ -20,7 +20,8 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
-from embodichain.recording.export.formats import Part, about, poses, required
+from embodichain.recording.export.format_register import log_format, required
+from embodichain.recording.export.log_parts import Part, about, poses
 from embodichain.recording.film.frames import FilmCamera, Placed, cameras_of, frames
 from embodichain.recording.read.api import Log
 from embodichain.recording.read.arrays import LogArrays
@@ -44,6 +45,7 @@ _PALETTE = (
 )
 
 
+@log_format("rrd", suffix=".rrd", requires="embodichain[rerun]", pictures=True)
 def write_rrd(log: Log, part: Part, path: Path) -> None:
     """Write the selected environment, or the viewed ones.
 
@@ -57,7 +59,7 @@ def write_rrd(log: Log, part: Part, path: Path) -> None:
     names = [name for name in log.columns if name in fields]
     offsets = _offsets(log) if len(envs) > 1 else {}
     places = np.array([offsets.get(env, np.zeros(3)) for env in envs])
-    required("rerun", "rrd")
+    required("rerun", "rrd", package="rerun-sdk")
     paths = {env: _camera_paths(log.model, env, cameras) for env in envs}
     recording = _Recording(log, _layout(log.model, envs, places, paths[envs[0]]))
     recording.log("world", recording.rr.ViewCoordinates.RIGHT_HAND_Z_UP, None)
@@ -103,7 +105,7 @@ class _Recording:
     """
 
     def __init__(self, log: Log, blueprint: Any) -> None:
-        self.rr: Any = required("rerun", "rrd")
+        self.rr: Any = required("rerun", "rrd", package="rerun-sdk")
         header = log.header
         self._dt = header.control_dt
         # The same log gives the same recording id: a viewer replaces it by a second export.
@@ -162,7 +164,7 @@ def _layout(
         places: (n, 3) positions of the environments, metres.
         cameras: Names of the cameras with pictures, to their paths.
     """
-    rrb: Any = required("rerun.blueprint", "rrd")
+    rrb: Any = required("rerun.blueprint", "rrd", package="rerun-sdk")
     center = np.array(model.stat.center, np.float64) + places.mean(axis=0)
     size = float(model.stat.extent) + float(np.linalg.norm(np.ptp(places, axis=0)))
     eye = center + size * _EYE / np.linalg.norm(_EYE)
@@ -284,7 +286,7 @@ def _camera_paths(model: mujoco.MjModel, env: int, names: Iterable[str]) -> dict
     that has either, so a name is one part of the path (``twins\/right``), and the part before it
     is no body's.
     """
-    rr: Any = required("rerun", "rrd")
+    rr: Any = required("rerun", "rrd", package="rerun-sdk")
     bodies = {model.body(i).name.partition("/")[0] for i in range(model.nbody)}
     group = "camera"
     while group in bodies:

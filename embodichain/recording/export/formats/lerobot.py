@@ -2,7 +2,7 @@
 
 `write_lerobot` writes what a log has: states, and the pictures of the task's cameras (camera
 sensors, and those of the event `record_camera_data`), rendered from the states. The task's
-observations are in `lerobot_episodes`.
+observations are in `episode_formats.lerobot`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.lerobot_env import image_key
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
-from embodichain.recording.export.formats import Part, demonstrations
+from embodichain.recording.export.format_register import log_format
 from embodichain.recording.export.lerobot_writer import Feature, LeRobotWriter, whole_fps
+from embodichain.recording.export.log_parts import Part, demonstrations
 from embodichain.recording.export.meaning import (
     describe_action,
     instruction_of,
@@ -57,6 +58,7 @@ class _Source(NamedTuple):
         return whole
 
 
+@log_format("lerobot", suffix="", requires="embodichain[lerobot]", pictures=True)
 def write_lerobot(log: Log, part: Part, path: Path) -> None:
     """Write the episodes of a part into a new folder, by environment, then in time.
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.lerobot_env import image_key, lerobot_parts
 from embodichain.recording.demos.demonstrations import Episode
-from embodichain.recording.export.episodes import DataSet
+from embodichain.recording.export.data_set import DataSet
+from embodichain.recording.export.format_register import episode_format
 from embodichain.recording.export.lerobot_writer import Feature, LeRobotWriter, whole_fps
 from embodichain.recording.export.meaning import (
     action_names,
@@ -34,6 +35,7 @@ __all__ = ["write_episodes"]
 _log = logging.getLogger(__name__)
 
 
+@episode_format("lerobot", suffix="", requires="embodichain[lerobot]")
 def write_episodes(data: DataSet, path: Path) -> None:
     """Write a data set into a new folder. What cannot be a video is left out, with a warning.
 

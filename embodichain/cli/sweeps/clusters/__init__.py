@@ -1,0 +1,1 @@
+"""Launchers of sweeps on clusters, one a file."""

@@ -1,0 +1,1 @@
+"""Formats of episodes with the task's observations, one a file."""

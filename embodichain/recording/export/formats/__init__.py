@@ -1,0 +1,1 @@
+"""Formats of what a log contains, one a file."""

@@ -1,0 +1,29 @@
+"""A table with a row for each step and environment, as text."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from embodichain.recording.export.format_register import log_format
+from embodichain.recording.export.log_parts import Part
+from embodichain.recording.export.tables import tables
+from embodichain.recording.read.api import Log
+
+__all__ = ["write_csv"]
+
+_ROWS = 1000
+"""Rows written between two looks at signals."""
+
+
+@log_format("csv", suffix=".csv")
+def write_csv(log: Log, part: Part, path: Path) -> None:
+    """Write a header line, ``field/column [unit]``, then the rows without loss of precision."""
+    with path.open("x", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        for index, (columns, values) in enumerate(tables(log, part)):
+            if index == 0:
+                writer.writerow([f"{c.name} [{c.unit}]" if c.unit else c.name for c in columns])
+            for at in range(0, len(values[0]), _ROWS):  # signals are handled between blocks
+                block = (v[at : at + _ROWS].tolist() for v in values)
+                writer.writerows(zip(*block, strict=True))

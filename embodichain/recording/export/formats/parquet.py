@@ -1,0 +1,33 @@
+"""The table of csv, typed, as a Parquet file."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from embodichain.recording.export.format_register import log_format, required
+from embodichain.recording.export.log_parts import Part, about
+from embodichain.recording.export.parquet_files import new_parquet
+from embodichain.recording.export.tables import tables
+from embodichain.recording.read.api import Log
+
+__all__ = ["write_parquet"]
+
+
+@log_format("parquet", suffix=".parquet", requires="embodichain[parquet]")
+def write_parquet(log: Log, part: Part, path: Path) -> None:
+    """Write a typed table with a row group for every part that was read; units are metadata."""
+    pa: Any = required("pyarrow", "parquet")
+    writer: Any = None
+    with ExitStack() as stack:
+        for columns, values in tables(log, part):
+            arrays = [pa.array(v) for v in values]
+            fields = [
+                pa.field(c.name, array.type, metadata={"unit": c.unit} if c.unit else None)
+                for c, array in zip(columns, arrays, strict=True)
+            ]
+            schema = pa.schema(fields, metadata=about(log))
+            if writer is None:
+                writer = stack.enter_context(new_parquet(path, schema, "parquet"))
+            writer.write_table(pa.table(arrays, schema=schema))

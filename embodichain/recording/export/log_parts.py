@@ -1,0 +1,122 @@
+"""The part of a log to write, and what the writers of parts share."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from embodichain.recording.read.api import Log
+from embodichain.recording.read.episodes import LogEpisode
+from embodichain.recording.read.playback import Playback, span_of
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["Part", "about", "demonstrations", "poses"]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """The part of a log to write.
+
+    Attributes:
+        env: One environment; None is all (for ROS 2 and Rerun the viewed ones, for mp4 the first
+            viewed one).
+        episode: One of its episodes; needs `env`.
+        start: First control step.
+        stop: End of the control steps, exclusive; None is the end of the log.
+        cameras: Cameras whose pictures are drawn, see `cameras_of`; None is all camera sensors of
+            the task (for mp4, one: the scene's ``default`` or a front view).
+        size: Width and height of the pictures in pixels; None is that of each camera.
+    """
+
+    env: int | None = None
+    episode: int | None = None
+    start: int = 0
+    stop: int | None = None
+    cameras: tuple[str, ...] | None = None
+    size: tuple[int, int] | None = None
+
+    @property
+    def last(self) -> int | None:
+        """Last control step, included; None is the end of the log."""
+        return None if self.stop is None else self.stop - 1
+
+    def envs_of(self, log: Log) -> list[int]:
+        """The selected environment, or the viewed ones if none is selected."""
+        return [self.env] if self.env is not None else log.header.view_envs or [0]
+
+    def steps_of(self, episode: LogEpisode) -> range:
+        """The control steps of an episode that are in the part."""
+        if self.env not in (None, episode.env) or self.episode not in (None, episode.episode):
+            return range(0)
+        stop = episode.last_step + 1 if self.stop is None else min(self.stop, episode.last_step + 1)
+        return range(max(self.start, episode.first_step), stop)
+
+
+def about(log: Log) -> dict[str, str]:
+    """Metadata for tables: task, seed, versions, whether the log is complete."""
+    header = log.header
+    return {
+        "task": header.task,
+        "seed": str(header.seed),
+        "num_envs": str(header.num_envs),
+        "control_dt": repr(header.control_dt),
+        "physics_dt": repr(header.physics_dt),
+        "mujoco_version": header.mujoco_version,
+        "complete": str(log.complete).lower(),
+        "quaternions": "wxyz",
+    }
+
+
+def demonstrations(log: Log, part: Part) -> list[tuple[LogEpisode, range]]:
+    """Return the episodes of a part and their steps in it, by environment, then in time.
+
+    With `record.every`, steps of some episodes are missing. These episodes are left out, since a
+    demonstration must have no gaps, and their number is logged.
+
+    Raises:
+        ConfigError: If there are no episodes.
+    """
+    chosen = [(episode, steps) for episode in log.episodes if (steps := part.steps_of(episode))]
+    if log.header.every > 1 and chosen:
+        recorded, count = log.read(()).steps, len(chosen)
+        chosen = [
+            (episode, steps)
+            for episode, steps in chosen
+            if np.diff(np.searchsorted(recorded, [steps.start, steps.stop]))[0] == len(steps)
+        ]
+        why = f"record.every={log.header.every} did not record all of their steps"
+        if not chosen:
+            raise ConfigError(f"none of {count} episodes is whole: {why}")
+        if len(chosen) < count:
+            _log.warning("%d of %d episodes are left out: %s", count - len(chosen), count, why)
+    if not chosen:
+        raise ConfigError("no episode is in the chosen range")
+    return chosen
+
+
+def poses(log: Log, env: int, part: Part) -> Iterator[tuple[int, mujoco.MjData, bool]]:
+    """Yield the control steps of a part of one environment.
+
+    Each comes with the input state of physics and its kinematics, in data that the next step
+    overwrites, and with whether `data.model`, the environment's model, has changed.
+
+    Raises:
+        ConfigError: If the part does not exist.
+        LogError: If the log is damaged.
+    """
+    playback, changes = Playback(log, env), -1
+    data = mujoco.MjData(log.model)
+    for step in playback.steps(span_of(log, env, part.episode, part.start, part.last)):
+        changed = playback.changes != changes
+        if changed:
+            changes, data = playback.changes, mujoco.MjData(playback.engine.model_of(0))
+        state = playback.engine.rows[0]
+        mujoco.mj_setState(data.model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_kinematics(data.model, data)
+        yield step, data, changed

@@ -1,0 +1,1 @@
+"""The viewers that `viewer.name` names, one a file."""

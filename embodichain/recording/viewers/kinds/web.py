@@ -1,0 +1,28 @@
+"""MuJoCo Studio in the browser: look, pause, step, reset, rewards of each term."""
+
+from __future__ import annotations
+
+from embodichain.recording.viewers.showing import Shown, Viewing, viewer
+from embodichain.recording.viewers.web import PageOptions, WebView
+
+__all__ = ["show_page"]
+
+
+@viewer("web", controls=True)
+def show_page(viewing: Viewing) -> Shown:
+    """Serve the page of an environment.
+
+    Raises:
+        ConfigError: If the address cannot be listened on, or the access does not fit it.
+    """
+    options = PageOptions(
+        viewing.cfg.host,
+        viewing.cfg.port,
+        viewing.cfg.env,
+        viewing.realtime,
+        viewing.resets,
+        access=viewing.access,
+    )
+    view = WebView(viewing.env, options, stopped=viewing.stopped, teleop=viewing.teleop)
+    viewing.env.add_observer(view)
+    return Shown(view.url, view.address, page=view)
