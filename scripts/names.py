@@ -34,6 +34,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from embodichain.lab.sim.configs.references import REFERENCE_WORDS
+
 ROOT = Path(__file__).parents[1]
 LIST = ROOT / "tests" / "packaging" / "public_names.txt"
 CHANGELOG = ROOT / "CHANGELOG.md"
@@ -203,7 +205,18 @@ def _split(line: str) -> tuple[str, list[str] | None]:
     if match is None:
         raise ValueError(f"not a line of the list: {line!r}")
     inside = match["parameters"]
-    return match["name"], None if inside is None else [w for w in inside.split(", ") if w]
+    if inside is None:
+        return match["name"], None
+    words = [word for word in inside.split(", ") if word]
+    if line.startswith("term "):
+        words = [_config_word(word) for word in words]
+    return match["name"], words
+
+
+def _config_word(word: str) -> str:
+    """A term's parameter as configs write it: lists of before have EmbodiChain's names too."""
+    name, optional, _ = word.partition("=")
+    return f"{REFERENCE_WORDS.get(name, name)}{optional}"
 
 
 def _refuses(before: list[str], now: list[str] | None) -> str:

@@ -98,7 +98,7 @@ def _sensor(cfg: Any) -> Any:
     """A sensor as EmbodiChain has it: observed, and with its axes of cameras."""
     if not isinstance(cfg, CameraCfg):
         return cfg
-    attached = cfg.extrinsics.parent or cfg.entity_cfg.uid
+    attached = cfg.extrinsics.parent or cfg.of.uid
     convention = cfg.convention or ("opengl" if attached else "ros")
     return dataclasses.replace(cfg, observe=True, convention=convention)
 

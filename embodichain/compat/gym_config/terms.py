@@ -39,7 +39,7 @@ _JOINTS = {
     "joint_ids": "joint_ids",
     "preserve_order": "preserve_order",
 }
-"""Parameters that pick a robot's joints -> the equivalent key of an `entity_cfg`."""
+"""Parameters that pick a robot's joints -> the equivalent key of a reference."""
 _EVERY_JOINT = "actions have only these; robot/qpos, robot/qvel and robot/qf have every joint"
 _CLIPPED_THERE = ("default_offset_joint_position",)
 """Terms for which EmbodiChain clamps actions to the same bounds as here."""
@@ -94,7 +94,7 @@ def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
         entity = {"uid": robot, name: env[key]}
         draft.note(("env", key), _EVERY_JOINT)
         if not env.get("actions"):
-            term = {"func": "joint_position", "params": {"entity_cfg": entity}}
+            term = {"func": "joint_position", "params": {"of": entity}}
             draft.put(("actions", "qpos"), term, ("env", key))
     for source, name, functor in draft.entries(env.get("actions"), ("env", "actions")):
         spec, func = _find(draft, "action", functor, source)
@@ -172,8 +172,8 @@ def _of_camera(params: dict[str, Any], func: str) -> dict[str, Any]:
 def _with_entity(
     params: dict[str, Any], spec: TermSpec | None, entity: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Move parameters that pick joints, and that the term here lacks, into its `entity_cfg`."""
-    if spec is None or "entity_cfg" not in spec.params or "entity_cfg" in params:
+    """Move parameters that pick joints, and that the term here lacks, into its `of`."""
+    if spec is None or "of" not in spec.params or "of" in spec.written(params).values():
         return params
     picked = {k: params[k] for k in (*_JOINTS, "robot_uid") if k in params and k not in spec.params}
     if not picked and spec.kind != "action":  # the user has to name the term's entity
@@ -182,7 +182,7 @@ def _with_entity(
     wanted = {_JOINTS[k]: v for k, v in picked.items() if k in _JOINTS and v is not None}
     which = {} if wanted.keys() - {"preserve_order"} else entity
     uid = picked.get("robot_uid", entity["uid"])
-    return {"entity_cfg": {**which, "uid": uid, **wanted}, **rest}
+    return {"of": {**which, "uid": uid, **wanted}, **rest}
 
 
 def _action_params(

@@ -40,6 +40,7 @@ from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS, resolve_t
 from embodichain.lab.gym.policies import PRETRAINED, resolve_policy
 from embodichain.lab.sim.cfg import WarpCfg, choose_engine
 from embodichain.lab.sim.compiler.prepared_scene import PreparedScene
+from embodichain.lab.sim.configs.references import REFERENCE_WORDS
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import unknown_key
 from embodichain.utils.suggest import did_you_mean
@@ -137,9 +138,24 @@ def check_tree(
         found, notes = check_given(types.root, types.tree)
         problems += found
         further = _check_meaning(types.root, verb, missing, allow_import, scene)
+        further = [_as_written(p, types.tree) for p in further]
         problems += [p for p in further if not _below(p.path, missing)]
     distinct = {p.path + p.message: p for p in problems}.values()
     return Check(_located(distinct, source), types, scene, tuple(_located(notes, source)))
+
+
+def _as_written(problem: Problem, tree: Mapping[str, Any]) -> Problem:
+    """The problem with the key path that the config has: ``of`` may be written `entity_cfg`."""
+    parts = problem.path.split(".")
+    node: Any = tree
+    for depth, part in enumerate(parts):
+        if not isinstance(node, Mapping):
+            break
+        if part not in node:
+            written = [name for name, word in REFERENCE_WORDS.items() if word == part]
+            parts[depth] = next((name for name in written if name in node), part)
+        node = node.get(parts[depth])
+    return replace(problem, path=".".join(parts))
 
 
 def _located(problems: Iterable[Problem], source: Callable[[str], str]) -> list[Problem]:

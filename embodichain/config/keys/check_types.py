@@ -17,12 +17,14 @@ from pydantic import TypeAdapter, ValidationError
 
 from embodichain.config.keys.algorithms import ALGO_INSTEAD, DEFAULT_ALGORITHM, PATTERNS, AnyAlgoCfg
 from embodichain.config.keys.schema import ROOT_INSTEAD, RootCfg
+from embodichain.lab.sim.configs.references import REFERENCE_WORDS
 from embodichain.lab.sim.configs.sensor_cfg import AnySensorCfg
 from embodichain.lab.sim.shapes import AnyShapeCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.fields.type_errors import (
     ErrorDetails,
     expected_kind,
+    said_twice,
     show_value,
     unknown_key,
     what_is_wrong,
@@ -179,6 +181,8 @@ def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:
     if len(loc) > 1 and loc[:-1] == ("task",):
         allowed = [name for name in allowed if name not in ROOT_INSTEAD]
     name = str(loc[-1])
+    if REFERENCE_WORDS.get(name) in allowed:
+        return Problem(path, said_twice(REFERENCE_WORDS[name]))
     if loc[:-1] == ("algo",) and name in ALGO_INSTEAD:
         return Problem(path, f"not a key of an algorithm; {ALGO_INSTEAD[name]}")
     message, hint = unknown_key(name, allowed)
@@ -220,8 +224,11 @@ def schema_at(parts: Sequence[str | int], data: Any) -> Mapping[str, Any]:
     schema = _chosen(_schema(), data)
     for part in parts:
         data = data[part] if _has(data, part) else None
-        if part in schema.get("properties", ()):
-            below = schema["properties"][part]
+        keys = schema.get("properties", {})
+        if part not in keys and REFERENCE_WORDS.get(str(part)) in keys:
+            part = REFERENCE_WORDS[str(part)]
+        if part in keys:
+            below = keys[part]
         else:
             below = schema.get("items" if isinstance(part, int) else "additionalProperties")
         schema = _chosen(below or {}, data)

@@ -352,7 +352,7 @@ def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]
         if isinstance(spec, AliasSpec):
             own = {key: params[name] for key, name in spec.names.items() if name in params}
             params = {**params, **own}
-        entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
+        entities = params.get("entity_cfgs") or [params.get("of", params.get("entity_cfg"))]
         for param, quantity in getattr(func, "drive_ranges", {}).items():
             bounds, operation = _bounds(params.get(param)), _operation(params, quantity)
             if quantity == "com" and params.get(param) is not None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import Field
 
+from embodichain.lab.sim.configs.references import OF, JointsCfg, LinksCfg
 from embodichain.lab.sim.configs.scene_cfg import Four, Quat, Vec3
 from embodichain.utils.configclass import configclass
 from embodichain.utils.fields.type_errors import from_dict, member_from_dict
@@ -41,50 +41,30 @@ _Pair = Annotated[Sequence[float], Field(min_length=2, max_length=2)]
 
 
 @configclass
-class LinksCfg:
-    """An entity and, optionally, some of its links, or of its sites, or of its geoms.
-
-    They are in the entity's order, or with `preserve_order` in the order of the patterns.
-    """
-
-    uid: str = ""
-    link_names: str | list[str] | None = None
-    """Names or regexes, matched in full."""
-    preserve_order: bool = False
-    site_names: str | list[str] | None = dataclasses.field(default=None, kw_only=True)
-    """Sites of the file instead."""
-    geom_names: str | list[str] | None = dataclasses.field(default=None, kw_only=True)
-    """Geoms of the file that have a name instead."""
-    link: str | None = dataclasses.field(default=None, kw_only=True)
-    """One link: its name, or a regex that only it matches."""
-    site: str | None = dataclasses.field(default=None, kw_only=True)
-    """One site, likewise."""
-    geom: str | None = dataclasses.field(default=None, kw_only=True)
-    """One geom, likewise."""
-
-
-@configclass
-class JointsCfg(LinksCfg):
-    """An entity and, optionally, some of its joints (links, sites and geoms are refused)."""
-
-    joint_names: str | list[str] | None = None
-    """Names or regexes, matched in full; without it, all joints that follow no other joint."""
-
-
-@configclass
 class SensorCfg:
     """Base of all sensors; `sensor_type` names the concrete one."""
 
+    other_names: ClassVar[dict[str, str]] = {"entity_cfg": "of"}
+    """Other names of keys -> the keys."""
     sensor_type: str = ""
     uid: str | None = None
     """Its key in a task."""
-    entity_cfg: LinksCfg = LinksCfg()
+    of: Annotated[LinksCfg, OF] = LinksCfg()
     """The links, sites or geoms it is fixed on."""
     observe: bool = False
     """Whether ``obs["sensor"][uid]`` contains its data; terms can read it in either case."""
     rate: float | None = None
     """Hz of simulated time; between measurements, reads return the last one. None measures at every
     read. A reset measures anew."""
+
+    @property
+    def entity_cfg(self) -> LinksCfg:
+        """Another name of `of`."""
+        return self.of
+
+    @entity_cfg.setter
+    def entity_cfg(self, reference: LinksCfg) -> None:
+        self.of = reference
 
     @classmethod
     def from_dict(cls, init_dict: dict[str, Any]) -> SensorCfg:
@@ -138,7 +118,7 @@ class FramePoseSensorCfg(SensorCfg):
 
     sensor_type: Literal["frame_pose"] = "frame_pose"
     site: str | None = None
-    """A site: the same as ``entity_cfg.site``."""
+    """A site: the same as ``of.site``."""
     pos: Vec3 = (0.0, 0.0, 0.0)
     """The frame's origin, metres in the frame of that link, site or geom."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -152,7 +132,7 @@ class JointTorqueSensorCfg(SensorCfg):
     """Generalized forces at joints: N m of hinges, N of slides."""
 
     sensor_type: Literal["joint_torque"] = "joint_torque"
-    entity_cfg: JointsCfg = JointsCfg()
+    of: Annotated[JointsCfg, OF] = JointsCfg()
     """The joints."""
 
 
@@ -250,7 +230,7 @@ class OffsetCfg:
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
     """wxyz; see `CameraCfg.convention`."""
     parent: str | None = None
-    """A link, site or geom: of the only robot, or ``UID/NAME``. `CameraCfg.entity_cfg` names one as
+    """A link, site or geom: of the only robot, or ``UID/NAME``. `CameraCfg.of` names one as
     well."""
 
 

@@ -100,15 +100,15 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
         if not np.isfinite(offset).all() or not offset.any():
             message = f"must be finite and not zero, metres, got {offset.tolist()}"
             problems.append(Problem("left_to_right_pos", message))
-    named = cfg.entity_cfg != LinksCfg(preserve_order=cfg.entity_cfg.preserve_order)
-    if named and not cfg.entity_cfg.uid:
+    named = cfg.of != LinksCfg(preserve_order=cfg.of.preserve_order)
+    if named and not cfg.of.uid:
         message = "missing: the entity that has the links, sites or geoms"
-        problems.append(Problem("entity_cfg.uid", message))
+        problems.append(Problem("of.uid", message))
     if cfg.camera is None:
         return problems + _check_extrinsics(cfg.extrinsics)
     if stereo:
         problems.append(Problem("camera", "a stereo_camera has two cameras: leave it out"))
-    own = {"fovy": cfg.fovy, "intrinsics": cfg.intrinsics, "entity_cfg": cfg.entity_cfg.uid}
+    own = {"fovy": cfg.fovy, "intrinsics": cfg.intrinsics, "of": cfg.of.uid}
     own["extrinsics"] = cfg.extrinsics != ExtrinsicsCfg()
     message = HAS_ITS_OWN.format(cfg.camera)
     return problems + [Problem(key, message) for key, given in own.items() if given]
@@ -173,9 +173,9 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
     """
     parent = cfg.extrinsics.parent
     if cfg.camera is not None or not parent:
-        return (cfg.entity_cfg if cfg.entity_cfg.uid else None), []
-    if cfg.entity_cfg.uid:
-        message = "entity_cfg is given as well: leave one of them out"
+        return (cfg.of if cfg.of.uid else None), []
+    if cfg.of.uid:
+        message = "of is given as well: leave one of them out"
         return None, [Problem("extrinsics.parent", message)]
     entities = {u: e for u, e in known.items() if e is not None and not isinstance(e, str)}
     uid, slash, rest = parent.partition("/")

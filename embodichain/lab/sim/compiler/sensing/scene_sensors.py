@@ -237,7 +237,7 @@ def _targets(model: mujoco.MjModel, cfg: RayCastCfg, entities: Mapping[str, Enti
     hits: Mask = np.isin(model.geom_group, cfg.geom_groups)
     if cfg.hit is not None:
         hits &= _geoms(model, cfg.hit, entities)
-    own = cfg.entity_cfg.uid
+    own = cfg.of.uid
     excluded = [own] if own and own not in (cfg.hit or ()) else []
     return hits & ~_geoms(model, excluded if cfg.exclude is None else cfg.exclude, entities)
 

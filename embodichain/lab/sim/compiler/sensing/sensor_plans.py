@@ -145,13 +145,13 @@ _Plan = tuple[SensorPlan | None, list[Problem]]
 def _plan_links(uid: str, cfg: SensorCfg, scene: _Names) -> _Plan:
     """Plan contacts, forces and torques on links, or an IMU on one link."""
     if isinstance(cfg, ImuSensorCfg):
-        frames, problems = scene.one("entity_cfg", cfg.entity_cfg)
+        frames, problems = scene.one("of", cfg.of)
         problems += _check_mount(cfg.pos, cfg.quat)
     else:
-        frames, problems = scene.frames("entity_cfg", cfg.entity_cfg)
+        frames, problems = scene.frames("of", cfg.of)
     others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
     if isinstance(cfg, ContactSensorCfg):
-        problems += _refuse_sites("entity_cfg", frames)
+        problems += _refuse_sites("of", frames)
         if cfg.against is not None:
             others, found = scene.others(cfg.against)
             problems += found
@@ -175,7 +175,7 @@ def _plan_camera(uid: str, cfg: CameraCfg, scene: _Names) -> _Plan:
     problems += found
     if where is None:
         return SensorPlan(uid, cfg, ()), problems
-    frames, found = scene.one("entity_cfg", where)
+    frames, found = scene.one("of", where)
     problems += found
     if problems or frames is None:
         return None, problems
@@ -183,7 +183,7 @@ def _plan_camera(uid: str, cfg: CameraCfg, scene: _Names) -> _Plan:
 
 
 def _plan_frame(uid: str, cfg: FramePoseSensorCfg, scene: _Names) -> _Plan:
-    entity, problems = cfg.entity_cfg, list[Problem]()
+    entity, problems = cfg.of, list[Problem]()
     if cfg.site is not None:
         given = [key for key in _FRAME_KEYS if getattr(entity, key) is not None]
         if given:
@@ -193,9 +193,9 @@ def _plan_frame(uid: str, cfg: FramePoseSensorCfg, scene: _Names) -> _Plan:
             entity = dataclasses.replace(entity, site=cfg.site)
             problems += scene.site(cfg)
         if any(cfg.pos) or tuple(cfg.quat) != (1, 0, 0, 0):
-            message = "has its own pose: leave pos and quat out, or name it in entity_cfg"
+            message = "has its own pose: leave pos and quat out, or name it in of"
             problems.append(Problem("site", message))
-    frames, found = (None, []) if problems else scene.one("entity_cfg", entity)
+    frames, found = (None, []) if problems else scene.one("of", entity)
     problems += found
     problems += _check_mount(cfg.pos, cfg.quat)
     others: tuple[tuple[mujoco.mjtObj, str], ...] = ()
@@ -212,7 +212,7 @@ def _plan_frame(uid: str, cfg: FramePoseSensorCfg, scene: _Names) -> _Plan:
 
 
 def _plan_joints(uid: str, cfg: JointTorqueSensorCfg, scene: _Names) -> _Plan:
-    entity = cfg.entity_cfg
+    entity = cfg.of
     joints, named_by, problems = scene.joints(entity)
     if problems or not joints:
         return None, problems
@@ -221,9 +221,9 @@ def _plan_joints(uid: str, cfg: JointTorqueSensorCfg, scene: _Names) -> _Plan:
 
 
 def _plan_rays(uid: str, cfg: RayCastCfg, scene: _Names) -> _Plan:
-    entity = cfg.entity_cfg
+    entity = cfg.of
     fixed = entity == LinksCfg()
-    frames, problems = (None, []) if fixed else scene.one("entity_cfg", entity)
+    frames, problems = (None, []) if fixed else scene.one("of", entity)
     problems += _check_mount(cfg.pos, cfg.quat)
     problems += _check_pattern(cfg.pattern)
     problems += _check_rays(cfg)
@@ -319,22 +319,22 @@ class _Names:
     def joints(self, cfg: JointsCfg) -> tuple[tuple[str, ...], tuple[NamedBy, ...], list[Problem]]:
         """The joints that a config picks, by default all active ones, and its entries."""
         for key in (key for key in _FRAME_KEYS if getattr(cfg, key) is not None):
-            return (), (), [Problem(f"entity_cfg.{key}", "this sensor takes joint_names")]
-        picked, problems = pick("entity_cfg", vars(cfg), self.known, self.open_scene)
+            return (), (), [Problem(f"of.{key}", "this sensor takes joint_names")]
+        picked, problems = pick("of", vars(cfg), self.known, self.open_scene)
         entity = self.known.get(cfg.uid)
         if problems or entity is None:
             return (), (), problems
         if isinstance(entity, (str, KnownObject)):
             what = entity if isinstance(entity, str) else "rigid object"
-            return (), (), [Problem("entity_cfg.uid", f"{cfg.uid!r} is a {what} without joints")]
+            return (), (), [Problem("of.uid", f"{cfg.uid!r} is a {what} without joints")]
         if not picked.joints:
-            return (), (), [Problem("entity_cfg", f"picks no joint of {cfg.uid!r}")]
+            return (), (), [Problem("of", f"picks no joint of {cfg.uid!r}")]
         return tuple(entity.joint_names[i] for i in picked.joints), picked.joints_by, []
 
     def site(self, cfg: FramePoseSensorCfg) -> list[Problem]:
         """Check the site that is named beside the entity."""
-        entity = self.known.get(cfg.entity_cfg.uid)
-        names = None if entity is None else frame_names(entity, cfg.entity_cfg.uid, "site")
+        entity = self.known.get(cfg.of.uid)
+        names = None if entity is None else frame_names(entity, cfg.of.uid, "site")
         if names is None or cfg.site is None or cfg.site in names:
             return []
         return [no_such("site", cfg.site, names or ("none",), "site")]
