@@ -35,6 +35,7 @@ from pathlib import Path
 from typing import Any
 
 from embodichain.lab.sim.configs.references import REFERENCE_WORDS
+from embodichain.lab.sim.configs.sensor_cfg import SensorCfg, sensor_configs
 
 ROOT = Path(__file__).parents[1]
 LIST = ROOT / "tests" / "packaging" / "public_names.txt"
@@ -147,6 +148,10 @@ def _fields(path: str, config: type, above: tuple[type, ...]) -> Iterator[str]:
 
 def _below(key: str, hint: Any, above: tuple[type, ...]) -> Iterator[str]:
     """Keys of the data classes in a type: of all variants of a union, of a mapping's values."""
+    if hint is SensorCfg:
+        for config in dict.fromkeys(sensor_configs().values()):
+            yield from _fields(key, config, above)
+        return
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         yield from _fields(key, hint, above)
         return

@@ -16,7 +16,7 @@ from embodichain.compat.gym_config.env_cfg import FUNCTORS, checked_cfg
 from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 from embodichain.lab.gym.envs.managers.terms.registry import TERMS, Kind
 from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, name_of
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg
+from embodichain.lab.sim.sensors.camera_cfg import CameraCfg
 from embodichain.utils.configclass import configclass, is_configclass
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.defaults import is_given

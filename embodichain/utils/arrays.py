@@ -26,6 +26,7 @@ __all__ = [
     "all_finite",
     "as_env_ids",
     "as_rows",
+    "as_tensor",
     "columns_of",
     "contiguous",
     "field_values",
@@ -138,6 +139,13 @@ def tensor_of(array: Any) -> torch.Tensor:
     module: Any = sys.modules.get("torch") or import_module("torch")
     found: torch.Tensor = module.from_numpy(array)
     return found
+
+
+def as_tensor(values: Any) -> torch.Tensor:
+    """Return numbers, an array or a tensor as a tensor, where they are."""
+    module: Any = sys.modules.get("torch") or import_module("torch")
+    tensor: torch.Tensor = module.as_tensor(values)
+    return tensor
 
 
 def zeros(shape: tuple[int, ...], like: Any) -> NDArray[np.float64]:

@@ -49,6 +49,7 @@ class Register(Generic[T]):
     def __init__(self, kind: str, *, group: str, modules: Sequence[str] = ()) -> None:
         self.kind = kind
         self.group = group
+        self._additions = 0
         self._modules = tuple(modules)
         self._members: dict[str, T] = {}
         self._places: dict[str, str] = {}
@@ -81,6 +82,7 @@ class Register(Generic[T]):
                     raise ValueError(
                         f"{self.kind} {each!r} of {place} is registered already, by {owner}"
                     )
+            self._additions += 1
             for each in (name, *other_names):
                 self._places[each] = place
                 self._members[each] = member  # type: ignore[assignment]
@@ -126,6 +128,12 @@ class Register(Generic[T]):
         return self._places[name]
 
     @property
+    def revision(self) -> int:
+        """How often something was registered: what follows from all of it is kept by this."""
+        self._loaded()
+        return self._additions
+
+    @property
     def broken(self) -> tuple[str, ...]:
         """One sentence, without its full stop, for each entry point that could not be loaded."""
         self._loaded()
@@ -160,9 +168,16 @@ class Register(Generic[T]):
             for module in self._modules:
                 importlib.import_module(module)
             self._broken = load_entry_points(self.group, f"the {self.kind}s")
+            # A module may have been imported before, by someone who needs it alone.
+            self._members = dict(sorted(self._members.items(), key=self._rank))
             self._is_loaded = True
         finally:
             self._is_loading = False
+
+    def _rank(self, item: tuple[str, T]) -> int:
+        """Place of a name's module among ours; all others come after them."""
+        module = self._places[item[0]].partition(":")[0]
+        return self._modules.index(module) if module in self._modules else len(self._modules)
 
 
 def load_entry_points(group: str, contents: str) -> list[str]:

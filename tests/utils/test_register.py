@@ -114,3 +114,21 @@ def test_a_module_may_look_things_up_while_it_is_imported(
     install(tmp_path, "guest_fish", source)
     assert list(zoo) == ["heron", "trout"]
     assert zoo.broken == ()
+
+
+def test_names_have_the_order_of_the_modules(tmp_path: Path, zoo: Register[type]) -> None:
+    (tmp_path / "zoo_fish.py").write_text(PLUGIN.format(names='"trout"', cls="Trout"))
+    (tmp_path / "zoo.py").write_text(
+        "from embodichain.utils.register import Register\n"
+        f"ANIMALS = Register('animal', group={GROUP!r}, modules=['zoo_fish', 'zoo_birds'])\n"
+    )
+    del sys.modules["zoo"]
+    __import__("zoo_birds")  # by someone who needs it alone
+    assert list(sys.modules["zoo"].ANIMALS) == ["trout", "heron"]
+
+
+def test_the_revision_changes_with_every_addition(zoo: Register[type]) -> None:
+    before = zoo.revision
+    assert zoo.revision == before
+    zoo.add("eagle")(object())
+    assert zoo.revision > before

@@ -18,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 from embodichain.config.keys.algorithms import ALGO_INSTEAD, DEFAULT_ALGORITHM, PATTERNS, AnyAlgoCfg
 from embodichain.config.keys.schema import ROOT_INSTEAD, RootCfg
 from embodichain.lab.sim.configs.references import REFERENCE_WORDS
-from embodichain.lab.sim.configs.sensor_cfg import AnySensorCfg
+from embodichain.lab.sim.configs.sensor_cfg import SENSORS, AnySensorCfg
 from embodichain.lab.sim.shapes import AnyShapeCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.fields.type_errors import (
@@ -91,8 +91,13 @@ def check_types(tree: Mapping[str, Any]) -> TypeCheck:
                 return TypeCheck(None, data, list(problems.values()), tuple(sorted(pruned)))
 
 
-@cache
 def _adapter() -> TypeAdapter[RootCfg]:
+    return _adapter_of(SENSORS.revision)
+
+
+@cache
+def _adapter_of(revision: int) -> TypeAdapter[RootCfg]:
+    """The check of the whole config, for a state of the register of sensors."""
     return TypeAdapter(RootCfg)
 
 
@@ -204,8 +209,10 @@ def _wrong_tag(path: str, value: Any, key: str) -> Problem:
     what = "algorithm" if key == "name" else key.removesuffix("_type")
     if tag is None:
         return Problem(path, f"missing value; one of: {', '.join(names)}")
-    hint = did_you_mean(str(tag), names).strip()
-    return Problem(path, f"unknown {what} {show_value(tag)}; one of: {', '.join(names)}.", hint)
+    message = f"unknown {what} {show_value(tag)}; one of: {', '.join(names)}."
+    if key == "sensor_type":
+        message += "".join(f" Besides, {reason}." for reason in SENSORS.broken)
+    return Problem(path, message, did_you_mean(str(tag), names).strip())
 
 
 def _tags(member: Mapping[str, Any], key: str) -> list[str]:
@@ -240,9 +247,13 @@ def key_names(schema: Mapping[str, Any]) -> list[str]:
     return list(schema.get("properties", ()))
 
 
-@cache
 def _schema() -> dict[str, Any]:
-    return _adapter().json_schema()
+    return _schema_of(SENSORS.revision)
+
+
+@cache
+def _schema_of(revision: int) -> dict[str, Any]:
+    return _adapter_of(revision).json_schema()
 
 
 def _chosen(schema: Any, value: Any) -> Mapping[str, Any]:

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg
 from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
 from embodichain.recording.format.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.format.block import DRAWN, ArrayKind, CallKind, Recorded
@@ -486,7 +485,7 @@ def _drawing(
     """What draws pictures for the log; empty if there are no cameras to draw."""
     found: list[FirstPictures | Images] = []
     sensors = getattr(env.sim, "sensors", {})  # other classes may have none
-    if options.state != "none" and any(isinstance(s.cfg, CameraCfg) for s in sensors.values()):
+    if options.state != "none" and any(s.cfg.reads_images for s in sensors.values()):
         from embodichain.recording.views.pictures import FirstPictures
 
         found.append(FirstPictures(env, sink, now))

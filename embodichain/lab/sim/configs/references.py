@@ -14,6 +14,9 @@ __all__ = ["OF", "REFERENCE_WORDS", "JointsCfg", "LinksCfg"]
 REFERENCE_WORDS = {"entity_cfg": "of", "source_entity_cfg": "from", "target_entity_cfg": "to"}
 """EmbodiChain's names of references to entities -> the words that configs write for them."""
 
+FRAME_KEYS = ("link_names", "site_names", "geom_names", "link", "site", "geom")
+"""Keys of a reference that pick links, sites or geoms."""
+
 OF: Any = Field(validation_alias=AliasChoices("of", "entity_cfg"))
 """For the annotation of a field `of`: it is read from `entity_cfg` as well."""
 
@@ -39,6 +42,10 @@ class LinksCfg:
     """One site, likewise."""
     geom: str | None = dataclasses.field(default=None, kw_only=True)
     """One geom, likewise."""
+
+    def frame_keys(self) -> list[str]:
+        """Return its keys that pick links, sites or geoms."""
+        return [key for key in FRAME_KEYS if getattr(self, key) is not None]
 
 
 @configclass

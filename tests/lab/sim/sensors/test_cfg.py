@@ -5,13 +5,14 @@ import sys
 
 import pytest
 
-from embodichain.lab.sim.configs.sensor_cfg import JointsCfg, JointTorqueSensorCfg
 from embodichain.lab.sim.sensors import (
     ContactSensorCfg,
     ForceTorqueSensorCfg,
     FramePoseSensorCfg,
     HeightScanSensorCfg,
     ImuSensorCfg,
+    JointsCfg,
+    JointTorqueSensorCfg,
     LinksCfg,
     RaySensorCfg,
     SensorCfg,

@@ -41,7 +41,6 @@ from embodichain.lab.gym.envs.managers.terms.registry import (
     TermSpec,
     resolve_term,
 )
-from embodichain.lab.sim.configs.sensor_cfg import readings
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import (
     expected_kind,
@@ -233,7 +232,7 @@ def _check_modifiers(cfg: EnvCfg) -> list[Problem]:
     """Check that modified entries were added before, or are the robot's or a sensor's."""
     known: list[str] = ["robot/qpos", "robot/qvel", "robot/qf"]
     for uid, sensor in cfg.sensors.items():
-        known += [f"sensor/{uid}/{name}" for name in readings(sensor) if sensor.observe]
+        known += [f"sensor/{uid}/{name}" for name in sensor.readings() if sensor.observe]
     found: list[Problem] = []
     for key, term in cfg.observations.items():
         name = term.name or key
