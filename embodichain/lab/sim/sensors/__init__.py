@@ -1,12 +1,13 @@
 """Sensors: contacts, inertial measurements, forces, poses of frames, rays, cameras.
 
-A type of sensor is one file, registered with `register_sensor` ([more](docs/extending.md)).
+A type of sensor is one file, registered with `register_sensor` (docs/extending.md).
 """
 
 from typing import TYPE_CHECKING
 
 import lazy_loader
 
+from embodichain.lab.sim.compiler.sensing.frame_sensors import add_frame_sensors
 from embodichain.lab.sim.configs.references import JointsCfg, LinksCfg
 from embodichain.lab.sim.configs.sensor_cfg import SENSORS, AnySensorCfg, SensorCfg
 
@@ -100,5 +101,6 @@ __all__ = [
     "SensorCfg",
     "StereoCamera",
     "StereoCameraCfg",
+    "add_frame_sensors",
     "register_sensor",
 ]
