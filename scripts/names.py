@@ -53,6 +53,7 @@ MODULES = (
     "embodichain.lab.sim.shapes",
     "embodichain.recording.demos.collection",
     "embodichain.recording.viewers.web",
+    "embodichain.utils.configclass",
     "embodichain.utils.errors",
 )
 """Public modules that are no packages: what docs/ and README.md import, and configs."""

@@ -94,7 +94,7 @@ def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
         entity = {"uid": robot, name: env[key]}
         draft.note(("env", key), _EVERY_JOINT)
         if not env.get("actions"):
-            term = {"func": "joint_position", "params": {"of": entity}}
+            term = {"func": "joint_position", "params": {"entity_cfg": entity}}
             draft.put(("actions", "qpos"), term, ("env", key))
     for source, name, functor in draft.entries(env.get("actions"), ("env", "actions")):
         spec, func = _find(draft, "action", functor, source)
@@ -172,7 +172,7 @@ def _of_camera(params: dict[str, Any], func: str) -> dict[str, Any]:
 def _with_entity(
     params: dict[str, Any], spec: TermSpec | None, entity: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Move parameters that pick joints, and that the term here lacks, into its `of`."""
+    """Move parameters that pick joints, and that the term here lacks, into its `entity_cfg`."""
     if spec is None or "of" not in spec.params or "of" in spec.written(params).values():
         return params
     picked = {k: params[k] for k in (*_JOINTS, "robot_uid") if k in params and k not in spec.params}
@@ -182,7 +182,7 @@ def _with_entity(
     wanted = {_JOINTS[k]: v for k, v in picked.items() if k in _JOINTS and v is not None}
     which = {} if wanted.keys() - {"preserve_order"} else entity
     uid = picked.get("robot_uid", entity["uid"])
-    return {"of": {**which, "uid": uid, **wanted}, **rest}
+    return {"entity_cfg": {**which, "uid": uid, **wanted}, **rest}
 
 
 def _action_params(
