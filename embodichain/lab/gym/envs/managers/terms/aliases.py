@@ -152,7 +152,7 @@ class AliasSpec(TermSpec):
                 given[part][key] = default
         shaped = 1 + len(self.steps)
         for (key, maker), own in zip(self.makers.items(), given[shaped:], strict=True):
-            given[0][key] = maker.func(env, **own)
+            given[0][key] = maker.func(env, **maker.arguments(own))
         return list(zip((self.target, *self.steps), given[:shaped], strict=True))
 
 
