@@ -233,7 +233,7 @@ def _links(
     if link_names is None:
         return entity_cfg
     if entity_cfg.link_names:
-        raise ConfigError([Problem("link_names", "of names links already")])
+        raise ConfigError([Problem("link_names", "`of` names links already")])
     found: ResolvedEntity = env.scene_entity({"uid": entity_cfg.uid, "link_names": link_names})
     return found
 

@@ -266,7 +266,7 @@ def _unknown_entries(composed: Composed) -> list[Problem]:
 def named_maps() -> set[str]:
     """Return the keys of a task that are maps from names to entities or terms."""
     hints = typing.get_type_hints(EnvCfg)
-    return {"sensors"} | {  # of several classes
+    return {
         key
         for key, hint in hints.items()
         if typing.get_origin(hint) is dict and dataclasses.is_dataclass(typing.get_args(hint)[1])

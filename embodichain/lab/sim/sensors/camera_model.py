@@ -93,7 +93,7 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
     if cfg.camera is not None or not parent:
         return (cfg.of if cfg.of.uid else None), []
     if cfg.of.uid:
-        message = "of is given as well: leave one of them out"
+        message = "`of` is given as well: leave one of them out"
         return None, [Problem("extrinsics.parent", message)]
     entities = {u: e for u, e in known.items() if e is not None and not isinstance(e, str)}
     uid, slash, rest = parent.partition("/")

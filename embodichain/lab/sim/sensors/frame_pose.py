@@ -53,7 +53,7 @@ class FramePoseSensorCfg(SensorCfg):
             if named:
                 problems.append(Problem("site", f"give a site or {named[0]}, not both"))
             if any(self.pos) or tuple(self.quat) != (1, 0, 0, 0):
-                message = "has its own pose: leave pos and quat out, or name it in of"
+                message = "has its own pose: leave pos and quat out, or name it in `of`"
                 problems.append(Problem("site", message))
         return problems + check_mount(self.pos, self.quat)
 

@@ -98,3 +98,13 @@ def test_configs_need_neither_torch_nor_mujoco():
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "set()"
+
+
+@pytest.mark.unmeasured
+def test_files_of_sensors_need_no_torch():
+    code = (
+        "import sys; from embodichain.lab.sim.sensors import SENSORS; "
+        "print(len(SENSORS) > 8, {'torch'} & set(sys.modules))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "True set()"
