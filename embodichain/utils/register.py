@@ -12,11 +12,15 @@ Modules are imported at the first lookup, so that a register costs nothing befor
 
 from __future__ import annotations
 
+import ast
 import importlib
+import importlib.util
 import logging
+import pkgutil
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from embodichain.utils.errors import ConfigError
@@ -39,7 +43,8 @@ class Register(Generic[T]):
         kind: What it contains, in the singular, for messages: ``sensor type``.
         group: The entry-point group of packages with more of them: ``embodichain.sensors``. The
             value of an entry is a module; importing it registers its things.
-        modules: The modules of this package whose import registers ours.
+        modules: The modules of this package whose import registers ours; ``package.*`` is every
+            public module in a package.
 
     Attributes:
         kind: The first argument.
@@ -58,12 +63,16 @@ class Register(Generic[T]):
         self._is_loading = False
         self._lock = threading.RLock()
 
-    def add(self, name: str, *other_names: str) -> Callable[[Member], Member]:
+    def add(
+        self, name: str, *other_names: str, describes: Any = None
+    ) -> Callable[[Member], Member]:
         """Register a class, a function or any other object.
 
         Args:
             name: Its name in configs.
             *other_names: More names of the same object.
+            describes: The function or class that the object describes, whose place is the one that
+                messages name; None is the object itself.
 
         Returns:
             A decorator that returns its argument.
@@ -73,7 +82,7 @@ class Register(Generic[T]):
         """
 
         def decorate(member: Member) -> Member:
-            place = _place(member)
+            place = _place(member if describes is None else describes)
             for each in (name, *other_names):
                 if not each:
                     raise ValueError(f"the {self.kind} of {place} has an empty name")
@@ -117,6 +126,26 @@ class Register(Generic[T]):
     def items(self) -> tuple[tuple[str, T], ...]:
         """Return all names and things; a thing with several names occurs once for each."""
         return tuple(self._loaded().items())
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of modules and entry points, without importing one.
+
+        These are the names in the register where each module of ``package.*`` and each entry point
+        is called as what it registers.
+        """
+        return tuple(dict.fromkeys([*self._own_modules(), *self._entry_values()]))
+
+    def entry_names(self) -> tuple[str, ...]:
+        """Return the names of entry points alone, without importing a module."""
+        return tuple(self._entry_values())
+
+    def summaries(self) -> dict[str, str]:
+        """Return the names of `names`, each with the first line of its module's docstring.
+
+        Modules are read, not imported. A module that is not there, or is not Python, has none.
+        """
+        modules = {**self._entry_values(), **self._own_modules()}
+        return {name: _summary(modules[name]) for name in self.names()}
 
     def place(self, name: str) -> str:
         """Return where the thing of a name is defined: ``package.module:name``.
@@ -165,19 +194,38 @@ class Register(Generic[T]):
             return
         self._is_loading = True
         try:
-            for module in self._modules:
+            for module in self._own_modules().values():
                 importlib.import_module(module)
             self._broken = load_entry_points(self.group, f"the {self.kind}s")
-            # A module may have been imported before, by someone who needs it alone.
-            self._members = dict(sorted(self._members.items(), key=self._rank))
+            self._put_in_order()
             self._is_loaded = True
         finally:
             self._is_loading = False
 
-    def _rank(self, item: tuple[str, T]) -> int:
-        """Place of a name's module among ours; all others come after them."""
-        module = self._places[item[0]].partition(":")[0]
-        return self._modules.index(module) if module in self._modules else len(self._modules)
+    def _put_in_order(self) -> None:
+        """Order the names by modules: one that something else imported before came first."""
+        modules = [*self._own_modules().values(), *self._entry_values().values()]
+        rank = {module: number for number, module in enumerate(modules)}
+
+        def rank_of(name: str) -> int:
+            return rank.get(self._places[name].partition(":")[0], len(modules))
+
+        self._members = {name: self._members[name] for name in sorted(self._members, key=rank_of)}
+
+    def _own_modules(self) -> dict[str, str]:
+        """Last part of the path -> our modules, in order."""
+        modules: dict[str, str] = {}
+        for path in self._modules:
+            package = path.removesuffix(".*")
+            inner = [package] if package == path else _modules_in(package)
+            modules.update((module.rpartition(".")[2], module) for module in inner)
+        return modules
+
+    def _entry_values(self) -> dict[str, str]:
+        """Name of an entry point -> the module that it names."""
+        from importlib.metadata import entry_points  # takes 10 ms
+
+        return {entry.name: entry.module for entry in sorted(entry_points(group=self.group))}
 
 
 def load_entry_points(group: str, contents: str) -> list[str]:
@@ -209,6 +257,29 @@ def load_entry_points(group: str, contents: str) -> list[str]:
             logger.warning("%s", broken[-1])
             logger.debug("the traceback:", exc_info=error)
     return broken
+
+
+def _modules_in(package: str) -> list[str]:
+    """Paths of the public modules in a package, by name; none of them is imported."""
+    spec = importlib.util.find_spec(package)
+    folders = [] if spec is None else spec.submodule_search_locations
+    modules = [module.name for module in pkgutil.iter_modules(folders)]
+    return [f"{package}.{name}" for name in modules if not name.startswith("_")]
+
+
+def _summary(module: str) -> str:
+    """First line of a module's docstring, as it stands in its file."""
+    try:
+        spec = importlib.util.find_spec(module)
+    except ImportError:  # the package that it is in is missing, or does not work
+        return ""
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return ""
+    try:
+        docstring = ast.get_docstring(ast.parse(Path(spec.origin).read_bytes()))
+    except (OSError, SyntaxError, ValueError):  # reported when the module is imported
+        return ""
+    return (docstring or "").partition("\n")[0]
 
 
 def _place(member: Any) -> str:

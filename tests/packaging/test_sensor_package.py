@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+SECTION = PAGE.partition("\n## A sensor\n")[2].partition("\n## ")[0]
 SENSOR = "{sensor_type: altimeter, of: {uid: ur10, link_names: [ee_link]}, level: 0.5}"
 PROJECT = """\
 [build-system]
@@ -51,7 +52,7 @@ print(json.dumps({
 
 
 def documented(language: str, marker: str) -> str:
-    found = re.search(rf"{marker}```{language}\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    found = re.search(rf"{marker}```{language}\n(.*?)^```", SECTION, re.MULTILINE | re.DOTALL)
     assert found is not None
     return found[1]
 

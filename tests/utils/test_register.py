@@ -132,3 +132,54 @@ def test_the_revision_changes_with_every_addition(zoo: Register[type]) -> None:
     assert zoo.revision == before
     zoo.add("eagle")(object())
     assert zoo.revision > before
+
+
+@pytest.fixture
+def aquarium(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Register[str]]:
+    """A package that is searched for modules, which has a carp and an eel."""
+    (tmp_path / "zoo_tank").mkdir()
+    (tmp_path / "zoo_tank" / "__init__.py").touch()
+    (tmp_path / "zoo_fish.py").write_text(
+        "from embodichain.utils.register import Register\n"
+        f"FISH = Register('fish', group={GROUP!r}, modules=['zoo_tank.*'])\n"
+        "def fish(name):\n"
+        "    def decorate(function):\n"
+        "        FISH.add(name, describes=function)(function())\n"
+        "        return function\n"
+        "    return decorate\n"
+    )
+    for name in ("carp", "eel", "_water"):
+        (tmp_path / "zoo_tank" / f"{name}.py").write_text(
+            f'"""The {name}.\n\nMore of it."""\nimport zoo_fish\n'
+            f"@zoo_fish.fish('{name}')\ndef swim():\n    return '{name} swims'\n"
+        )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield __import__("zoo_fish").FISH
+    for name in [name for name in sys.modules if name.startswith(("zoo", "guest"))]:
+        del sys.modules[name]
+
+
+def test_names_and_summaries_import_no_module(aquarium: Register[str], tmp_path: Path) -> None:
+    install(tmp_path, "guest_pike", "def broken(:")
+    assert aquarium.names() == ("carp", "eel", "guest_pike")
+    assert aquarium.summaries() == {"carp": "The carp.", "eel": "The eel.", "guest_pike": ""}
+    assert not {"zoo_tank.carp", "zoo_tank.eel", "guest_pike"} & set(sys.modules)
+
+
+def test_names_have_the_order_of_modules_whatever_was_imported_first(
+    aquarium: Register[str],
+) -> None:
+    __import__("zoo_tank.eel")
+    assert list(aquarium) == ["carp", "eel"]
+    assert aquarium["eel"] == "eel swims"
+
+
+def test_what_describes_a_function_is_told_apart_by_it(
+    aquarium: Register[str], tmp_path: Path
+) -> None:
+    source = "import zoo_fish\n@zoo_fish.fish('carp')\ndef jump():\n    return 'jumps'\n"
+    install(tmp_path, "guest_carp", source)
+    assert aquarium["carp"] == "carp swims"
+    assert "'carp' of guest_carp:jump is registered already, by zoo_tank.carp:swim" in str(
+        aquarium.broken
+    )
