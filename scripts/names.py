@@ -34,6 +34,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from embodichain.lab.sim.configs.references import REFERENCE_WORDS
+from embodichain.lab.sim.configs.sensor_cfg import SensorCfg, sensor_configs
+
 ROOT = Path(__file__).parents[1]
 LIST = ROOT / "tests" / "packaging" / "public_names.txt"
 CHANGELOG = ROOT / "CHANGELOG.md"
@@ -50,6 +53,7 @@ MODULES = (
     "embodichain.lab.sim.shapes",
     "embodichain.recording.demos.collection",
     "embodichain.recording.viewers.web",
+    "embodichain.utils.configclass",
     "embodichain.utils.errors",
 )
 """Public modules that are no packages: what docs/ and README.md import, and configs."""
@@ -148,6 +152,10 @@ def _fields(path: str, config: type, above: tuple[type, ...]) -> Iterator[str]:
 
 def _below(key: str, hint: Any, above: tuple[type, ...]) -> Iterator[str]:
     """Keys of the data classes in a type: of all variants of a union, of a mapping's values."""
+    if hint is SensorCfg:
+        for config in dict.fromkeys(sensor_configs().values()):
+            yield from _fields(key, config, above)
+        return
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         yield from _fields(key, hint, above)
         return
@@ -206,7 +214,18 @@ def _split(line: str) -> tuple[str, list[str] | None]:
     if match is None:
         raise ValueError(f"not a line of the list: {line!r}")
     inside = match["parameters"]
-    return match["name"], None if inside is None else [w for w in inside.split(", ") if w]
+    if inside is None:
+        return match["name"], None
+    words = [word for word in inside.split(", ") if word]
+    if line.startswith("term "):
+        words = [_config_word(word) for word in words]
+    return match["name"], words
+
+
+def _config_word(word: str) -> str:
+    """A term's parameter as configs write it: lists of before have EmbodiChain's names too."""
+    name, optional, _ = word.partition("=")
+    return f"{REFERENCE_WORDS.get(name, name)}{optional}"
 
 
 def _refuses(before: list[str], now: list[str] | None) -> str:

@@ -16,7 +16,7 @@ from embodichain.compat.gym_config.env_cfg import FUNCTORS, checked_cfg
 from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 from embodichain.lab.gym.envs.managers.terms.registry import TERMS, Kind
 from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, name_of
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg
+from embodichain.lab.sim.sensors.camera_cfg import CameraCfg
 from embodichain.utils.configclass import configclass, is_configclass
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.defaults import is_given
@@ -98,7 +98,7 @@ def _sensor(cfg: Any) -> Any:
     """A sensor as EmbodiChain has it: observed, and with its axes of cameras."""
     if not isinstance(cfg, CameraCfg):
         return cfg
-    attached = cfg.extrinsics.parent or cfg.entity_cfg.uid
+    attached = cfg.extrinsics.parent or cfg.of.uid
     convention = cfg.convention or ("opengl" if attached else "ros")
     return dataclasses.replace(cfg, observe=True, convention=convention)
 

@@ -134,7 +134,7 @@ REASONS: Final[Mapping[str, str]] = {
     f"{_SIM}.objects.soft_object": _SOFT,
     f"{_SIM}.planners": _PLANNERS,
     f"{_SIM}.robots": _ROBOT,
-    f"{_SIM}.sensors.contact_sensor": "ContactSensorCfg(entity_cfg=...) names the links",
+    f"{_SIM}.sensors.contact_sensor": "ContactSensorCfg(of=...) names the links",
     f"{_SIM}.sensors.stereo.PairCameraView": "StereoCamera.get_left_right_arena_pose has the poses",
     f"{_SIM}.sim_manager": _CACHE,
     f"{_SIM}.solvers": _SOLVERS,

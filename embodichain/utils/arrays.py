@@ -27,6 +27,7 @@ __all__ = [
     "all_finite",
     "as_env_ids",
     "as_rows",
+    "as_tensor",
     "columns_of",
     "contiguous",
     "field_values",
@@ -136,6 +137,12 @@ def tensor_of(array: Any) -> torch.Tensor:
     # Scenes are checked without torch. A statement to import it would take twice as long here.
     module: Any = sys.modules.get("torch") or import_module("torch")
     return module.from_numpy(array)
+
+
+def as_tensor(values: Any) -> torch.Tensor:
+    """Return numbers, an array or a tensor as a tensor, where they are."""
+    module: Any = sys.modules.get("torch") or import_module("torch")
+    return module.as_tensor(values)
 
 
 def zeros(shape: tuple[int, ...], like: Any) -> Floats:

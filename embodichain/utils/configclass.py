@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import partial, wraps
 from types import FunctionType
 from typing import Any, TypeVar, dataclass_transform, overload
 
@@ -60,6 +60,8 @@ def _process(cls: type[T], kw_only: bool) -> type[T]:
             if callable(value) or isinstance(value, dataclasses.Field):
                 continue
             annotations[name] = "Any" if value is None else type(value).__name__
+        if "ClassVar" in str(annotations[name]):
+            continue
         if value is MISSING:  # unset until the user sets it: reported by `validate`
             setattr(cls, name, dataclasses.field(default_factory=lambda: MISSING))
         elif not isinstance(value, (*_PLAIN, dataclasses.Field)):
@@ -68,10 +70,37 @@ def _process(cls: type[T], kw_only: bool) -> type[T]:
     cls.__annotations__ = annotations
     result = dataclasses.dataclass(kw_only=kw_only)(cls)
     setattr(result, "__pydantic_config__", _PYDANTIC_CONFIG)  # noqa: B010  (not a declared member)
+    if getattr(result, "other_names", None):
+        _take_other_names(result)
     for name, method in _METHODS.items():
         if name not in vars(result) and not hasattr(result, name):
             setattr(result, name, method)
     return result
+
+
+def _take_other_names(cls: Any) -> None:
+    """Let the constructor take other names of fields, those in the class's ``other_names``."""
+    init = cls.__init__
+
+    @wraps(init)
+    def __init__(self: Any, *args: Any, **values: Any) -> None:
+        init(self, *args, **_renamed(cls, values))
+
+    cls.__init__ = __init__
+
+
+def _renamed(cls: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by field, where some are given by another name of theirs.
+
+    Raises:
+        TypeError: If a value is given by both names.
+    """
+    other_names = getattr(cls, "other_names", {})
+    for name in values:
+        field = other_names.get(name)
+        if field in values:
+            raise TypeError(f"{cls.__name__}: {name} means the same as {field}: leave one out")
+    return {other_names.get(name, name): value for name, value in values.items()}
 
 
 def config_to_dict(cfg: object) -> dict[str, Any]:
@@ -103,7 +132,7 @@ def _plain(value: Any) -> Any:
 
 def _replace(self: Any, **changes: Any) -> Any:
     """Return a deep copy of this config with some fields changed."""
-    return dataclasses.replace(copy.deepcopy(self), **changes)
+    return dataclasses.replace(copy.deepcopy(self), **_renamed(type(self), changes))
 
 
 def _validate(self: Any, prefix: str = "") -> None:

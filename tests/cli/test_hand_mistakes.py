@@ -53,8 +53,7 @@ CASES = {
     "an unknown finger": (
         "gripper/right_finger]}\n    against",
         "gripper/rite_finger]}\n    against",
-        ":49: task.sensors.fingers.entity_cfg.link_names: no link of 'ur10' matches "
-        "'gripper/rite_finger'",
+        ":49: task.sensors.fingers.of.link_names: no link of 'ur10' matches 'gripper/rite_finger'",
         "Did you mean 'gripper/right_finger'?",
     ),
     "an unknown actuator": (

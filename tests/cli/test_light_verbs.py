@@ -80,7 +80,7 @@ def test_robots_are_listed_by_the_name_to_write(capsys: pytest.CaptureFixture[st
 def test_terms_are_listed_with_their_parameters(capsys: pytest.CaptureFixture[str]) -> None:
     rows = {(row["kind"], row["name"]): row for row in listed("terms", capsys)}
     within = rows["reward", "within_distance"]
-    assert within["params"] == "source_entity_cfg, target_entity_cfg, threshold, use_xy_only=False"
+    assert within["params"] == "from, to, threshold, use_xy_only=False"
     assert within["what"]
     assert {"event", "observation", "reward", "action"} <= {kind for kind, _ in rows} <= set(KINDS)
 

@@ -79,7 +79,7 @@ IN_PICK = {
     "task.robot.gravcmp",
     "task.sensors.tip.entity_cfg.link_names",
     "task.commands.goal.params.ranges",
-    "task.commands.goal.params.entity_cfg",
+    "task.commands.goal.params.of",
     "task.commands.goal.params.position_range",
     "task.events.colours.params.base_color_range",
     "task.observations.speed.noise.low",

@@ -22,12 +22,12 @@ def test_a_term_is_shown_with_kinds_parameters_and_example(
     (term,) = json.loads(capsys.readouterr().out)["terms"]
     assert {"reward", "metric", "termination"} == set(term["kinds"])
     rows = {row["parameter"]: row for row in term["parameters"]}
-    assert list(rows) == ["source_entity_cfg", "target_entity_cfg", "threshold", "use_xy_only"]
-    assert rows["source_entity_cfg"]["type"] == "entity"
+    assert list(rows) == ["from", "to", "threshold", "use_xy_only"]
+    assert rows["from"]["type"] == "entity"
     of_type = (
         "The entity, or a link, site or geom of one."  # its type describes it, not the docstring
     )
-    assert rows["source_entity_cfg"]["what"] == rows["target_entity_cfg"]["what"] == of_type
+    assert rows["from"]["what"] == rows["to"]["what"] == of_type
     assert rows["threshold"] == {
         "parameter": "threshold",
         "type": "number > 0",
@@ -38,7 +38,7 @@ def test_a_term_is_shown_with_kinds_parameters_and_example(
         "true or false",
         "false",
     )
-    assert term["signature"].startswith("within_distance(source_entity_cfg, target_entity_cfg, ")
+    assert term["signature"].startswith("within_distance(from, to, ")
     assert "Alias of ``{func: distance, shape: {below: THRESHOLD}}``." in term["doc"]
     assert "less than a threshold" in term["doc"]
     assert "Args:" not in term["doc"]

@@ -361,7 +361,7 @@ BAD = {
         "horizontal_range, horizontal_count, vertical_range, vertical_count. Did you mean "
         "'horizontal_count'?",
         "command line: task.sensors.touch.agianst: unknown key; allowed: sensor_type, uid, "
-        "entity_cfg, observe, rate, against, history_length. Did you mean 'against'?",
+        "of, observe, rate, against, history_length. Did you mean 'against'?",
         "command line: task.sensors.touch.entity_cfg.uid: no entity is called 'bal'; there are: "
         "arm, ball, box. Did you mean 'ball'?",
         overrides=(
@@ -550,13 +550,13 @@ BAD = {
     ),
     "unknown parameter": bad(
         "conf/task/mine.yaml:30: task.rewards.near.params.treshold: unknown parameter of "
-        "reward term 'within_distance'; it takes source_entity_cfg, target_entity_cfg, "
-        "threshold, use_xy_only. Did you mean 'threshold'?",
+        "reward term 'within_distance'; it takes from, to, threshold, use_xy_only. Did you mean "
+        "'threshold'?",
         "conf/task/mine.yaml:27: task.rewards.near.params.threshold: missing; reward "
         "term 'within_distance' needs it",
         "conf/task/mine.yaml:30: task.metrics.success.params.treshold: unknown parameter "
-        "of metric term 'within_distance'; it takes source_entity_cfg, "
-        "target_entity_cfg, threshold, use_xy_only. Did you mean 'threshold'?",
+        "of metric term 'within_distance'; it takes from, to, threshold, use_xy_only. Did you mean "
+        "'threshold'?",
         old="      threshold: 0.05",
         new="      treshold: 0.05",
     ),

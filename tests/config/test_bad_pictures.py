@@ -108,7 +108,7 @@ CAMERAS = {
     "up alone": (camera("extrinsics: {up: [0, 1, 0]}"), "extrinsics.up: belongs to eye and target"),
     "two links": (
         camera("entity_cfg: {uid: arm}, extrinsics: {parent: ee_link}"),
-        "extrinsics.parent: entity_cfg is given as well: leave one of them out",
+        "extrinsics.parent: `of` is given as well: leave one of them out",
     ),
     "no such camera": (
         camera("camera: arm/wrist"),

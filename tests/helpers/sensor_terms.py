@@ -3,7 +3,7 @@
 from typing import Any
 
 from embodichain.lab.gym.envs.cfg import ObservationCfg
-from embodichain.lab.sim.configs.sensor_cfg import (
+from embodichain.lab.sim.sensors import (
     CameraCfg,
     ContactSensorCfg,
     ExtrinsicsCfg,

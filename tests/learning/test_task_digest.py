@@ -66,6 +66,21 @@ def without(digest: TaskDigest, *, whole: bool) -> TaskDigest:
     return read
 
 
+def test_digests_of_before_name_references_as_embodichain_does() -> None:
+    now = digest("reach", 1)
+    words = {"of": "entity_cfg", "from": "source_entity_cfg", "to": "target_entity_cfg"}
+    parts = json.loads(now.to_json())
+    for section in ("actions", "events", "rewards", "terminations"):
+        for term in parts[section].values():
+            for part in ("params", "takes") if isinstance(term, dict) else ():
+                term[part] = {words.get(k, k): v for k, v in term.get(part, {}).items()}
+    assert "entity_cfg" in parts["actions"]["arm"]["params"]
+    before = TaskDigest.from_json(json.dumps(parts))
+    assert before is not None
+    assert before.changes(now) == []
+    assert now.changes(before) == []
+
+
 def test_a_parameter_that_a_term_gained() -> None:
     now = digest("reach", 1)
     unbounded = ("~task.actions.arm.params.clip", "+task.actions.arm.params.bounds=null")

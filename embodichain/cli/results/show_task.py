@@ -372,13 +372,11 @@ def _leaves(space: Any, path: str = "") -> dict[str, Any]:
 
 
 def _sensors(env: BaseEnv) -> Rows:
-    from embodichain.lab.sim.configs.sensor_cfg import readings
-
     rows = []
     for uid, cfg in env.cfg.sensors.items():
         values = _set_fields(cfg)
         values.pop("uid", None)
-        kind, reads = values.pop("sensor_type", ""), ", ".join(readings(cfg))
+        kind, reads = values.pop("sensor_type", ""), ", ".join(cfg.readings())
         rows.append({"sensor": uid, "type": kind, "reads": reads, "params": _flow(values)})
     return rows
 

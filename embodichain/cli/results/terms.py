@@ -23,6 +23,7 @@ from embodichain.lab.gym.envs.managers.terms.registry import (
     VALUE_KINDS,
     Kind,
     TermSpec,
+    config_word,
 )
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
@@ -239,7 +240,7 @@ def _entries(lines: list[str]) -> dict[str, str]:
     for line in textwrap.dedent("\n".join(lines)).splitlines():
         entry = _ENTRY.match(line)
         if entry is not None:
-            name = entry[1].removesuffix("_")  # `from_` is written `from`
+            name = config_word(entry[1])
             found[name] = entry[2].strip()
         elif name and line.strip():
             found[name] = f"{found[name]} {line.strip()}"

@@ -39,7 +39,7 @@ _JOINTS = {
     "joint_ids": "joint_ids",
     "preserve_order": "preserve_order",
 }
-"""Parameters that pick a robot's joints -> the equivalent key of an `entity_cfg`."""
+"""Parameters that pick a robot's joints -> the equivalent key of a reference."""
 _EVERY_JOINT = "actions have only these; robot/qpos, robot/qvel and robot/qf have every joint"
 _CLIPPED_THERE = ("default_offset_joint_position",)
 """Terms for which EmbodiChain clamps actions to the same bounds as here."""
@@ -173,7 +173,7 @@ def _with_entity(
     params: dict[str, Any], spec: TermSpec | None, entity: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Move parameters that pick joints, and that the term here lacks, into its `entity_cfg`."""
-    if spec is None or "entity_cfg" not in spec.params or "entity_cfg" in params:
+    if spec is None or "of" not in spec.params or "of" in spec.written(params).values():
         return params
     picked = {k: params[k] for k in (*_JOINTS, "robot_uid") if k in params and k not in spec.params}
     if not picked and spec.kind != "action":  # the user has to name the term's entity

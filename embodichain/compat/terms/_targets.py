@@ -91,7 +91,7 @@ def joints_of(
     mixed = [name for name, value in given.items() if value is not None]
     if entity_cfg is not None:
         if mixed:
-            raise ConfigError([Problem(mixed[0], "give either entity_cfg or this")])
+            raise ConfigError([Problem(mixed[0], "give either `of` or this")])
         entity_cfg.require_joints()
         entity_cfg.require_whole()
         return entity_cfg
@@ -99,7 +99,7 @@ def joints_of(
         raise ConfigError([Problem("part_name", "give either joint_ids or part_name")])
     if robot_uid is None:
         if env.robot is None:
-            raise ConfigError([Problem("robot_uid", "the task has no robot: give entity_cfg")])
+            raise ConfigError([Problem("robot_uid", "the task has no robot: give `of`")])
         robot_uid = env.robot.uid
     with as_parameters({"": "robot_uid", "uid": "robot_uid", "control_parts": "part_name"}):
         found = env.scene_entity(

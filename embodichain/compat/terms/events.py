@@ -72,7 +72,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         max_attempts: Positions tried at most.
 
     Example:
-        ``{func: sample_rigid_object_pose_from_workspace, mode: reset, params: {robot_cfg: {uid: ur10, link_names: [ee_link]}, entity_cfg: {uid: goal}, position_bounds: [[-1, -1, 0.2], [1, 1, 1.8]]}}``
+        ``{func: sample_rigid_object_pose_from_workspace, mode: reset, params: {robot_cfg: {uid: ur10, link_names: [ee_link]}, of: {uid: goal}, position_bounds: [[-1, -1, 0.2], [1, 1, 1.8]]}}``
     """  # noqa: E501
 
     def __init__(
@@ -372,7 +372,7 @@ class PushArticulation(PushBySettingVelocity):
         velocity_range: See `push_by_setting_velocity`.
 
     Example:
-        ``{func: push_articulation_by_setting_velocity, mode: interval, interval_step: 1, params: {entity_cfg: {uid: go}, interval_range_s: [5, 10], velocity_range: {x: [-0.5, 0.5]}}}``
+        ``{func: push_articulation_by_setting_velocity, mode: interval, interval_step: 1, params: {of: {uid: go}, interval_range_s: [5, 10], velocity_range: {x: [-0.5, 0.5]}}}``
     """  # noqa: E501
 
     def __init__(

@@ -54,7 +54,7 @@ def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: boo
         to_matrix: True gives (N, 4, 4), False (N, 7): x, y, z, qw, qx, qy, qz (metres, wxyz).
 
     Example:
-        ``{func: get_object_pose, params: {entity_cfg: {uid: cube}, to_matrix: false}}``
+        ``{func: get_object_pose, params: {of: {uid: cube}, to_matrix: false}}``
     """
     pose = np.concatenate([entity_cfg.position(), entity_cfg.orientation()], axis=1)
     return pose_to_matrix(pose) if to_matrix else pose
@@ -68,7 +68,7 @@ def get_rigid_object_velocity(env: TermContext, entity_cfg: Body) -> Floats:
         entity_cfg: The object (or a robot, then its root).
 
     Example:
-        ``{func: get_rigid_object_velocity, params: {entity_cfg: {uid: cube}}}``
+        ``{func: get_rigid_object_velocity, params: {of: {uid: cube}}}``
     """
     return np.concatenate([entity_cfg.linear_velocity(), entity_cfg.angular_velocity()], axis=1)
 
@@ -125,7 +125,7 @@ def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: Whole) -> torc
         entity_cfg: The object or robot.
 
     Example:
-        ``{func: get_object_body_scale, params: {entity_cfg: {uid: cube}}}``
+        ``{func: get_object_body_scale, params: {of: {uid: cube}}}``
     """
     asset = entity_cfg.asset
     if hasattr(asset, "get_body_scale"):
@@ -145,7 +145,7 @@ def get_object_uid(env: TermContext, obs: Any, entity_cfg: Whole) -> torch.Tenso
         entity_cfg: The entity, or one link of it.
 
     Example:
-        ``{func: get_object_uid, params: {entity_cfg: {uid: cube}}}``
+        ``{func: get_object_uid, params: {of: {uid: cube}}}``
     """
     import torch
 
@@ -169,7 +169,7 @@ def get_rigid_object_physics_attributes(
         attributes: Which, in the order wanted.
 
     Example:
-        ``{func: get_rigid_object_physics_attributes, params: {entity_cfg: {uid: cube}}}``
+        ``{func: get_rigid_object_physics_attributes, params: {of: {uid: cube}}}``
     """
     values = [getattr(entity_cfg.asset, f"get_{name}")() for name in attributes]
     import torch
@@ -192,7 +192,7 @@ def get_articulation_joint_drive(
         gains: Which properties, in the order wanted.
 
     Example:
-        ``{func: get_articulation_joint_drive, params: {entity_cfg: {uid: ur10}, gains:
+        ``{func: get_articulation_joint_drive, params: {of: {uid: ur10}, gains:
         [damping]}}``
     """
     drives, ids = entity_cfg.asset.drives, list(entity_cfg.joint_ids)

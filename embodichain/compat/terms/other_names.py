@@ -1,7 +1,7 @@
 """Terms under the names of EmbodiChain, Isaac Lab, mjlab, dm_control and earlier tasks.
 
-Each has its original parameters; `from`, `to` and `of` are called `source_entity_cfg`,
-`target_entity_cfg` and `entity_cfg`.
+Each has its original parameters; references to entities are written `of`, `from` and `to`, or as
+there `entity_cfg`, `source_entity_cfg` and `target_entity_cfg`.
 """
 
 from __future__ import annotations
@@ -83,9 +83,7 @@ VALUES: Final[Mapping[str, Alias]] = {
     "within_orientation": alias("angle", {"below": P("threshold", hint=Angle)}),
     "orientation_error": alias("angle"),
     "orientation_tanh": alias("angle", _STD),
-    "tolerance_orientation": alias(
-        "angle", _TOLERANCE, from_=P("entity_cfg"), to=P("target_entity_cfg")
-    ),
+    "tolerance_orientation": alias("angle", _TOLERANCE, from_=P("of"), to=P("to")),
     # One entity, or link
     "height_above": alias("height", {"above": P("threshold")}, above=0.0),
     "height_below": alias("height", {"below": P("threshold")}, above=0.0),
@@ -132,7 +130,7 @@ OBSERVATIONS: Final[Mapping[str, Alias]] = {
 
 # -- actions: `joint_action`, `eef_pose`, `eef_delta_pose` ----------------------------------------
 
-_AFFINE = ("entity_cfg", "scale", "offset", "clip")
+_AFFINE = ("of", "scale", "offset", "clip")
 _UNIT = P("clip", (-1.0, 1.0))
 
 
@@ -165,7 +163,7 @@ ACTIONS: Final[Mapping[str, Alias]] = {
         "joint_action",
         only=_AFFINE,
         centre=P("reference", "qpos", hint=Literal["qpos", "target"]),
-        example="{entity_cfg: {uid: ur10}, scale: 0.05}",
+        example="{of: {uid: ur10}, scale: 0.05}",
         clip=_UNIT,
     ),
     "joint_position_to_limits": alias("joint_action", only=(*_AFFINE, "range"), centre="limits"),
@@ -173,17 +171,17 @@ ACTIONS: Final[Mapping[str, Alias]] = {
     "joint_effort": alias("joint_action", only=_AFFINE, control="effort", clip=_UNIT),
     "absolute_eef_pose": alias(
         "eef_pose",
-        only=("entity_cfg", "position_range", "max_velocity"),
+        only=("of", "position_range", "max_velocity"),
         frame="world",
         rotation=_rotation_of,
-        example="{entity_cfg: {uid: ur10}, pose_dim: 6}",
+        example="{of: {uid: ur10}, pose_dim: 6}",
     ),
     "relative_eef_pose": alias(
         "eef_delta_pose",
-        only=("entity_cfg", "frame", "clip", "max_velocity"),
+        only=("of", "frame", "clip", "max_velocity"),
         reference="qpos",
         scale=_scale_of,
-        example="{entity_cfg: {uid: ur10}, translation_scale: 0.01}",
+        example="{of: {uid: ur10}, translation_scale: 0.01}",
     ),
 }
 
@@ -191,10 +189,8 @@ ACTIONS: Final[Mapping[str, Alias]] = {
 
 _WAYS = ("operation", "distribution")
 _DRAW = ("distribution",)
-_OBJECT = P("entity_cfg", needed=True, hint=RigidObject, text="The rigid object.")
-_ARTICULATION = P(
-    "entity_cfg", needed=True, hint=Articulation, text="The robot; link names pick links."
-)
+_OBJECT = P("of", needed=True, hint=RigidObject, text="The rigid object.")
+_ARTICULATION = P("of", needed=True, hint=Articulation, text="The robot; link names pick links.")
 
 
 def _range(name: str, hint: Any = Ranges) -> P:
@@ -204,9 +200,9 @@ def _range(name: str, hint: Any = Ranges) -> P:
 def _fields(uid: str, example: str, only: Sequence[str] = _WAYS, **params: Any) -> Alias:
     """`randomize` for fields of one entity; the example is of the entity `uid`."""
     text = "The robot or object; joint names, control parts or link names pick what changes."
-    entity = P("entity_cfg", needed=True, hint=ResolvedEntity, text=text)
-    example = f"{{entity_cfg: {{uid: {uid}}}, {example}}}"
-    return alias("randomize", only=only, example=example, **{"entity_cfg": entity, **params})
+    entity = P("of", needed=True, hint=ResolvedEntity, text=text)
+    example = f"{{of: {{uid: {uid}}}, {example}}}"
+    return alias("randomize", only=only, example=example, **{"of": entity, **params})
 
 
 def _operation(
@@ -232,12 +228,12 @@ def _links(
 
     Args:
         entity_cfg: The robot or articulation.
-        link_names: Regexes that pick links; None is those of `entity_cfg`.
+        link_names: Regexes that pick links; None is those of `of`.
     """
     if link_names is None:
         return entity_cfg
     if entity_cfg.link_names:
-        raise ConfigError([Problem("link_names", "entity_cfg names links already")])
+        raise ConfigError([Problem("link_names", "`of` names links already")])
     found: ResolvedEntity = env.scene_entity({"uid": entity_cfg.uid, "link_names": link_names})
     return found
 
@@ -281,24 +277,22 @@ _PLACE = (
 )
 
 EVENTS: Final[Mapping[str, Alias]] = {
-    "randomize_rigid_object_mass": _fields(
-        "cube", "mass_range: [0.5, 2.0]", entity_cfg=_OBJECT, **_MASS
-    ),
+    "randomize_rigid_object_mass": _fields("cube", "mass_range: [0.5, 2.0]", of=_OBJECT, **_MASS),
     "randomize_articulation_mass": _fields(
-        "ur10", "mass_range: [0.8, 1.2], operation: scale", entity_cfg=_links, **_MASS
+        "ur10", "mass_range: [0.8, 1.2], operation: scale", of=_links, **_MASS
     ),
     "randomize_rigid_object_center_of_mass": _fields(
         "cube",
         "com_pos_offset_range: [[-0.01, 0, 0], [0.01, 0, 0]]",
         _DRAW,
-        entity_cfg=_OBJECT,
+        of=_OBJECT,
         com=_range("com_pos_offset_range", Box3),
     ),
     "randomize_link_com": _fields(
         "ur10",
         "com_range: [[-0.02, -0.02, -0.02], [0.02, 0.02, 0.02]]",
         _DRAW,
-        entity_cfg=_ARTICULATION,
+        of=_ARTICULATION,
         com=_range("com_range", Box3),
     ),
     "randomize_link_inertia": _fields(
@@ -352,30 +346,30 @@ EVENTS: Final[Mapping[str, Alias]] = {
     ),
     "reset_joints_by_offset": alias(
         "reset_joints",
-        only=("entity_cfg", "velocity_range"),
+        only=("of", "velocity_range"),
         position_range=P("position_range", hint=Range),
     ),
     "reset_joints_by_scale": alias(
         "reset_joints",
-        only=("entity_cfg", "velocity_range"),
+        only=("of", "velocity_range"),
         position_range=P("position_range", hint=Range),
         operation="scale",
-        example="{entity_cfg: {uid: ur10}, position_range: [0.9, 1.1], velocity_range: [0, 0]}",
+        example="{of: {uid: ur10}, position_range: [0.9, 1.1], velocity_range: [0, 0]}",
     ),
     "randomize_robot_qpos": alias(
         "reset_joints",
         only=(),
-        entity_cfg=_joints,
+        of=_joints,
         position_range=P("qpos_range"),
         operation=_of_position,
-        example="{entity_cfg: {uid: ur10}, qpos_range: [-0.1, 0.1]}",
+        example="{of: {uid: ur10}, qpos_range: [-0.1, 0.1]}",
     ),
-    "randomize_rigid_object_pose": alias("randomize_pose", only=_PLACE, entity_cfg=_OBJECT),
+    "randomize_rigid_object_pose": alias("randomize_pose", only=_PLACE, of=_OBJECT),
     "randomize_articulation_root_pose": alias(
         "randomize_pose",
         only=_PLACE,
-        entity_cfg=_ARTICULATION,
-        example="{entity_cfg: {uid: ur10}, position_range: [[-0.05, -0.05, 0], [0.05, 0.05, 0]]}",
+        of=_ARTICULATION,
+        example="{of: {uid: ur10}, position_range: [[-0.05, -0.05, 0], [0.05, 0.05, 0]]}",
     ),
 }
 

@@ -62,8 +62,8 @@ def distance_between_objects(
         use_xy_only: Whether heights are ignored.
 
     Example:
-        ``{func: distance_between_objects, weight: 1.0, params: {source_entity_cfg: {uid: ur10,
-        link_names: [ee_link]}, target_entity_cfg: {uid: cube}}}``
+        ``{func: distance_between_objects, weight: 1.0, params: {from: {uid: ur10,
+        link_names: [ee_link]}, to: {uid: cube}}}``
     """
     d = distance(env, source_entity_cfg, target_entity_cfg, use_xy_only)
     return _closeness(d, exponential, sigma)
@@ -93,7 +93,7 @@ def distance_to_target(
         use_xy_only: Whether heights are ignored.
 
     Example:
-        ``{func: distance_to_target, weight: 1.0, params: {source_entity_cfg: {uid: cube},
+        ``{func: distance_to_target, weight: 1.0, params: {from: {uid: cube},
         exponential: true, sigma: 0.2}}``
     """
     d = _distance_to_target(env, source_entity_cfg, target_pose_key, use_xy_only)
@@ -115,7 +115,7 @@ class IncrementalDistanceToTarget(Rate):
         use_xy_only: Whether heights are ignored.
 
     Example:
-        ``{func: incremental_distance_to_target, weight: 1.0, params: {source_entity_cfg: {uid:
+        ``{func: incremental_distance_to_target, weight: 1.0, params: {from: {uid:
         cube}, negative_weight: 2.0}}``
     """
 
@@ -223,8 +223,8 @@ def orientation_alignment(
         target_entity_cfg: Likewise.
 
     Example:
-        ``{func: orientation_alignment, weight: 0.5, params: {source_entity_cfg: {uid: ur10,
-        link_names: [ee_link]}, target_entity_cfg: {uid: goal}}}``
+        ``{func: orientation_alignment, weight: 0.5, params: {from: {uid: ur10,
+        link_names: [ee_link]}, to: {uid: goal}}}``
     """
     inverse = quat_conjugate(source_entity_cfg.orientation())
     w = quat_multiply(inverse, target_entity_cfg.orientation())[:, 0]

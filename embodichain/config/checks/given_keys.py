@@ -14,7 +14,12 @@ from embodichain.lab.sim.cfg import (
     RigidBodyAttributesCfg,
     RigidObjectCfg,
 )
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg, ExtrinsicsCfg
+from embodichain.lab.sim.sensors.camera_cfg import (
+    HAS_ITS_OWN,
+    SAID_BY_EYE,
+    CameraCfg,
+    ExtrinsicsCfg,
+)
 from embodichain.utils.errors import Problem
 from embodichain.utils.fields.no_effect import config_nodes, no_effect_fields
 
@@ -62,10 +67,9 @@ def _ignored(cfg: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
 
 def _mistakes(cfg: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
     """Given keys of one config that say what cannot be, or what another key says."""
-    from embodichain.lab.sim.compiler.scene.rigid_objects import HAS_SHAPES, OF_EACH_SHAPE
-    from embodichain.lab.sim.compiler.sensing.cameras import (  # imports MuJoCo
-        HAS_ITS_OWN,
-        SAID_BY_EYE,
+    from embodichain.lab.sim.compiler.scene.rigid_objects import (  # imports MuJoCo
+        HAS_SHAPES,
+        OF_EACH_SHAPE,
     )
 
     if isinstance(cfg, RigidBodyAttributesCfg):

@@ -43,6 +43,7 @@ from embodichain.lab.gym.envs.managers.terms.check import check_terms
 from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS, resolve_term
 from embodichain.lab.gym.policies import PRETRAINED, resolve_policy
 from embodichain.lab.sim.cfg import WarpCfg, choose_engine
+from embodichain.lab.sim.configs.references import REFERENCE_WORDS
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import unknown_key
 from embodichain.utils.suggest import did_you_mean
@@ -153,9 +154,24 @@ def check_tree(
             further += _mistakes_in_model(types.root, scene, missing)
             # Mistakes of the root, such as those of pictures in the log, come before the task's.
             further.sort(key=lambda problem: _below(problem.path, ["task"]))
+        further = [_as_written(p, types.tree) for p in further]
         problems += [p for p in further if not _below(p.path, missing)]
     distinct = {p.path + p.message: p for p in problems}.values()
     return Check(_located(distinct, source), types, scene, tuple(_located(notes, source)))
+
+
+def _as_written(problem: Problem, tree: Mapping[str, Any]) -> Problem:
+    """The problem with the key path that the config has: ``of`` may be written `entity_cfg`."""
+    parts = problem.path.split(".")
+    node: Any = tree
+    for depth, part in enumerate(parts):
+        if not isinstance(node, Mapping):
+            break
+        if part not in node:
+            written = [name for name, word in REFERENCE_WORDS.items() if word == part]
+            parts[depth] = next((name for name in written if name in node), part)
+        node = node.get(parts[depth])
+    return replace(problem, path=".".join(parts))
 
 
 def _located(problems: Iterable[Problem], source: Callable[[str], str]) -> list[Problem]:
@@ -271,7 +287,7 @@ def _unknown_entries(composed: Composed) -> list[Problem]:
 def named_maps() -> set[str]:
     """Return the keys of a task that are maps from names to entities or terms."""
     hints = typing.get_type_hints(EnvCfg)
-    return {"sensors"} | {  # of several classes
+    return {
         key
         for key, hint in hints.items()
         if typing.get_origin(hint) is dict and dataclasses.is_dataclass(typing.get_args(hint)[1])

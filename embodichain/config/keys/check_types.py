@@ -17,12 +17,14 @@ from pydantic import TypeAdapter, ValidationError
 
 from embodichain.config.keys.algorithms import ALGO_INSTEAD, DEFAULT_ALGORITHM, PATTERNS, AnyAlgoCfg
 from embodichain.config.keys.schema import ROOT_INSTEAD, RootCfg
-from embodichain.lab.sim.configs.sensor_cfg import AnySensorCfg
+from embodichain.lab.sim.configs.references import REFERENCE_WORDS
+from embodichain.lab.sim.configs.sensor_cfg import SENSORS, AnySensorCfg
 from embodichain.lab.sim.shapes import AnyShapeCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.fields.type_errors import (
     ErrorDetails,
     expected_kind,
+    said_twice,
     show_value,
     unknown_key,
     what_is_wrong,
@@ -89,8 +91,13 @@ def check_types(tree: Mapping[str, Any]) -> TypeCheck:
                 return TypeCheck(None, data, list(problems.values()), tuple(sorted(pruned)))
 
 
-@cache
 def _adapter() -> TypeAdapter[RootCfg]:
+    return _adapter_of(SENSORS.revision)
+
+
+@cache
+def _adapter_of(revision: int) -> TypeAdapter[RootCfg]:
+    """The check of the whole config, for a state of the register of sensors."""
     return TypeAdapter(RootCfg)
 
 
@@ -176,6 +183,8 @@ def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:
     if len(loc) > 1 and loc[:-1] == ("task",):
         allowed = [name for name in allowed if name not in ROOT_INSTEAD]
     name = str(loc[-1])
+    if REFERENCE_WORDS.get(name) in allowed:
+        return Problem(path, said_twice(REFERENCE_WORDS[name]))
     if loc[:-1] == ("algo",) and name in ALGO_INSTEAD:
         return Problem(path, f"not a key of an algorithm; {ALGO_INSTEAD[name]}")
     message, hint = unknown_key(name, allowed)
@@ -195,8 +204,10 @@ def _wrong_tag(path: str, value: Any, key: str) -> Problem:
     what = "algorithm" if key == "name" else key.removesuffix("_type")
     if tag is None:
         return Problem(path, f"missing value; one of: {', '.join(names)}")
-    hint = did_you_mean(str(tag), names).strip()
-    return Problem(path, f"unknown {what} {show_value(tag)}; one of: {', '.join(names)}.", hint)
+    message = f"unknown {what} {show_value(tag)}; one of: {', '.join(names)}."
+    if key == "sensor_type":
+        message += "".join(f" Besides, {reason}." for reason in SENSORS.broken)
+    return Problem(path, message, did_you_mean(str(tag), names).strip())
 
 
 @cache
@@ -223,8 +234,11 @@ def schema_at(parts: Sequence[str | int], data: Any) -> Mapping[str, Any]:
     schema = _chosen(_schema(), data)
     for part in parts:
         data = data[part] if _has(data, part) else None
-        if part in schema.get("properties", ()):
-            below = schema["properties"][part]
+        keys = schema.get("properties", {})
+        if part not in keys and REFERENCE_WORDS.get(str(part)) in keys:
+            part = REFERENCE_WORDS[str(part)]
+        if part in keys:
+            below = keys[part]
         else:
             below = schema.get("items" if isinstance(part, int) else "additionalProperties")
         schema = _chosen(below or {}, data)
@@ -236,9 +250,13 @@ def key_names(schema: Mapping[str, Any]) -> list[str]:
     return list(schema.get("properties", ()))
 
 
-@cache
 def _schema() -> dict[str, Any]:
-    return _adapter().json_schema()
+    return _schema_of(SENSORS.revision)
+
+
+@cache
+def _schema_of(revision: int) -> dict[str, Any]:
+    return _adapter_of(revision).json_schema()
 
 
 def _chosen(schema: Any, value: Any) -> Mapping[str, Any]:

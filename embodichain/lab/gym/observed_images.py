@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg, SensorCfg
+from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
 
 __all__ = ["camera_uids", "observed_images", "rgb"]
 
@@ -20,7 +20,7 @@ def camera_uids(task: Mapping[str, Any]) -> set[str]:
     """Uids of the camera sensors of a task's config."""
     declared: Mapping[str, Any] = task.get("sensors") or {}
     made = {uid: SensorCfg.from_dict(_thawed(values)) for uid, values in declared.items()}
-    return {uid for uid, cfg in made.items() if isinstance(cfg, CameraCfg)}
+    return {uid for uid, cfg in made.items() if cfg.reads_images}
 
 
 def _thawed(value: Any) -> Any:

@@ -212,7 +212,13 @@ def _bound(func: Callable[..., Any], params: dict[str, Any]) -> Policy:
     values, problems = check_params(spec, params, "policy.params")
     if problems:
         raise ConfigError(problems)
-    made = func(**values) if spec.is_class else partial(func, **values) if values else func
+    arguments = spec.arguments(values)
+    if spec.is_class:
+        made = func(**arguments)
+    elif arguments:
+        made = partial(func, **arguments)
+    else:
+        made = func
     return cast(Policy, made) if hasattr(made, "reset") else _Plain(made)
 
 

@@ -29,7 +29,7 @@ from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
-from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
+from embodichain.lab.sim.sensors.base_sensor import BaseSensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.no_effect import changed_without_effect
 from embodichain.utils.system.memory import require_memory_for

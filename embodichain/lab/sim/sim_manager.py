@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import torch
 
-from embodichain.lab.sim import sensors
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     LightCfg,
@@ -26,7 +25,7 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveChange
-from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
+from embodichain.lab.sim.configs.sensor_cfg import SENSORS, SensorCfg
 from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.lab.sim.engine.room import LEAST_BYTES, bytes_of
 from embodichain.lab.sim.engine.warp.device_arrays import DeviceArrays
@@ -35,7 +34,7 @@ from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
-from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
+from embodichain.lab.sim.sensors.base_sensor import BaseSensor
 from embodichain.utils.array_types import host_ids
 from embodichain.utils.arrays import Arrays, as_env_ids
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
@@ -54,21 +53,6 @@ __all__ = ["SimulationManager"]
 _log = logging.getLogger(__name__)
 _instances: dict[int, weakref.ref[SimulationManager]] = {}
 """The live simulations of this process, by `instance_id`."""
-_SENSORS = {
-    "contact": "ContactSensor",
-    "force_torque": "ForceTorqueSensor",
-    "frame_pose": "FramePoseSensor",
-    "height_scan": "HeightScanSensor",
-    "imu": "ImuSensor",
-    "joint_torque": "JointTorqueSensor",
-    "ray": "RaySensor",
-    "camera": "Camera",
-    "stereo_camera": "StereoCamera",
-    "Camera": "Camera",
-    "StereoCamera": "StereoCamera",
-}
-"""Type of a sensor -> its handle, imported when it is added."""
-
 _Found = TypeVar("_Found")
 
 
@@ -207,7 +191,7 @@ class SimulationManager(Uncopied):
             RuntimeError: If the scene is compiled already.
         """
         plan = self._scene.plan_sensor(cfg)
-        kind: type[BaseSensor] = getattr(sensors, _SENSORS[plan.cfg.sensor_type])
+        kind: type[BaseSensor] = SENSORS[plan.cfg.sensor_type]
         sensor = self.sensors[plan.uid] = kind(plan, self)
         return sensor
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import mujoco
 
 from embodichain.lab.gym.envs.managers.terms.registry import SECTIONS
+from embodichain.lab.sim.configs.references import REFERENCE_WORDS
 from embodichain.learning.checkpoints.mdp_values import mdp_values
 from embodichain.learning.checkpoints.physics_values import physics_values
 from embodichain.utils.errors import ConfigError
@@ -127,7 +128,8 @@ class TaskDigest:
             before, after = self.parts.get(part), now.parts.get(part)
             gained: set[str] = set()
             if part in SECTIONS:
-                before, after, gained = _without_gained(part, before or {}, after or {})
+                before, after = _in_words_of_today(before or {}), _in_words_of_today(after or {})
+                before, after, gained = _without_gained(part, before, after)
             pairs = _model(before, after) if part == "model" else _section(part, before, after)
             for name, a, b in pairs:
                 of = GAINED if name in gained else part
@@ -201,6 +203,21 @@ def _section(part: str, before: Any, now: Any) -> Iterator[_Difference]:
     a, b = before or {}, now or {}
     for key in dict.fromkeys([*a, *b]):
         yield from _walk(f"{name}{key}", a.get(key), b.get(key))
+
+
+def _in_words_of_today(section: Mapping[str, Any]) -> dict[str, Any]:
+    """Terms with the present names of their references; older digests have EmbodiChain's."""
+    terms = {name: term for name, term in section.items() if isinstance(term, Mapping)}
+    return {**section, **{name: _with_renamed_references(term) for name, term in terms.items()}}
+
+
+def _with_renamed_references(term: Mapping[str, Any]) -> dict[str, Any]:
+    parts = {key: term[key] for key in ("params", "takes") if isinstance(term.get(key), Mapping)}
+    renamed = {
+        key: {REFERENCE_WORDS.get(name, name): value for name, value in values.items()}
+        for key, values in parts.items()
+    }
+    return {**term, **renamed}
 
 
 def _without_gained(

@@ -24,8 +24,8 @@ from torch import Tensor
 
 from embodichain.lab.gym.envs.cfg import SymmetryCfg
 from embodichain.lab.sim.compiler.names import match_every
-from embodichain.lab.sim.configs.sensor_cfg import HeightScanSensorCfg
 from embodichain.lab.sim.sensors.ray_patterns import pattern_rays
+from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensorCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 

@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.sensing.cameras import picture_names
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg, SensorCfg
+from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import StoredStates
 from embodichain.lab.sim.drawing.views import Look, View, Viewpoint, camera_size, view_of
+from embodichain.lab.sim.sensors.camera_cfg import CameraCfg
+from embodichain.lab.sim.sensors.camera_model import picture_names
 from embodichain.recording.read.api import Log
 from embodichain.recording.read.playback import Playback, Span
 from embodichain.utils.errors import ConfigError

@@ -18,7 +18,6 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from mujoco.batch import MODEL_FIELDS
 
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg
 from embodichain.lab.sim.drawing.gl import hint
 from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState
@@ -76,7 +75,7 @@ class Shot:
 def camera_sensors(env: ObservedEnv) -> list[Camera]:
     """The scene's camera sensors."""
     sensors = getattr(env.sim, "sensors", {})  # other classes may have none
-    cameras: list[Any] = [s for s in sensors.values() if isinstance(s.cfg, CameraCfg)]
+    cameras: list[Any] = [s for s in sensors.values() if s.cfg.reads_images]
     return cameras
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg
 from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.format.options import RecordOptions
 from embodichain.recording.views.views import Sink, Views
@@ -71,7 +70,7 @@ def _pictures(
     """What draws pictures for the log. Each module is imported only if it draws."""
     pictures: list[FirstPictures | Images] = []
     sensors = getattr(env.sim, "sensors", {})  # other classes may have none
-    has_cameras = any(isinstance(sensor.cfg, CameraCfg) for sensor in sensors.values())
+    has_cameras = any(sensor.cfg.reads_images for sensor in sensors.values())
     if has_cameras and options.state != "none":
         from embodichain.recording.views.pictures import FirstPictures
 

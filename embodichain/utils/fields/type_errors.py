@@ -22,6 +22,7 @@ __all__ = [
     "expected_kind",
     "from_dict",
     "member_from_dict",
+    "said_twice",
     "show_value",
     "unknown_key",
     "what_is_wrong",
@@ -112,6 +113,11 @@ def unknown_key(name: str, allowed: Sequence[str]) -> tuple[str, str]:
     return f"unknown key; allowed: {', '.join(allowed)}.", did_you_mean(name, allowed).strip()
 
 
+def said_twice(name: str) -> str:
+    """Return the message for a key that is another name of a key that is given too."""
+    return f"means the same as {name}: leave one out"
+
+
 def show_value(value: Any) -> str:
     """Return a value as written in YAML, shortened to one line."""
     if value is None or isinstance(value, bool):
@@ -167,8 +173,11 @@ def from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:
         problems = []
         for found in error.errors():
             path = [str(part) for part in found["loc"]]
+            other_name = getattr(cls, "other_names", {}).get(path[-1]) if len(path) == 1 else None
             if found["type"] != "unexpected_keyword_argument":
                 message, hint = what_is_wrong([found])
+            elif other_name is not None:
+                message, hint = said_twice(other_name), ""
             elif len(path) == 1:
                 message, hint = unknown_key(path[0], names)
             else:

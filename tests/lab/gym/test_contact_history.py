@@ -21,7 +21,7 @@ from embodichain.lab.sim.cfg import (
     RigidObjectCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.configs.sensor_cfg import ContactSensorCfg, LinksCfg
+from embodichain.lab.sim.sensors import ContactSensorCfg, LinksCfg
 from embodichain.lab.sim.shapes import SphereCfg
 from embodichain.utils.errors import ConfigError
 
@@ -52,16 +52,14 @@ def graze(sensor: dict[str, Any] | None = None, **sections: Any) -> BaseEnv:
             "go": EventCfg(
                 "reset_root_state_uniform",
                 {
-                    "entity_cfg": {"uid": "puck"},
+                    "of": {"uid": "puck"},
                     "pose_range": {"x": [-0.2, 0.2]},
                     "velocity_range": {"x": [4.0, 4.0]},
                 },
             )
         },
         "sensors": {
-            "bumper": ContactSensorCfg(
-                entity_cfg=LinksCfg(uid="puck"), observe=True, **(sensor or {})
-            )
+            "bumper": ContactSensorCfg(of=LinksCfg(uid="puck"), observe=True, **(sensor or {}))
         },
         "observations": {"f": ObservationCfg("contact_force", {**BUMPER, "norm": True})},
     }
@@ -203,7 +201,7 @@ def test_a_sensor_with_a_rate_keeps_what_it_saw() -> None:
 @pytest.mark.parametrize("length", [0, -1, 1.5, "all"])
 def test_a_history_is_a_number_of_physics_steps(length) -> None:
     overrides = [
-        "+task.sensors.touch={sensor_type: contact, entity_cfg: {uid: cart_pole}, "
+        "+task.sensors.touch={sensor_type: contact, of: {uid: cart_pole}, "
         f"history_length: {length}}}"
     ]
     with pytest.raises(ConfigError, match="sensors.touch.history_length"):

@@ -18,6 +18,9 @@ import torch
 def shove(obs, env, force: float = 1.0):
     return torch.full((env.num_envs, 6), force)
 
+def slide(obs, env, from_: float = 0.0):
+    return torch.full((env.num_envs, 6), from_)
+
 class Wave:
     def __init__(self, start: int = 0):
         self.count = start
@@ -126,6 +129,13 @@ def test_a_users_function_and_class(make, user_module) -> None:
     assert wave(None, env)[0, 0] == 5.0
     wave.reset(np.array([1]))
     assert wave.resets[0].tolist() == [1]
+
+
+def test_a_parameter_that_python_reserves_has_its_word(make, user_module) -> None:
+    env = make()
+    obs, _ = env.reset()
+    slide = resolve_policy({"func": f"{user_module}:slide", "params": {"from": 0.5}})
+    assert slide(obs, env).eq(0.5).all()
 
 
 def test_a_callable_is_taken_as_it_is(make) -> None:

@@ -11,7 +11,6 @@ from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import EnvCfg, EventCfg, ObservationCfg
 from embodichain.lab.sim.cfg import RigidBodyAttributesCfg, RigidObjectCfg, SimulationManagerCfg
 from embodichain.lab.sim.configs.scene_cfg import SceneCfg
-from embodichain.lab.sim.configs.sensor_cfg import readings as readings_of
 from embodichain.lab.sim.sensors import (
     ContactSensorCfg,
     ForceTorqueSensorCfg,
@@ -40,10 +39,10 @@ CUBE = LinksCfg(uid="cube")
 
 def sensors(**changes: Any) -> dict[str, Any]:
     return {
-        "touch": ContactSensorCfg(entity_cfg=CUBE),
-        "floor": ContactSensorCfg(entity_cfg=CUBE, against=LinksCfg(uid="default_plane")),
-        "arm": ContactSensorCfg(entity_cfg=ARM, against=CUBE),
-        "imu": ImuSensorCfg(entity_cfg=TOOL, pos=(0.1, 0, 0)),
+        "touch": ContactSensorCfg(of=CUBE),
+        "floor": ContactSensorCfg(of=CUBE, against=LinksCfg(uid="default_plane")),
+        "arm": ContactSensorCfg(of=ARM, against=CUBE),
+        "imu": ImuSensorCfg(of=TOOL, pos=(0.1, 0, 0)),
         **changes,
     }
 
@@ -55,10 +54,10 @@ def spatial() -> dict[str, Any]:
     """
     fan = RayPatternCfg(fan=RayFanCfg(horizontal_count=8, vertical_range=(-1, 0), vertical_count=2))
     return {
-        "rays": RaySensorCfg(entity_cfg=TOOL, pattern=fan, data_types=["distance", "normal"]),
-        "scan": HeightScanSensorCfg(entity_cfg=TOOL, rate=10.0),
-        "frame": FramePoseSensorCfg(entity_cfg=CUBE, relative_to=TOOL, rate=10.0),
-        "torque": JointTorqueSensorCfg(entity_cfg=JointsCfg(uid="ur10")),
+        "rays": RaySensorCfg(of=TOOL, pattern=fan, data_types=["distance", "normal"]),
+        "scan": HeightScanSensorCfg(of=TOOL, rate=10.0),
+        "frame": FramePoseSensorCfg(of=CUBE, relative_to=TOOL, rate=10.0),
+        "torque": JointTorqueSensorCfg(of=JointsCfg(uid="ur10")),
     }
 
 
@@ -68,7 +67,7 @@ def config(**sim: Any) -> SimulationManagerCfg:
 
 def jumps() -> dict[str, EventCfg]:
     """The cube is dropped elsewhere every third step, somewhere else in each environment."""
-    params = {"entity_cfg": {"uid": "cube"}, "position_range": [[-0.3, -0.3, 0], [0.3, 0.3, 0.1]]}
+    params = {"of": {"uid": "cube"}, "position_range": [[-0.3, -0.3, 0], [0.3, 0.3, 0.1]]}
     func = "randomize_rigid_object_pose"
     return {"drop": EventCfg(func=func, mode="interval", interval_step=3, params=params)}
 
@@ -145,7 +144,7 @@ def test_what_is_declared_is_there_and_observed_only_if_it_says_so(make) -> None
     assert list(env.sensors) == ["touch", "floor", "arm", "imu"] and env.has_sensors
     assert len(env.get_sensor("arm").names) == len(env.robot.link_names)
     assert "sensor" not in obs.keys()  # noqa: SIM118  (a TensorDict)
-    seen = make(sensors=sensors(touch=ContactSensorCfg(entity_cfg=CUBE, observe=True)))
+    seen = make(sensors=sensors(touch=ContactSensorCfg(of=CUBE, observe=True)))
     obs, _ = seen.reset()
     for _ in range(60):
         obs, *_ = seen.step(action(seen))
@@ -276,7 +275,7 @@ def test_a_restored_environment_senses_on_to_the_byte(make, declared) -> None:
 
 
 def test_a_log_of_a_scene_with_sensors_verifies(make, tmp_path) -> None:
-    observed = {**sensors(touch=ContactSensorCfg(entity_cfg=CUBE, observe=True)), **spatial()}
+    observed = {**sensors(touch=ContactSensorCfg(of=CUBE, observe=True)), **spatial()}
     env = make(sensors=observed, events=jumps(), max_episode_steps=5)
     env.add_observer(McapRecorder(tmp_path / "log.mcap", env))
     env.reset()
@@ -305,7 +304,7 @@ def test_heights_above_a_terrain(tmp_path) -> None:
         shape=CubeCfg(size=[0.1, 0.1, 0.1]), body_type="kinematic", init_pos=(0, 0, 3)
     )
     grid = RayPatternCfg(grid=RayGridCfg(size=(0.0, 2.0), resolution=0.5))
-    scan = HeightScanSensorCfg(entity_cfg=LinksCfg(uid="probe"), pattern=grid, observe=True)
+    scan = HeightScanSensorCfg(of=LinksCfg(uid="probe"), pattern=grid, observe=True)
     cfg = EnvCfg(
         num_envs=2,
         sim_cfg=config(),
@@ -328,23 +327,23 @@ def test_a_scene_without_sensors_computes_none(make) -> None:
 
 def test_wrong_sensors_are_all_named(make) -> None:
     wrong = {
-        "touch": ContactSensorCfg(entity_cfg=LinksCfg(uid="cub")),
-        "cube": ContactSensorCfg(entity_cfg=CUBE),
-        "imu": ImuSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="wrist.*"), uid="other"),
+        "touch": ContactSensorCfg(of=LinksCfg(uid="cub")),
+        "cube": ContactSensorCfg(of=CUBE),
+        "imu": ImuSensorCfg(of=LinksCfg(uid="ur10", link_names="wrist.*"), uid="other"),
     }
     with pytest.raises(ConfigError) as error:
         make(sensors=wrong)
     assert [p.path for p in error.value.problems] == [
-        "sensors.touch.entity_cfg.uid",
+        "sensors.touch.of.uid",
         "sensors.cube",
         "sensors.imu.uid",
-        "sensors.imu.entity_cfg.link_names",
+        "sensors.imu.of.link_names",
     ]
 
 
 def test_an_observed_reading_can_be_modified(make) -> None:
-    imu = ImuSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="ee_link"), observe=True)
-    entries = [f"sensor/imu/{name}" for name in readings_of(imu)]
+    imu = ImuSensorCfg(of=LinksCfg(uid="ur10", link_names="ee_link"), observe=True)
+    entries = [f"sensor/imu/{name}" for name in imu.readings()]
     terms = {
         f"m{i}": ObservationCfg(func=halve, mode="modify", name=name)
         for i, name in enumerate(entries)
@@ -352,7 +351,7 @@ def test_an_observed_reading_can_be_modified(make) -> None:
     env = make(sensors=sensors(imu=imu), observations=terms)
     obs, _ = env.reset()
     data = env.get_sensor("imu").get_data()
-    assert tuple(data) == readings_of(imu) == tuple(obs["sensor", "imu"].keys())
+    assert tuple(data) == imu.readings() == tuple(obs["sensor", "imu"].keys())
     for name, value in data.items():
         assert torch.equal(obs["sensor", "imu", name], value / 2)
     with pytest.raises(ConfigError, match=r"before it: .*sensor/imu/orientation.*Did you mean"):
@@ -362,10 +361,10 @@ def test_an_observed_reading_can_be_modified(make) -> None:
 
 @pytest.mark.parametrize("uid", ["touch", "imu", "wrench"])
 def test_readings_are_what_a_sensor_gives(make, uid) -> None:
-    wrench = ForceTorqueSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="ee_link"))
+    wrench = ForceTorqueSensorCfg(of=LinksCfg(uid="ur10", link_names="ee_link"))
     sensor = make(sensors=sensors(wrench=wrench)).get_sensor(uid)
     data = sensor.get_data()
-    assert tuple(data) == readings_of(sensor.cfg)
+    assert tuple(data) == sensor.cfg.readings()
     assert {(v.dtype, v.shape[0]) for v in data.values()} == {(torch.float32, 3)}
 
 

@@ -59,7 +59,7 @@ from embodichain.utils.system.display import has_display
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.objects.robot import Robot
-    from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
+    from embodichain.lab.sim.sensors.base_sensor import BaseSensor
     from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = [

@@ -46,8 +46,7 @@ __all__ = [
 def _as_target(value: Any) -> Target:
     if not isinstance(value, str) and not callable(value):
         raise ValueError("must be an entity, ENTITY/NAME, a command or world")
-    target: Target = value
-    return target
+    return value
 
 
 Aim = Annotated[Target, PlainValidator(_as_target)]

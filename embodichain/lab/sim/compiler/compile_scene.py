@@ -41,12 +41,11 @@ from embodichain.lab.sim.compiler.scene.rigid_objects import (
 from embodichain.lab.sim.compiler.scene.world import PREFIX, World, add_world, start_world
 from embodichain.lab.sim.compiler.scene_parts import SceneParts
 from embodichain.lab.sim.compiler.sensing.scene_sensors import (
-    CameraIndex,
-    SensorIndex,
     add_sensor,
     index_sensor,
-    is_silent,
+    notes_on_sensor,
 )
+from embodichain.lab.sim.compiler.sensing.sensor_index import SensorIndex
 from embodichain.lab.sim.compiler.sensing.views import add_views, place_views, scene_bounds
 from embodichain.lab.sim.configs.scene_cfg import GroundCfg
 from embodichain.lab.sim.shapes import MeshCfg
@@ -95,11 +94,10 @@ class CompiledScene:
     @property
     def camera_sensors(self) -> dict[str, tuple[int, tuple[int, int]]]:
         """Name of each picture of camera sensors to the id of the camera, and width and height."""
-        found = [index for index in self.sensors.values() if isinstance(index, CameraIndex)]
         return {
-            name: (camera, index.size)
-            for index in found
-            for name, camera in zip(index.pictures, index.ids, strict=True)
+            name: camera
+            for index in self.sensors.values()
+            for name, camera in index.picture_cameras().items()
         }
 
 
@@ -161,10 +159,8 @@ def compile_scene(parts: SceneParts) -> CompiledScene:
     except MUJOCO_ERRORS as error:
         message = f"MuJoCo cannot compile the scene: {as_line(error)[0]}"
         raise ConfigError(_broken_meshes(objects) or message) from error
-    for uid, plan in sensors.items():
-        if is_silent(model, plan):
-            links = ", ".join(plan.frames)
-            notes.append(f"{uid}: no shape of {links} collides, so it reports no contact")
+    for plan in sensors.values():
+        notes += notes_on_sensor(model, plan)
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
         index = entities[uid] = _index_object(model, spec, uid, cfg)

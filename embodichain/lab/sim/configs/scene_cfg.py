@@ -16,6 +16,7 @@ from embodichain.utils.configclass import configclass
 from embodichain.utils.fields.no_effect import NoEffect
 
 __all__ = [
+    "DEFAULT_VIEW",
     "AnyPatchCfg",
     "BlocksPatchCfg",
     "FlatPatchCfg",
@@ -49,6 +50,10 @@ Rgb = Annotated[Sequence[Share], Field(min_length=3, max_length=3)]
 Box = Annotated[Sequence[Length], Field(min_length=3, max_length=3)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = Annotated[Sequence[Finite], Field(min_length=3, max_length=3)]
+
+
+DEFAULT_VIEW = "default"
+"""The view that every scene has."""
 
 
 @configclass

@@ -7,14 +7,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 
 import numpy as np
-import torch
 
 from embodichain.lab.sim.reads.body_motion import BodyMotion
 from embodichain.lab.sim.reads.frames import BodyFrames, link_frame
-from embodichain.utils.arrays import as_env_ids, as_rows, is_host, to_tensor
+from embodichain.utils.arrays import as_env_ids, as_rows, as_tensor, is_host, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 
 if TYPE_CHECKING:
+    import torch
     from numpy.typing import NDArray
 
     from embodichain.lab.sim.cfg import ObjectBaseCfg
@@ -90,7 +90,7 @@ class Handle(Generic[Index]):
         """
         arrays = self.host.arrays
         if arrays.on_device and is_host(values):
-            values = arrays.of(torch.as_tensor(values).to(arrays.device))
+            values = arrays.of(as_tensor(values).to(arrays.device))
         ids = as_env_ids(env_ids, self.num_instances)
         rows = self.num_instances if ids is None else len(ids)
         return as_rows(values, rows, width, f"{self.uid}: {what}", **options), ids

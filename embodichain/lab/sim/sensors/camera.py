@@ -1,4 +1,4 @@
-"""`Camera` and `StereoCamera`: handles of cameras in N environments.
+"""Cameras: `Camera` and `StereoCamera`, in N environments.
 
 Pictures are drawn when they are read. Poses and lenses are model fields, which may differ between
 environments.
@@ -6,15 +6,23 @@ environments.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, cast
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.sensing.cameras import pair_offset
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg, StereoCameraCfg
 from embodichain.lab.sim.drawing.views import Optics, Output, View, lens_of, view_of
+from embodichain.lab.sim.sensors.base_sensor import BaseSensor, register_sensor
+from embodichain.lab.sim.sensors.camera_cfg import CameraCfg, StereoCameraCfg
+from embodichain.lab.sim.sensors.camera_model import (
+    CameraIndex,
+    add_camera,
+    entity_of_geom,
+    mount,
+    pair_offset,
+    picture_names,
+)
 from embodichain.lab.sim.sensors.depth_images import (
     disparities,
     distances,
@@ -22,7 +30,6 @@ from embodichain.lab.sim.sensors.depth_images import (
     positions,
     slopes,
 )
-from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.utils.arrays import (
     as_env_ids,
     as_rows,
@@ -44,13 +51,17 @@ from embodichain.utils.math import (
 )
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.sensing.scene_sensors import CameraIndex
-    from embodichain.lab.sim.compiler.sensing.sensor_plans import SensorPlan
+    import mujoco
+    import torch
+
+    from embodichain.lab.sim.compiler.index import EntityIndex
+    from embodichain.lab.sim.compiler.sensing.sensor_plans import SceneNames, SensorPlan
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
     from embodichain.lab.sim.objects.host import Host
     from embodichain.lab.sim.sensors.sampling import Readings
     from embodichain.utils.array_types import Floats
+    from embodichain.utils.errors import Problem
 
 __all__ = ["Camera", "StereoCamera"]
 
@@ -69,6 +80,7 @@ class _Seen(NamedTuple):
     pictures: dict[str, NDArray[Any]]
 
 
+@register_sensor(CameraCfg)
 class Camera(BaseSensor):
     """A pinhole camera. Images are arrays (N, H, W, ...), the first row at the top.
 
@@ -83,7 +95,6 @@ class Camera(BaseSensor):
         was_drawn: Whether its images were read since it was built.
     """
 
-    reads_images = True
     of_positions = True
     SUPPORTED_DATA_TYPES: ClassVar[tuple[str, ...]] = (
         *("color", "depth", "distance", "mask", "normal", "position"),
@@ -96,6 +107,42 @@ class Camera(BaseSensor):
             raise TypeError(f"{plan.uid}: the config of a camera is wanted, got {plan.cfg!r}")
         self.cfg: CameraCfg = plan.cfg
         self.was_drawn = False
+
+    # -- in the scene --------------------------------------------------------------------------
+
+    @classmethod
+    def make_plan(
+        cls, uid: str, cfg: CameraCfg, scene: SceneNames
+    ) -> tuple[SensorPlan | None, list[Problem]]:
+        """Look up the link, site or geom that it is fixed on, if any."""
+        carrier, problems = mount(cfg, scene.known)
+        if carrier is None:
+            return scene.plan_in_the_open(uid, cfg), problems
+        frames, mistakes = scene.one("of", carrier)
+        problems += mistakes
+        if problems or frames is None:
+            return None, problems
+        return frames.plan(uid, cfg), []
+
+    @classmethod
+    def edit_spec(cls, spec: mujoco.MjSpec, plan: SensorPlan) -> None:
+        """Add its cameras, or find that of a file."""
+        cfg: CameraCfg = plan.cfg  # type: ignore[assignment]
+        add_camera(spec, plan.uid, cfg, next(iter(plan.places), None))
+
+    @classmethod
+    def find_index(
+        cls, model: mujoco.MjModel, plan: SensorPlan, entities: Mapping[str, EntityIndex]
+    ) -> CameraIndex:
+        """Return its cameras in the model, and the numbers of entities in its masks."""
+        cfg: CameraCfg = plan.cfg  # type: ignore[assignment]
+        cameras = picture_names(plan.uid, cfg)
+        return CameraIndex(
+            ids=tuple(int(model.camera(name).id) for name in cameras.values()),
+            entity_of_geom=entity_of_geom(model, entities),
+            pictures=tuple(cameras),
+            size=(cfg.width, cfg.height),
+        )
 
     @property
     def eyes(self) -> tuple[int, ...]:
@@ -120,19 +167,20 @@ class Camera(BaseSensor):
         """
         if name not in self.reads:
             raise KeyError(f"{self.uid}: no image {name!r}; data_types: {', '.join(self.reads)}")
-        return self._readings()[self.reads.index(name)]
+        return self.latest()[self.reads.index(name)]
 
     def get_data(self) -> dict[str, torch.Tensor]:
         """Return all `reads` as tensors (N, H, W, ...), as in ``obs["sensor"][uid]`` (copies)."""
         return {
             name: tensor_of(image.copy())
-            for name, image in zip(self.reads, self._readings(), strict=True)
+            for name, image in zip(self.reads, self.latest(), strict=True)
         }
 
     def update(self, **kwargs: Any) -> None:
         """No effect: images are drawn when they are read. EmbodiChain's name."""
 
-    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+    def measure(self, env_ids: EnvIndex | None) -> Readings:
+        """Draw its images, (n, H, W, ...) each."""
         self.was_drawn = True
         seen = self._draw_on_device() if self.host.arrays.on_device else self._draw(env_ids)
         return tuple(self._image(name, seen) for name in self.reads)
@@ -351,6 +399,7 @@ class Camera(BaseSensor):
         return _matrices(self.read_intrinsics(), pixel_origin)
 
 
+@register_sensor(StereoCameraCfg)
 class StereoCamera(Camera):
     """Two cameras side by side. Images are the left camera's; those of the right end in ``_right``.
 

@@ -2,27 +2,139 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.configs.sensor_cfg import HeightScanSensorCfg, RayCastCfg, RaySensorCfg
+from embodichain.lab.sim.compiler.names import GROUND
+from embodichain.lab.sim.compiler.sensing.sensor_index import SensorIndex
+from embodichain.lab.sim.configs.references import LinksCfg
+from embodichain.lab.sim.configs.scene_cfg import Quat, Vec3
+from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
+from embodichain.lab.sim.configs.sensor_checks import check_mount
 from embodichain.lab.sim.reads.frames import BodyFrames, frame_named, link_frame
-from embodichain.lab.sim.sensors.ray_patterns import pattern_rays
-from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
+from embodichain.lab.sim.sensors.base_sensor import BaseSensor, register_sensor
+from embodichain.lab.sim.sensors.ray_patterns import RayGridCfg, RayPatternCfg, pattern_rays
+from embodichain.utils.configclass import configclass
+from embodichain.utils.errors import Problem
 from embodichain.utils.math import quat_to_matrix, rotate
 
 if TYPE_CHECKING:
+    import mujoco
+
+    from embodichain.lab.sim.compiler.index import EntityIndex, Mask
+    from embodichain.lab.sim.compiler.sensing.sensor_plans import SceneNames, SensorPlan
     from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.reads.height_field import GroundHeights
     from embodichain.lab.sim.sensors.sampling import Readings
     from embodichain.utils.array_types import Floats
 
-__all__ = ["HeightScanSensor", "RayCaster", "RaySensor"]
+__all__ = [
+    "HeightScanSensor",
+    "HeightScanSensorCfg",
+    "RayCastCfg",
+    "RayCaster",
+    "RaySensor",
+    "RaySensorCfg",
+]
 
 _DOWN = (0.0, 0.0, -1.0)
+_ALIGNMENTS = ("base", "yaw", "world")
+_NO_HITS = ("max", "inf", "zero")
+_GEOM_GROUPS = range(6)
+
+
+@configclass
+class RayCastCfg(SensorCfg):
+    """Rays from one link (by default the root), site or geom; without `uid` from a fixed place."""
+
+    pattern: RayPatternCfg = RayPatternCfg()
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    """The sensor's origin, metres in the frame that `alignment` chooses."""
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    """The sensor's orientation in that frame, wxyz."""
+    alignment: Literal["base", "yaw", "world"] = "base"
+    """Axes at that origin: of the link, site or geom, of its heading (z up), or of the world."""
+    max_range: float = 10.0
+    """Metres; surfaces further away count as not hit."""
+    no_hit: Literal["max", "inf", "zero"] = "max"
+    """Reading of a ray that hits nothing: as at `max_range`, infinity or 0."""
+    hit: list[str] | None = None
+    """Uids of the entities that rays can hit (or ``default_plane``); None is everything."""
+    exclude: list[str] | None = None
+    """Uids of entities that rays pass through; None is the entity that the sensor is fixed on."""
+    geom_groups: list[int] = [0, 1, 2]
+    """Groups of geoms that rays can hit: 0 to 2 are drawn, collision geoms are often in 3."""
+
+    def check(self) -> list[Problem]:
+        """Check its pose, its pattern, and what rays can hit and read."""
+        problems = check_mount(self.pos, self.quat) + self.pattern.check()
+        for key, allowed in (("alignment", _ALIGNMENTS), ("no_hit", _NO_HITS)):
+            value = getattr(self, key)
+            if value not in allowed:
+                message = f"must be one of {', '.join(allowed)}, got {value!r}"
+                problems.append(Problem(key, message))
+        if not 0 < self.max_range < math.inf:
+            message = f"must be positive and finite, metres, got {self.max_range!r}"
+            problems.append(Problem("max_range", message))
+        if not self.geom_groups or not set(self.geom_groups) <= set(_GEOM_GROUPS):
+            message = f"must be numbers from 0 to 5, got {self.geom_groups!r}"
+            problems.append(Problem("geom_groups", message))
+        if self.observe and self.no_hit == "inf":
+            problems.append(Problem("no_hit", "observations must be finite: use max or zero"))
+        if self.hit is not None and not self.hit:
+            problems.append(Problem("hit", "names no entity; leave it out for all"))
+        return problems
+
+
+RayReading = Literal["distance", "position", "normal"]
+
+
+@configclass
+class RaySensorCfg(RayCastCfg):
+    """A range finder: distances along rays."""
+
+    sensor_type: Literal["ray"] = "ray"
+    data_types: list[RayReading] = ["distance"]
+    """Entries of `get_data`."""
+
+    def readings(self) -> tuple[str, ...]:
+        """Return its `data_types`."""
+        return tuple(self.data_types)
+
+    def check(self) -> list[Problem]:
+        """Check that it reads something."""
+        problems = super().check()
+        if not self.data_types:
+            problems.append(Problem("data_types", "names no reading"))
+        return problems
+
+
+@configclass
+class HeightScanSensorCfg(RayCastCfg):
+    """Heights of the sensor above the surface below it, on a grid."""
+
+    reads: ClassVar[tuple[str, ...]] = ("height",)
+
+    sensor_type: Literal["height_scan"] = "height_scan"
+    pattern: RayPatternCfg = RayPatternCfg(grid=RayGridCfg(size=(1.6, 1.0), resolution=0.1))
+    alignment: Literal["base", "yaw", "world"] = "yaw"
+    start_height: float = 1.0
+    """Metres above the sensor where rays start, so that higher ground beside it is found."""
+
+    def check(self) -> list[Problem]:
+        """Check that its pattern is a grid, and where rays start."""
+        problems = super().check()
+        if self.pattern.grid is None:
+            problems.append(Problem("pattern", "a height scan has a grid"))
+        if not 0 <= self.start_height < math.inf:
+            message = f"must not be negative, metres, got {self.start_height!r}"
+            problems.append(Problem("start_height", message))
+        return problems
 
 
 class _Cast(NamedTuple):
@@ -53,6 +165,36 @@ class RayCaster(BaseSensor):
 
     of_positions = True
     cfg: RayCastCfg
+
+    @classmethod
+    def make_plan(
+        cls, uid: str, cfg: RayCastCfg, scene: SceneNames
+    ) -> tuple[SensorPlan | None, list[Problem]]:
+        """Look up what it is fixed on, if anything, and the entities that rays can hit or not."""
+        problems = scene.entities("hit", cfg.hit) + scene.entities("exclude", cfg.exclude)
+        if cfg.of == LinksCfg():
+            plan = None if problems else scene.plan_in_the_open(uid, cfg)
+            return plan, problems
+        frames, mistakes = scene.one("of", cfg.of)
+        problems = mistakes + problems
+        if problems or frames is None:
+            return None, problems
+        return frames.plan(uid, cfg), []
+
+    @classmethod
+    def find_index(
+        cls, model: mujoco.MjModel, plan: SensorPlan, entities: Mapping[str, EntityIndex]
+    ) -> SensorIndex:
+        """Return the geoms that its rays can hit."""
+        cfg: RayCastCfg = plan.cfg  # type: ignore[assignment]
+        hits: Mask = np.isin(model.geom_group, cfg.geom_groups)
+        if cfg.hit is not None:
+            hits &= _geoms_of(model, cfg.hit, entities)
+        excluded = cfg.exclude
+        if excluded is None:
+            carrier = cfg.of.uid
+            excluded = [carrier] if carrier and carrier not in (cfg.hit or ()) else []
+        return SensorIndex(geoms=hits & ~_geoms_of(model, excluded, entities))
 
     @cached_property
     def _rays(self) -> tuple[Floats, Floats]:
@@ -100,12 +242,14 @@ class RayCaster(BaseSensor):
         return _Cast(place, origins, directions, distance, hit, found.normal)
 
 
+@register_sensor(RaySensorCfg)
 class RaySensor(RayCaster):
     """A range finder: distances along R rays, and the points and surfaces that they hit."""
 
     cfg: RaySensorCfg
 
-    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+    def measure(self, env_ids: EnvIndex | None) -> Readings:
+        """(n, R) distances, (n, R, 3) points and, if they are wanted, (n, R, 3) normals."""
         cast = self._cast(env_ids, normal="normal" in self.cfg.data_types)
         hit = cast.hit[..., None]
         reached = np.where(np.isfinite(cast.distance), cast.distance, 0.0)[..., None]
@@ -118,14 +262,14 @@ class RaySensor(RayCaster):
 
     def read_distance(self) -> Floats:
         """(N, R) m along the rays; where nothing is hit, what `no_hit` says."""
-        return self._readings()[0].copy()
+        return self.latest()[0].copy()
 
     def read_position(self) -> Floats:
         """(N, R, 3) m: points that are hit, in the environment's frame.
 
         Where nothing is hit: the point at the distance that is read.
         """
-        return self._readings()[1].copy()
+        return self.latest()[1].copy()
 
     def read_normal(self) -> Floats:
         """(N, R, 3) unit normals of the surfaces that are hit, world axes; 0 where nothing is.
@@ -133,12 +277,13 @@ class RaySensor(RayCaster):
         Raises:
             ValueError: If the config's `data_types` does not contain ``normal``.
         """
-        readings = self._readings()
+        readings = self.latest()
         if len(readings) < 3:
             raise ValueError(f"{self.uid}: normals are not measured; add normal to data_types")
         return readings[2].copy()
 
 
+@register_sensor(HeightScanSensorCfg)
 class HeightScanSensor(RayCaster):
     """Heights of the sensor's origin above what is below the points of a grid.
 
@@ -148,7 +293,8 @@ class HeightScanSensor(RayCaster):
 
     cfg: HeightScanSensorCfg
 
-    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+    def measure(self, env_ids: EnvIndex | None) -> Readings:
+        """(n, R) heights."""
         if self._ground is not None:
             return (self._above_ground(self._ground, env_ids),)
         cast = self._cast(env_ids, self.cfg.start_height)
@@ -193,7 +339,17 @@ class HeightScanSensor(RayCaster):
 
         Where nothing is hit: as if the surface were at `max_range`, infinite or 0 (`no_hit`).
         """
-        return self._readings()[0].copy()
+        return self.latest()[0].copy()
+
+
+def _geoms_of(
+    model: mujoco.MjModel, uids: Sequence[str], entities: Mapping[str, EntityIndex]
+) -> Mask:
+    """(ngeom,) the geoms of these entities."""
+    geoms: Mask = np.zeros(model.ngeom, np.bool_)
+    for uid in uids:
+        geoms[model.geom(GROUND).id if uid == GROUND else entities[uid].geom_ids] = True
+    return geoms
 
 
 def _heading(axes: Floats) -> Floats:

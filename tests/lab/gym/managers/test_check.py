@@ -73,7 +73,7 @@ def test_every_mistake_is_found_at_once() -> None:
     assert found[2].endswith("Did you mean 'position_range'?")
     assert "low 0.0 exceeds high -1.0 in column 1" in found[3]
     assert found[4] == (
-        "events.b.params.entity_cfg: missing; event term 'randomize_rigid_object_pose' needs it"
+        "events.b.params.of: missing; event term 'randomize_rigid_object_pose' needs it"
     )
     assert found[6].startswith("rewards.near.params.threshold: must be greater than 0")
     assert found[5].startswith("commands.velocity.func: unknown command term 'uniform_velocty'")
@@ -85,6 +85,8 @@ def test_every_mistake_is_found_at_once() -> None:
         ({"entity_cfg": "cube"}, "entity_cfg", "got 'cube'"),
         ({"entity_cfg": {"uid": "cube", "link_name": "x"}}, "entity_cfg.link_name", "unknown key"),
         ({"entity_cfg": {"uid": 3}}, "entity_cfg.uid", "expected text, got 3"),
+        ({"of": {"uid": 3}}, "of.uid", "expected text, got 3"),
+        ({**CUBE, "of": {"uid": "cube"}}, "entity_cfg", "means the same as of: leave one out"),
         ({**CUBE, "to_matrix": "perhaps"}, "to_matrix", "got 'perhaps'"),
     ],
 )
@@ -106,7 +108,7 @@ def test_values_are_converted_as_annotated() -> None:
         spec, {"entity_cfg": {"uid": "cube"}, "position_range": [[0, 0, 0], [1, 1, 1]]}, "p"
     )
     assert found == []
-    assert values["entity_cfg"] == SceneEntityCfg(uid="cube")
+    assert values["of"] == SceneEntityCfg(uid="cube")
     assert values["position_range"][1] == [1.0, 1.0, 1.0]
 
 

@@ -200,7 +200,7 @@ def test_all_mistakes_come_at_once_with_their_paths(make) -> None:
         )
     paths = [p.path for p in caught.value.problems]
     assert sorted(paths) == [
-        "events.a.params.entity_cfg",
+        "events.a.params.of",
         "events.b.params.entity_cfg.uid",
         "events.c.params.entity_cfg.uid",
         "events.d.interval_range_s",

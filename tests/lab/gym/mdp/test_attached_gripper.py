@@ -14,7 +14,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.configs.sensor_cfg import ContactSensorCfg, LinksCfg
+from embodichain.lab.sim.sensors import ContactSensorCfg, LinksCfg
 from embodichain.lab.sim.shapes import CubeCfg
 from embodichain.utils.errors import ConfigError
 from tests.helpers.mjcf_robots import HAND

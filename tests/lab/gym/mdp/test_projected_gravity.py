@@ -8,7 +8,7 @@ import pytest
 from embodichain.lab.gym.envs.cfg import EventCfg, ObservationCfg, PhysicsTaskCfg
 from embodichain.lab.sim.cfg import RigidObjectCfg
 from embodichain.lab.sim.configs.physics_cfg import FlagsCfg
-from embodichain.lab.sim.configs.sensor_cfg import ImuSensorCfg, LinksCfg
+from embodichain.lab.sim.sensors import ImuSensorCfg, LinksCfg
 from embodichain.lab.sim.shapes import CubeCfg
 from tests.helpers.ur10_task import builder
 

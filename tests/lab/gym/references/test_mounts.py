@@ -10,7 +10,7 @@ from embodichain.lab.gym.expert.targets import TargetPoses, check_target
 from embodichain.lab.sim.cfg import AttachedFileCfg, AttachmentCfg, RobotCfg, SolverCfg
 from embodichain.lab.sim.compiler.robot.articulation import parse_articulation, parse_with_problems
 from embodichain.lab.sim.configs.scene_cfg import ViewCfg
-from embodichain.lab.sim.configs.sensor_cfg import (
+from embodichain.lab.sim.sensors import (
     CameraCfg,
     ContactSensorCfg,
     ExtrinsicsCfg,
@@ -38,7 +38,7 @@ def rotation(quat) -> np.ndarray:
 
 
 def test_contacts_of_feet_that_are_geoms(make) -> None:  # noqa: F811
-    sensors = {"feet": ContactSensorCfg(entity_cfg=FEET, against=LinksCfg(uid="default_plane"))}
+    sensors = {"feet": ContactSensorCfg(of=FEET, against=LinksCfg(uid="default_plane"))}
     rewards = {
         "slide": RewardCfg(func="feet_slide", params={"sensor": "feet"}),
         "gait": RewardCfg(
@@ -77,10 +77,10 @@ def test_contacts_of_feet_that_are_geoms(make) -> None:  # noqa: F811
 def test_contacts_with_geoms_of_another_entity(make) -> None:  # noqa: F811
     sensors = {
         "board": ContactSensorCfg(
-            entity_cfg=LinksCfg(uid="cube"), against=LinksCfg(uid="shelf", geom="board")
+            of=LinksCfg(uid="cube"), against=LinksCfg(uid="shelf", geom="board")
         ),
         "other": ContactSensorCfg(
-            entity_cfg=LinksCfg(uid="cube"), against=LinksCfg(uid="crate", geom_names=".*")
+            of=LinksCfg(uid="cube"), against=LinksCfg(uid="crate", geom_names=".*")
         ),
     }
     env = make(sensors=sensors)
@@ -95,7 +95,7 @@ def test_contacts_with_geoms_of_another_entity(make) -> None:  # noqa: F811
 @pytest.mark.parametrize(("kind", "name"), [("site", "FL_foot"), ("geom", "FL")])
 def test_a_frame_sensor_at_a_site_or_geom(make, kind, name, offset) -> None:  # noqa: F811
     moved = {"pos": (0.1, 0.2, -0.1), "quat": (0.5, 0.5, -0.5, 0.5)} if offset else {}
-    cfg = FramePoseSensorCfg(entity_cfg=LinksCfg(uid="r", **{kind: name}), **moved)
+    cfg = FramePoseSensorCfg(of=LinksCfg(uid="r", **{kind: name}), **moved)
     env = make(sensors={"frame": cfg})
     shake(env)
     sensor = env.sensors["frame"]
@@ -112,7 +112,7 @@ def test_a_frame_sensor_at_a_site_or_geom(make, kind, name, offset) -> None:  # 
 
 def test_a_frame_relative_to_a_site(make) -> None:  # noqa: F811
     cfg = FramePoseSensorCfg(
-        entity_cfg=LinksCfg(uid="r", geom="RR"), relative_to=LinksCfg(uid="r", site="imu")
+        of=LinksCfg(uid="r", geom="RR"), relative_to=LinksCfg(uid="r", site="imu")
     )
     env = make(sensors={"frame": cfg})
     shake(env)
@@ -124,9 +124,9 @@ def test_a_frame_relative_to_a_site(make) -> None:  # noqa: F811
 
 def test_an_imu_and_a_force_at_a_site(make) -> None:  # noqa: F811
     sensors = {
-        "imu": ImuSensorCfg(entity_cfg=LinksCfg(uid="r", site="imu")),
-        "knee": ForceTorqueSensorCfg(entity_cfg=LinksCfg(uid="r", site_names=["FL_foot"])),
-        "link": ForceTorqueSensorCfg(entity_cfg=LinksCfg(uid="r", link_names=["FL_calf"])),
+        "imu": ImuSensorCfg(of=LinksCfg(uid="r", site="imu")),
+        "knee": ForceTorqueSensorCfg(of=LinksCfg(uid="r", site_names=["FL_foot"])),
+        "link": ForceTorqueSensorCfg(of=LinksCfg(uid="r", link_names=["FL_calf"])),
     }
     env = make(sensors=sensors)
     shake(env)
@@ -150,10 +150,10 @@ def test_rays_start_at_a_site_or_geom(make, kind, name) -> None:  # noqa: F811
     where = LinksCfg(uid="r", **{kind: name})
     sensors = {
         "down": RaySensorCfg(
-            entity_cfg=where, alignment="world", pattern=RayPatternCfg(directions=[(0, 0, -1)])
+            of=where, alignment="world", pattern=RayPatternCfg(directions=[(0, 0, -1)])
         ),
         "scan": HeightScanSensorCfg(
-            entity_cfg=where,
+            of=where,
             hit=["default_plane"],
             pattern=RayPatternCfg(grid=RayGridCfg(size=(0.2, 0.2), resolution=0.1)),
         ),
@@ -169,9 +169,7 @@ def test_rays_start_at_a_site_or_geom(make, kind, name) -> None:  # noqa: F811
 def test_a_camera_at_a_site(make, parent) -> None:  # noqa: F811
     where = LinksCfg(uid="r", site="FL_foot") if parent is None else LinksCfg()
     pose = {"pos": (0.05, -0.02, 0.1), "quat": (0.5, 0.5, 0.5, 0.5)}
-    camera = CameraCfg(
-        width=8, height=8, entity_cfg=where, extrinsics=ExtrinsicsCfg(parent=parent, **pose)
-    )
+    camera = CameraCfg(width=8, height=8, of=where, extrinsics=ExtrinsicsCfg(parent=parent, **pose))
     env = make(sensors={"eye": camera})
     shake(env)
     pos, axes, *_ = of_mujoco(env, "site", "r/FL_foot")
@@ -204,27 +202,27 @@ def test_a_view_follows_a_site(make, follow) -> None:  # noqa: F811
 
 SENSOR_MISTAKES = {
     "site of contacts": (
-        ContactSensorCfg(entity_cfg=LinksCfg(uid="r", site="imu")),
+        ContactSensorCfg(of=LinksCfg(uid="r", site="imu")),
         "a site touches nothing",
     ),
     "against a site": (
-        ContactSensorCfg(entity_cfg=FEET, against=LinksCfg(uid="r", site="imu")),
+        ContactSensorCfg(of=FEET, against=LinksCfg(uid="r", site="imu")),
         r"against\.site_names: a site touches nothing",
     ),
     "unknown geom": (
-        ContactSensorCfg(entity_cfg=LinksCfg(uid="r", geom_names="FX")),
+        ContactSensorCfg(of=LinksCfg(uid="r", geom_names="FX")),
         "no geom of 'r' matches 'FX'",
     ),
     "two kinds": (
-        ImuSensorCfg(entity_cfg=LinksCfg(uid="r", site="imu", geom="FR")),
+        ImuSensorCfg(of=LinksCfg(uid="r", site="imu", geom="FR")),
         "geom: site is given as well",
     ),
     "several": (
-        ImuSensorCfg(entity_cfg=LinksCfg(uid="r", geom_names="F.")),
+        ImuSensorCfg(of=LinksCfg(uid="r", geom_names="F.")),
         "one geom is wanted, these match: FR, FL",
     ),
     "frame twice": (
-        FramePoseSensorCfg(entity_cfg=LinksCfg(uid="r", geom="FR"), site="imu"),
+        FramePoseSensorCfg(of=LinksCfg(uid="r", geom="FR"), site="imu"),
         "site: give a site or geom, not both",
     ),
 }
@@ -351,7 +349,7 @@ def test_the_feet_of_a_quadruped_are_offered(tmp_path) -> None:
 
 def test_an_observation_of_a_sensor_at_a_geom(make) -> None:  # noqa: F811
     env = make(
-        sensors={"feet": ContactSensorCfg(entity_cfg=FEET)},
+        sensors={"feet": ContactSensorCfg(of=FEET)},
         observations={"it": ObservationCfg(func="contact_found", params={"sensor": "feet"})},
     )
     assert env.get_obs()["it"].shape == (3, 4)

@@ -132,7 +132,7 @@ def test_on_a_link_and_of_a_file(scene, arm):
     links = LinksCfg(uid="arm", link_names=["upper"])
     parent = ExtrinsicsCfg(pos=(0.0, 0.0, 0.1), parent="upper")
     sensors = [
-        camera("on_link", entity_cfg=links, extrinsics=offset),
+        camera("on_link", of=links, extrinsics=offset),
         camera("parent", extrinsics=parent),
         camera("own", camera="arm/wrist"),
     ]
@@ -231,8 +231,8 @@ WRONG = {
         r"intrinsics: fx, .* fx and fy positive; got \[0.0, 1.0",
     ),
     "link": (
-        {"entity_cfg": LinksCfg(uid="arm", link_names=["uper"])},
-        r"entity_cfg.link_names: no link of 'arm' matches 'uper'; .* Did you mean 'upper'\?",
+        {"of": LinksCfg(uid="arm", link_names=["uper"])},
+        r"of.link_names: no link of 'arm' matches 'uper'; .* Did you mean 'upper'\?",
     ),
     "parent": (
         {"extrinsics": ExtrinsicsCfg(parent="uper")},

@@ -82,7 +82,7 @@ def add_scene(sim: SimulationManager, folder: Path) -> SimulationManager:
     sim.add_rigid_object(cube("loose", (-1.5, 0.3, 1.5)))
     sim.add_light(LightCfg(uid="lamp", light_type="direction", direction=(1, 0, 0), intensity=9.0))
     behind = ExtrinsicsCfg(eye=(-0.2, 0.4, 1.6), target=(-2, -0.1, 0.9))
-    moving = {"entity_cfg": LinksCfg(uid="arm", link_names=["upper"])}
+    moving = {"of": LinksCfg(uid="arm", link_names=["upper"])}
     for cfg in (
         camera("eye", data_types=EVERY),
         camera("back", extrinsics=behind, fovy=70, data_types=["color", "depth", "mask"]),

@@ -121,7 +121,7 @@ def test_a_camera_on_a_link_that_moves(scene, tmp_path):
     """The link turns about z at (0, 0, 1); the camera looks along the link, 0.2 m ahead."""
     pose = ExtrinsicsCfg(eye=(0.2, 0, 0), target=(1, 0, 0))
     sensors = [
-        camera(fovy=60.0, entity_cfg=LinksCfg(uid="arm", link_names=["turned"]), extrinsics=pose),
+        camera(fovy=60.0, of=LinksCfg(uid="arm", link_names=["turned"]), extrinsics=pose),
         camera("fixed", fovy=60.0),
     ]
     sim = scene([ball("ball", (2.0, 0.0, 1.0))], sensors, [arm(tmp_path)])

@@ -29,7 +29,7 @@ TABLE_LEGS = """
 
 def contact(uid, on, against=None, **links):
     other = None if against is None else LinksCfg(**against)
-    return ContactSensorCfg(uid=uid, entity_cfg=LinksCfg(uid=on, **links), against=other)
+    return ContactSensorCfg(uid=uid, of=LinksCfg(uid=on, **links), against=other)
 
 
 def settle(sim, steps=150):
@@ -130,9 +130,9 @@ def test_forces_are_those_of_each_environment(scene):
 @pytest.mark.parametrize(
     ("cfg", "path", "match"),
     [
-        (contact("touch", "cub"), "touch.entity_cfg.uid", "there are: cube"),
-        (contact("touch", "cube", link_names="x.*"), "touch.entity_cfg.link_names", "no link"),
-        (contact("touch", "cube", link_names=[]), "touch.entity_cfg.link_names", "names no link"),
+        (contact("touch", "cub"), "touch.of.uid", "there are: cube"),
+        (contact("touch", "cube", link_names="x.*"), "touch.of.link_names", "no link"),
+        (contact("touch", "cube", link_names=[]), "touch.of.link_names", "names no link"),
         (contact("touch", "cube", {"uid": "plane"}), "touch.against.uid", "default_plane, cube"),
         (
             contact("touch", "cube", {"uid": "default_plane", "link_names": "x"}),

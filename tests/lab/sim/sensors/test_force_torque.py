@@ -32,9 +32,7 @@ def arm(tmp_path):
 
 
 def test_a_stretched_arm_carries_its_weight_and_the_moment_of_it(scene, arm):
-    cfg = ForceTorqueSensorCfg(
-        uid="wrench", entity_cfg=LinksCfg(uid="arm", link_names=["upper", "tool"])
-    )
+    cfg = ForceTorqueSensorCfg(uid="wrench", of=LinksCfg(uid="arm", link_names=["upper", "tool"]))
     sim = scene([], [cfg], robots=[arm])
     sim.update(step=400)
     wrench = sim.get_sensor("wrench")

@@ -34,7 +34,7 @@ def arm(tmp_path):
 
 
 def frame(on="arm", uid="frame", link_names=None, **kwargs):
-    return FramePoseSensorCfg(uid=uid, entity_cfg=LinksCfg(uid=on, link_names=link_names), **kwargs)
+    return FramePoseSensorCfg(uid=uid, of=LinksCfg(uid=on, link_names=link_names), **kwargs)
 
 
 def close(found, wanted):
@@ -120,7 +120,7 @@ def test_a_static_and_a_kinematic_object_have_frames(scene):
         (frame("box", site="tip"), "site", "no site is called 'tip'; there are: none"),
         (frame(site="tip", link_names="upper"), "site", "not both"),
         (frame(site="tip", pos=(1, 0, 0)), "site", "has its own pose"),
-        (frame(link_names=".*"), "entity_cfg.link_names", "one link is wanted"),
+        (frame(link_names=".*"), "of.link_names", "one link is wanted"),
         (frame(pos=(1, 0)), "pos", "3 finite numbers"),
         (frame(relative_to=LinksCfg(uid="am")), "relative_to.uid", "Did you mean|there are"),
         (

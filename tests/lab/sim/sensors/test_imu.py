@@ -20,7 +20,7 @@ ABOUT_X = (
 
 def imu(uid="imu", on="cube", **kwargs):
     links = {"link_names": kwargs.pop("link_names")} if "link_names" in kwargs else {}
-    return ImuSensorCfg(uid=uid, entity_cfg=LinksCfg(uid=on, **links), **kwargs)
+    return ImuSensorCfg(uid=uid, of=LinksCfg(uid=on, **links), **kwargs)
 
 
 def test_at_rest_it_reads_gravity_upwards(scene):
@@ -116,7 +116,7 @@ def test_without_a_link_it_sits_on_the_root_and_one_link_is_wanted(scene):
     )
     with pytest.raises(ConfigError, match="one link is wanted, these match: wrist_1") as error:
         scene([], [imu(on="ur10", link_names="wrist.*")], robots=[robot])
-    assert error.value.problems[0].path == "imu.entity_cfg.link_names"
+    assert error.value.problems[0].path == "imu.of.link_names"
 
 
 def robot_link_quat(sim, link):

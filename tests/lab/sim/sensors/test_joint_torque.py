@@ -46,7 +46,7 @@ def arm(tmp_path, spring="", stiffness=None):
 
 def torque(joints=None, **kwargs):
     entity = JointsCfg(uid="arm", joint_names=joints, **kwargs)
-    return JointTorqueSensorCfg(uid="torque", entity_cfg=entity)
+    return JointTorqueSensorCfg(uid="torque", of=entity)
 
 
 def test_a_static_arm_carries_the_moment_of_its_weight(scene, tmp_path):
@@ -95,14 +95,14 @@ def test_a_torque_is_of_the_last_physics_step(scene, tmp_path):
 @pytest.mark.parametrize(
     ("keys", "path", "match"),
     [
-        ({"uid": "ar"}, "entity_cfg.uid", "there are: arm, cube"),
-        ({"uid": "arm", "joint_names": "x"}, "entity_cfg.joint_names", "there are: shoulder"),
-        ({"uid": "arm", "link_names": "upper"}, "entity_cfg.link_names", "takes joint_names"),
-        ({"uid": "cube"}, "entity_cfg.uid", "is a rigid object without joints"),
+        ({"uid": "ar"}, "of.uid", "there are: arm, cube"),
+        ({"uid": "arm", "joint_names": "x"}, "of.joint_names", "there are: shoulder"),
+        ({"uid": "arm", "link_names": "upper"}, "of.link_names", "takes joint_names"),
+        ({"uid": "cube"}, "of.uid", "is a rigid object without joints"),
     ],
 )
 def test_wrong_joints_are_refused_with_what_exists(scene, tmp_path, keys, path, match):
-    cfg = JointTorqueSensorCfg(uid="torque", entity_cfg=JointsCfg(**keys))
+    cfg = JointTorqueSensorCfg(uid="torque", of=JointsCfg(**keys))
     with pytest.raises(ConfigError, match=match) as error:
         scene([cube("cube")], [cfg], robots=[arm(tmp_path)])
     assert [p.path for p in error.value.problems] == [f"torque.{path}"]

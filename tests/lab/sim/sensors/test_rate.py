@@ -12,7 +12,7 @@ DT = 0.01
 
 def spinning(scene, rate, **kwargs):
     """A simulation of weightless cubes that turn about z at 1 rad/s, each with an IMU."""
-    imu = ImuSensorCfg(uid="imu", entity_cfg=LinksCfg(uid="cube"), rate=rate)
+    imu = ImuSensorCfg(uid="imu", of=LinksCfg(uid="cube"), rate=rate)
     sim = scene([cube("cube", pos=(0, 0, 2))], [imu], gravity=0.0, physics_dt=DT, **kwargs)
     spin(sim)
     return sim
@@ -104,7 +104,7 @@ def test_a_restored_simulation_returns_the_kept_readings(scene):
 
 
 def test_forces_of_the_last_step_have_a_rate_too(scene):
-    touch = ContactSensorCfg(uid="touch", entity_cfg=LinksCfg(uid="cube"), rate=20.0)
+    touch = ContactSensorCfg(uid="touch", of=LinksCfg(uid="cube"), rate=20.0)
     sim = scene([cube("cube", pos=(0, 0, 0.0505))], [touch], physics_dt=DT)
     sensor = sim.get_sensor("touch")
     assert not sensor.read_found().any()

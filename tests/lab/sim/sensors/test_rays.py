@@ -38,12 +38,12 @@ def mount(**kwargs):
 
 
 def ray(pattern=AHEAD, on="cube", **kwargs):
-    return RaySensorCfg(uid="ray", entity_cfg=LinksCfg(uid=on), pattern=pattern, **kwargs)
+    return RaySensorCfg(uid="ray", of=LinksCfg(uid=on), pattern=pattern, **kwargs)
 
 
 def scan(size=(1.0, 0.0), **kwargs):
     grid = RayPatternCfg(grid=RayGridCfg(size=size, resolution=0.5))
-    kwargs = {"entity_cfg": LinksCfg(uid="cube"), "pattern": grid, **kwargs}
+    kwargs = {"of": LinksCfg(uid="cube"), "pattern": grid, **kwargs}
     return HeightScanSensorCfg(uid="scan", **kwargs)
 
 
@@ -285,7 +285,7 @@ def grid(**kwargs):
             "pattern.fan.vertical_count",
             "at least 1",
         ),
-        (ray(on="cub"), "entity_cfg.uid", "there are: cube, lamp"),
+        (ray(on="cub"), "of.uid", "there are: cube, lamp"),
         (ray(pos=(0, 0)), "pos", "3 finite numbers"),
         (ray(quat=(0, 0, 0, 0)), "quat", "must not be zero"),
         (ray(max_range=float("inf")), "max_range", "positive and finite, metres"),

@@ -76,7 +76,7 @@ def default_actions(robot: Robot | None) -> dict[str, ActionTermCfg]:
     parsed = robot.parsed
     passive = any(not parsed.drives[i] for i in robot.active_joint_ids)
     if parsed.own_actuators or (passive and parsed.control_names):
-        params = {"entity_cfg": SceneEntityCfg(uid=robot.uid)}
+        params = {"of": SceneEntityCfg(uid=robot.uid)}
         return {"ctrl": ActionTermCfg(func="actuator_ctrl", params=params)}
     return {}
 

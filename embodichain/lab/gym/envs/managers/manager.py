@@ -110,7 +110,10 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     spec = checked.spec
     values, names = _values_in_scene(env, checked, where), checked.names
     if isinstance(spec, AliasSpec):
-        names = {**names, **{key: names.get(name, name) for key, name in spec.names.items()}}
+        of_target = {key: names.get(name, name) for key, name in spec.names.items()}
+        python = spec.target.python_names()
+        names |= {name: of_target[key] for name, key in python.items() if key in of_target}
+        names = {**names, **of_target}
     columns = columns_of_term(env, checked.values, values, spec.hints())
     with _under(where, names):
         parts = spec.meaning(values, env) if isinstance(spec, AliasSpec) else [(spec, values)]

@@ -23,12 +23,12 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.managers.context import TermContext
-    from embodichain.lab.sim.sensors.camera import Camera
-    from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensor
-    from embodichain.lab.sim.sensors.sensor_handles import (
+    from embodichain.lab.sim.sensors import (
         BaseSensor,
+        Camera,
         ContactSensor,
         ForceTorqueSensor,
+        HeightScanSensor,
         ImuSensor,
     )
     from embodichain.utils.array_types import Floats

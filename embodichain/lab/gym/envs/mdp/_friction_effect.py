@@ -104,7 +104,7 @@ def _drawn_geoms(env: TermContext, axis: int) -> NDArray[np.int64]:
 
 def _uids(params: Mapping[str, Any]) -> list[str]:
     """The entities of an event; the ground if it names none."""
-    entities = [params.get("entity_cfg"), *(params.get("entity_cfgs") or [])]
+    entities = [params.get("of"), *(params.get("entity_cfgs") or [])]
     fields = [
         entity if isinstance(entity, Mapping) else getattr(entity, "__dict__", {})
         for entity in entities

@@ -276,7 +276,12 @@ class ModifyTermParam(Term):
 def _values(spec: TermSpec, cfg: TermCfg) -> dict[str, Any]:
     """The parameters of a term, defaults included, and its ``shape``."""
     empty = inspect.Parameter.empty
-    defaults = {k: p.default for k, p in spec.params.items() if p.default is not empty}
+    written = spec.written(cfg.params).values()
+    defaults = {
+        name: parameter.default
+        for name, parameter in spec.params.items()
+        if parameter.default is not empty and name not in written
+    }
     shape = getattr(cfg, "shape", None)
     return {**({} if shape is None else {"shape": shape}), **defaults, **copy.deepcopy(cfg.params)}
 

@@ -14,7 +14,7 @@ from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticul
 from embodichain.lab.sim.compiler.scene.appearance import FOVY
 from embodichain.lab.sim.compiler.scene.known import find_place
 from embodichain.lab.sim.compiler.scene.world import WORLD, World
-from embodichain.lab.sim.configs.scene_cfg import ViewCfg
+from embodichain.lab.sim.configs.scene_cfg import DEFAULT_VIEW, ViewCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -27,8 +27,6 @@ __all__ = [
     "scene_bounds",
 ]
 
-DEFAULT_VIEW = "default"
-"""The view that every scene has."""
 _DIRECTION = (1.0, -0.8, 0.45)
 """From the scene to the camera, unless the task says otherwise: front, right, above."""
 _ASPECT = 4.0 / 3.0

@@ -19,8 +19,10 @@ from embodichain.lab.gym.envs.managers.terms.registry import (
     Kind,
     TermSpec,
     add_term,
+    config_word,
     describe_term,
 )
+from embodichain.lab.sim.configs.references import REFERENCE_WORDS
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.context import TermContext
@@ -28,7 +30,6 @@ if TYPE_CHECKING:
 __all__ = ["Alias", "AliasSpec", "P", "alias", "register_aliases"]
 
 _EMPTY = inspect.Parameter.empty
-_OLD = {"of": "entity_cfg", "from": "source_entity_cfg", "to": "target_entity_cfg"}
 _TRUTHS = ("above", "below", "within", "outside")
 
 
@@ -77,8 +78,7 @@ def alias(
         target: The term's or the quantity's name.
         shape: As in a config: ``l2``, ``{tanh: P("std")}`` or a list of these.
         only: Parameters of the target that keep their names and defaults; None is all that are not
-            in `params`. ``of``, ``from`` and ``to`` are then called ``entity_cfg``,
-            ``source_entity_cfg`` and ``target_entity_cfg``.
+            in `params`.
         example: Parameters of the alias in its example, as YAML; without it they are taken from
             the examples of the target and of the shapes.
         **params: Parameters of the target (``from_`` for ``from``): a fixed value, a `P`, or a
@@ -86,8 +86,8 @@ def alias(
     """
     steps = shape if isinstance(shape, list) else [] if shape is None else [shape]
     pairs = [(s, None) if isinstance(s, str) else next(iter(s.items())) for s in steps]
-    given = {k.removesuffix("_"): v for k, v in params.items()}
-    return Alias(target, tuple(pairs), given, only, example)
+    values = {config_word(name): value for name, value in params.items()}
+    return Alias(target, tuple(pairs), values, only, example)
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class AliasSpec(TermSpec):
                 given[part][key] = default
         shaped = 1 + len(self.steps)
         for (key, maker), own in zip(self.makers.items(), given[shaped:], strict=True):
-            given[0][key] = maker.func(env, **own)
+            given[0][key] = maker.func(env, **maker.arguments(own))
         return list(zip((self.target, *self.steps), given[:shaped], strict=True))
 
 
@@ -179,7 +179,7 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
     makers = {key: describe_term("shape", function) for key, function in functions.items()}
     parts = (target, *steps, *makers.values())
     kept = target.params if meant.only is None else meant.only
-    usual = {key: P(_OLD.get(key, key)) for key in target.params if key in kept}
+    usual = {key: P(key) for key in target.params if key in kept}
     given = [
         {
             k: meant.params.get(k, usual.get(k))
@@ -205,7 +205,8 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
                 if value.text:
                     texts[value.name] = value.text
     needed = [n for n, p in params.items() if p.default is _EMPTY]
-    entities = [n for n in needed if exposed[n][1] in _OLD or n in _OLD.values()]
+    words = set(REFERENCE_WORDS.values())
+    entities = [name for name in needed if words & {name, exposed[name][1]}]
     order = dict.fromkeys([*entities, *needed, *params])
     fixed = tuple({k: v for k, v in one.items() if not isinstance(v, P)} for one in given)
     return AliasSpec(

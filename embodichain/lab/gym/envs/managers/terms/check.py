@@ -41,9 +41,13 @@ from embodichain.lab.gym.envs.managers.terms.registry import (
     TermSpec,
     resolve_term,
 )
-from embodichain.lab.sim.configs.sensor_cfg import readings
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.fields.type_errors import expected_kind, unknown_key, what_is_wrong
+from embodichain.utils.fields.type_errors import (
+    expected_kind,
+    said_twice,
+    unknown_key,
+    what_is_wrong,
+)
 from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
@@ -96,7 +100,7 @@ class CheckedTerm:
     Attributes:
         spec: The function or class behind it.
         values: Its parameters as `check_params` returns them.
-        names: Parameter -> the name that the config gives it.
+        names: Parameter, by its name in Python and in configs -> the name that this config writes.
         shapes: Its shapes in order, with their parameters.
     """
 
@@ -167,8 +171,9 @@ def check_term(
     problems += found
     if problems:
         return None, problems
-    names = {meant: name for name, meant in spec.written(term.params).items()}
-    return CheckedTerm(spec, values, names, shapes), []
+    written = {meant: name for name, meant in spec.written(term.params).items()}
+    python = {name: written.get(word, word) for name, word in spec.python_names().items()}
+    return CheckedTerm(spec, values, {**python, **written}, shapes), []
 
 
 def check_shape(
@@ -227,7 +232,7 @@ def _check_modifiers(cfg: EnvCfg) -> list[Problem]:
     """Check that modified entries were added before, or are the robot's or a sensor's."""
     known: list[str] = ["robot/qpos", "robot/qvel", "robot/qf"]
     for uid, sensor in cfg.sensors.items():
-        known += [f"sensor/{uid}/{name}" for name in readings(sensor) if sensor.observe]
+        known += [f"sensor/{uid}/{name}" for name in sensor.readings() if sensor.observe]
     found: list[Problem] = []
     for key, term in cfg.observations.items():
         name = term.name or key
@@ -267,11 +272,12 @@ def check_params(
             hint = did_you_mean(name, spec.params).strip()
             problems.append(Problem(f"{path}.{name}", message, hint))
         elif key != name and key in params:
-            problems.append(Problem(f"{path}.{name}", f"means the same as {key}: leave one out"))
+            problems.append(Problem(f"{path}.{name}", said_twice(key)))
         else:
             hint = hints.get(key, Any)
             try:
-                values[key] = _convert(_meant(key, hint, value), value)
+                name_in_python = spec.params[key].name if key in spec.params else key
+                values[key] = _convert(_meant(name_in_python, hint, value), value)
             except ValidationError as error:
                 problems += _problems_of(error, f"{path}.{name}", hint, value)
     for name, parameter in spec.params.items():
@@ -441,7 +447,7 @@ def _check_noise(path: str, noise: Any) -> list[Problem]:
     ]
     for name, alias in _ALIASES:
         if name in given and alias in given:
-            found.append(Problem(f"{path}.{alias}", f"means the same as {name}: leave one out"))
+            found.append(Problem(f"{path}.{alias}", said_twice(name)))
     needed = {"gaussian": ("std",), "uniform": ("low", "high"), "constant": ("bias",)}[noise.type]
     aliases = dict(_ALIASES)
     missing = [n for n in needed if n not in given and aliases.get(n) not in given]

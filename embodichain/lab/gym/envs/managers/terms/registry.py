@@ -20,6 +20,7 @@ from types import SimpleNamespace
 from typing import Any, Literal, TypeVar, cast, get_args
 
 from embodichain.lab.gym.envs.managers.terms.other_projects import translation_of
+from embodichain.lab.sim.configs.references import REFERENCE_WORDS
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.plugins import TERM_MODULES
 from embodichain.utils.register import load_entry_points
@@ -37,6 +38,7 @@ __all__ = [
     "Kind",
     "SpecKind",
     "TermSpec",
+    "config_word",
     "describe_term",
     "import_object",
     "quantity",
@@ -108,8 +110,8 @@ class TermSpec:
         name: Its name in configs.
         kind: The manager that runs it.
         func: The function or class.
-        params: The parameters that a config may set, by name, in order, without the leading
-            arguments. A Python name that ends in "_" (``from_``) is written without it.
+        params: The parameters that a config may set, by the name that it writes (`config_word`),
+            in order, without the leading arguments.
         doc: Its docstring.
         open_params: Whether it takes ``**kwargs``, so that any further name is allowed.
         lead: Which of ``obs``, ``action`` and ``info`` a quantity takes after ``env``; None for
@@ -162,25 +164,34 @@ class TermSpec:
     def written(self, given: Iterable[str]) -> dict[str, str]:
         """Names in a config -> the parameters they mean; unknown names are left out.
 
-        ``of``, ``from`` and ``to`` are written for ``entity_cfg``, ``source_entity_cfg`` and
-        ``target_entity_cfg``, and the other way round.
+        EmbodiChain's names of references are other names of ours, see `REFERENCE_WORDS`.
         """
         meant = {}
         for name in given:
-            other = _OTHER_NAMES.get(name, name)
-            if name in self.params or self.open_params:
+            word = REFERENCE_WORDS.get(name, name)
+            if name in self.params:
                 meant[name] = name
-            elif other in self.params:
-                meant[name] = other
+            elif word in self.params:
+                meant[name] = word
+            elif self.open_params:
+                meant[name] = name
         return meant
+
+    def python_names(self) -> dict[str, str]:
+        """Names of parameters in Python -> the names that a config writes."""
+        return {parameter.name: word for word, parameter in self.params.items()}
 
     def arguments(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return values by parameter name as keyword arguments of the function."""
         return {self.params[k].name if k in self.params else k: v for k, v in values.items()}
 
 
-_OTHER_NAMES = {"of": "entity_cfg", "from": "source_entity_cfg", "to": "target_entity_cfg"}
-_OTHER_NAMES |= {old: new for new, old in _OTHER_NAMES.items()}
+def config_word(name: str) -> str:
+    """Return what a config writes for a parameter of a Python function.
+
+    ``of`` for ``entity_cfg`` (`REFERENCE_WORDS`), ``from`` for ``from_``, else the name itself.
+    """
+    return REFERENCE_WORDS.get(name, name.removesuffix("_"))
 
 
 def _evaluated(annotation: Any, scope: dict[str, Any]) -> Any:
@@ -369,7 +380,7 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
         name=title,
         kind=kind,
         func=func,
-        params={p.name.removesuffix("_"): p for p in rest if p.kind not in variable},
+        params=_by_config_word(p for p in rest if p.kind not in variable),
         doc=inspect.getdoc(func) or "",
         open_params=any(p.kind is inspect.Parameter.VAR_KEYWORD for p in rest),
         lead=of_quantity,
@@ -380,6 +391,19 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
         message = f"draws takes {', '.join(unknown)}, and {spec.label} has no such parameter"
         raise ValueError(f"{message}; it has: {', '.join(spec.params) or 'none'}")
     return spec
+
+
+def _by_config_word(parameters: Iterable[inspect.Parameter]) -> dict[str, inspect.Parameter]:
+    """Parameters by the names that configs write.
+
+    A function that has both `of` and `entity_cfg` keeps the two names.
+    """
+    parameters = list(parameters)
+    words = [config_word(parameter.name) for parameter in parameters]
+    return {
+        word if words.count(word) == 1 else parameter.name: parameter
+        for word, parameter in zip(words, parameters, strict=True)
+    }
 
 
 def resolve_term(

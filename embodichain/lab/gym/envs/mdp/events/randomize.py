@@ -200,7 +200,7 @@ class Randomize:
         for name in self._ranges:
             field = FIELDS.get(name)
             if field is None:
-                message = f"{name} belongs to the scene: leave entity_cfg out"
+                message = f"{name} belongs to the scene: leave `of` out"
                 raise ConfigError([Problem(name, message)])
             if field.fixed and self._operation not in (None, field.operation):
                 message = f"{name} is always of operation {field.operation!r}"

@@ -26,7 +26,6 @@ from embodichain.lab.gym.envs.managers.param_types import (
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.managers.terms.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
-from embodichain.lab.sim.configs.sensor_cfg import CameraCfg, readings
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -284,9 +283,9 @@ class SensorReading(Term):
 
 
 def _check_reading(sensor: str, cfg: SensorCfg, reading: str | None) -> list[Problem]:
-    if isinstance(cfg, CameraCfg):
+    if cfg.reads_images:
         return [Problem("sensor", f"{sensor!r} is a camera: its images are not columns")]
-    there = readings(cfg)
+    there = cfg.readings()
     if reading is None or reading in there:
         return []
     message = f"sensor {sensor!r} has no reading {reading!r}; it has: {', '.join(there)}"

@@ -1,8 +1,9 @@
-"""Camera sensors of a scene: checks of their configs, MuJoCo's cameras for them, and their ids."""
+"""Cameras in the model: what they are fixed on, MuJoCo's cameras for them, and their ids."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -19,14 +20,10 @@ from embodichain.lab.sim.compiler.names import (
     frame_names,
     no_such,
 )
-from embodichain.lab.sim.compiler.sensing.views import DEFAULT_VIEW
-from embodichain.lab.sim.configs.sensor_cfg import (
-    CAMERA_IMAGES,
-    CameraCfg,
-    ExtrinsicsCfg,
-    LinksCfg,
-    StereoCameraCfg,
-)
+from embodichain.lab.sim.compiler.sensing.sensor_index import SensorIndex
+from embodichain.lab.sim.configs.references import LinksCfg
+from embodichain.lab.sim.configs.scene_cfg import DEFAULT_VIEW
+from embodichain.lab.sim.sensors.camera_cfg import CameraCfg, StereoCameraCfg, look_points
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import (
     euler_xyz_to_quat,
@@ -36,8 +33,6 @@ from embodichain.utils.math import (
     quat_multiply,
     quat_rotate,
 )
-from embodichain.utils.suggest import did_you_mean
-from embodichain.utils.system import platforms
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import F64, EntityIndex
@@ -46,10 +41,9 @@ if TYPE_CHECKING:
 __all__ = [
     "PIXEL",
     "RIGHT",
+    "CameraIndex",
     "add_camera",
     "camera_names",
-    "check_camera",
-    "check_memory",
     "default_lens",
     "entity_of_geom",
     "mount",
@@ -61,107 +55,31 @@ RIGHT = "/right"
 """Suffix of the name of a stereo camera's right camera."""
 PIXEL = 1e-5
 """Metres between pixels of a declared camera with intrinsics; only ratios to it matter."""
-_LARGEST = 16384
-"""Pixels; the largest texture of common OpenGL drivers."""
 _FROM_ROS = np.array([0.0, 1.0, 0.0, 0.0])
 """Half a turn about x: from ROS's camera axes to OpenGL's."""
-_BYTES = {"color": 4, "normal": 12, "position": 12}
-"""Bytes of a pixel of an image; 4 for the others."""
 
 
-# -- checks ----------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class CameraIndex(SensorIndex):
+    """A camera sensor in the compiled model; it has no columns.
 
+    Attributes:
+        ids: MuJoCo's ids of its cameras: one, or left and right.
+        entity_of_geom: (ngeom + 1,) int32 number in masks of each geom; the last is -1.
+        pictures: Name of each of its pictures, ``UID`` or ``UID/right``, in the order of `ids`.
+        size: Width and height in pixels.
+    """
 
-def check_camera(cfg: CameraCfg) -> list[Problem]:
-    """Return the mistakes in a camera's config that it alone shows, with paths below it."""
-    problems = _check_lens(cfg)
-    for key in ("width", "height"):
-        pixels = getattr(cfg, key)
-        if not 1 <= pixels <= _LARGEST:
-            message = f"must be within 1 and {_LARGEST} pixels, got {pixels}"
-            problems.append(Problem(key, message))
-    if not 0 < cfg.near < np.inf:
-        problems.append(Problem("near", f"must be positive, metres, got {cfg.near}"))
-    elif cfg.far == np.inf:
-        problems.append(Problem("far", "must be finite, metres, got inf"))
-    elif not cfg.near < cfg.far:
-        problems.append(Problem("far", f"must be greater than near, {cfg.near} m, got {cfg.far}"))
-    stereo = isinstance(cfg, StereoCameraCfg)
-    unknown = [name for name in cfg.data_types or () if name not in CAMERA_IMAGES]
-    for name in unknown:  # a config made in Python is not checked by its types
-        message = f"no image {name!r}; allowed: {', '.join(CAMERA_IMAGES)}."
-        problems.append(Problem("data_types", message + did_you_mean(name, CAMERA_IMAGES)))
-    if not stereo and "disparity" in (cfg.data_types or ()):
-        problems.append(Problem("data_types", "disparity is an image of a stereo_camera"))
-    elif not unknown and not cfg.get_data_types():
-        problems.append(Problem("data_types", "names no image; leave it out for [color]"))
-    if isinstance(cfg, StereoCameraCfg):
-        offset = np.asarray(cfg.left_to_right_pos, np.float64)
-        if not np.isfinite(offset).all() or not offset.any():
-            message = f"must be finite and not zero, metres, got {offset.tolist()}"
-            problems.append(Problem("left_to_right_pos", message))
-    named = cfg.entity_cfg != LinksCfg(preserve_order=cfg.entity_cfg.preserve_order)
-    if named and not cfg.entity_cfg.uid:
-        message = "missing: the entity that has the links, sites or geoms"
-        problems.append(Problem("entity_cfg.uid", message))
-    if cfg.camera is None:
-        return problems + _check_extrinsics(cfg.extrinsics)
-    if stereo:
-        problems.append(Problem("camera", "a stereo_camera has two cameras: leave it out"))
-    own = {"fovy": cfg.fovy, "intrinsics": cfg.intrinsics, "entity_cfg": cfg.entity_cfg.uid}
-    own["extrinsics"] = cfg.extrinsics != ExtrinsicsCfg()
-    message = HAS_ITS_OWN.format(cfg.camera)
-    return problems + [Problem(key, message) for key, given in own.items() if given]
+    ids: tuple[int, ...] = ()
+    entity_of_geom: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    pictures: tuple[str, ...] = ()
+    size: tuple[int, int] = (0, 0)
 
-
-HAS_ITS_OWN = "camera {!r} has its own: leave it out"
-SAID_BY_EYE = "eye and target are given as well: leave one of them out"
-
-
-def _check_lens(cfg: CameraCfg) -> list[Problem]:
-    problems: list[Problem] = []
-    if cfg.fovy is not None and cfg.intrinsics is not None:
-        problems.append(Problem("intrinsics", "fovy is given as well: leave one of them out"))
-    if cfg.fovy is not None and not 0 < cfg.fovy < 180:
-        message = f"must be greater than 0 and less than 180 degrees, got {cfg.fovy}"
-        problems.append(Problem("fovy", message))
-    for key in ("intrinsics", "intrinsics_right"):
-        given = getattr(cfg, key, None)
-        if given is None:
-            continue
-        values = np.asarray(given, np.float64)
-        if values.shape != (4,) or not np.isfinite(values).all() or (values[:2] <= 0).any():
-            message = f"fx, fy, cx, cy in pixels, finite, fx and fy positive; got {list(given)}"
-            problems.append(Problem(key, message))
-    return problems
-
-
-def _check_extrinsics(cfg: ExtrinsicsCfg) -> list[Problem]:
-    problems: list[Problem] = []
-    for key in ("pos", "quat", "eye", "target", "up"):
-        value = getattr(cfg, key)
-        if value is not None and not np.isfinite(np.asarray(value, np.float64)).all():
-            problems.append(Problem(f"extrinsics.{key}", f"must be finite, got {value}"))
-    if not np.asarray(cfg.quat, np.float64).any():
-        problems.append(Problem("extrinsics.quat", "must not be zero: it is a rotation, wxyz"))
-    if cfg.eye is None and cfg.target is None:
-        if cfg.up is not None:
-            problems.append(Problem("extrinsics.up", "belongs to eye and target"))
-        return problems
-    for key, other in (("eye", "target"), ("target", "eye")):
-        if getattr(cfg, key) is None:
-            message = f"missing: {other} is given, and the pose needs both"
-            problems.append(Problem(f"extrinsics.{key}", message))
-    default = ExtrinsicsCfg()
-    for key in ("pos", "quat"):
-        if list(getattr(cfg, key)) != list(getattr(default, key)):
-            problems.append(Problem(f"extrinsics.{key}", SAID_BY_EYE))
-    if not problems:
-        try:
-            look_at(*_points(cfg))
-        except ValueError as error:
-            problems.append(Problem("extrinsics.target", str(error)))
-    return problems
+    def picture_cameras(self) -> dict[str, tuple[int, tuple[int, int]]]:
+        """Name of each of its pictures -> id of the camera in the model, and width and height."""
+        return {
+            name: (camera, self.size) for name, camera in zip(self.pictures, self.ids, strict=True)
+        }
 
 
 def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]:
@@ -173,9 +91,9 @@ def mount(cfg: CameraCfg, known: Known) -> tuple[LinksCfg | None, list[Problem]]
     """
     parent = cfg.extrinsics.parent
     if cfg.camera is not None or not parent:
-        return (cfg.entity_cfg if cfg.entity_cfg.uid else None), []
-    if cfg.entity_cfg.uid:
-        message = "entity_cfg is given as well: leave one of them out"
+        return (cfg.of if cfg.of.uid else None), []
+    if cfg.of.uid:
+        message = "`of` is given as well: leave one of them out"
         return None, [Problem("extrinsics.parent", message)]
     entities = {u: e for u, e in known.items() if e is not None and not isinstance(e, str)}
     uid, slash, rest = parent.partition("/")
@@ -218,24 +136,6 @@ def _mounted(
     kind, name = frame
     given: dict[str, Any] = {kind: name}
     return LinksCfg(uid=uid, **given), problems
-
-
-def check_memory(cfg: CameraCfg, num_envs: int) -> list[Problem]:
-    """Return a problem if a camera's images of all N environments exceed the memory."""
-    limit = platforms.memory_bytes()
-    images = cfg.get_data_types()
-    each = sum(_BYTES.get(name.removesuffix("_right"), 4) for name in images)
-    needed = each * cfg.width * cfg.height * num_envs
-    if needed <= limit:
-        return []
-    message = (
-        f"{num_envs} environments x {cfg.width} x {cfg.height} pixels of "
-        f"{', '.join(images)} need {needed / 2**30:.1f} GiB; there are {limit / 2**30:.1f}"
-    )
-    return [Problem("width", message)]
-
-
-# -- the model -------------------------------------------------------------------------------------
 
 
 def picture_names(uid: str, cfg: CameraCfg) -> dict[str, str]:
@@ -322,17 +222,11 @@ def entity_of_geom(model: mujoco.MjModel, entities: Mapping[str, EntityIndex]) -
     return np.append(root[model.geom_bodyid], -1).astype(np.int32)
 
 
-def _points(cfg: ExtrinsicsCfg) -> tuple[F64, F64, F64]:
-    up = (0.0, 0.0, 1.0) if cfg.up is None else cfg.up
-    eye, target, above = (np.asarray(v, np.float64) for v in (cfg.eye, cfg.target, up))
-    return eye, target, above
-
-
 def _pose(cfg: CameraCfg) -> tuple[F64, F64]:
     """Position and wxyz orientation (OpenGL's axes) in the frame of the body."""
     given: Any = cfg.extrinsics
     if given.eye is not None:
-        eye, target, up = _points(given)
+        eye, target, up = look_points(given)
         return eye, matrix_to_quat(look_at(eye, target, up))
     quat = normalize_quat(np.asarray(given.quat, np.float64))
     if cfg.convention == "ros":
