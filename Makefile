@@ -2,6 +2,7 @@
 #
 #   make run       install what `run` needs, then run the main job
 #   make test      install the rest, then run every test  (PYTEST_ARGS="-m 'not slow'" leaves some out)
+#   make coverage  the same with coverage, which must not fall below its floor: half as long again (nightly)
 #   make test-warp     every task on MuJoCo Warp (`make test` tries two)
 #   make docs      the documentation site, into build/site; DOCS_NOTEBOOKS=0 leaves out their execution
 #   make lint types imports     the other checks; `make check` is all of them
@@ -33,7 +34,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run venv test test-warp docs lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
+.PHONY: help run venv test coverage test-warp docs lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
 
 help:
 	@sed -n 's/^#   /  /p' Makefile
@@ -68,8 +69,14 @@ system-tests: system
 
 # worksteal: neighbours share a worker, so what a module builds once (a wheel, a log) is rarely built
 # twice, and no worker is idle while the other has a long module left.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+
 test: venv
-	$(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term $(PYTEST_ARGS)
+	$(PYTEST) $(PYTEST_ARGS)
+
+# Measuring costs half of a test's CPU time again: once a night, not with every change.
+coverage: venv
+	$(PYTEST) --cov --cov-report=term $(PYTEST_ARGS)
 
 # Every task on MuJoCo Warp's CPU device. Kernels that are not in Warp's cache are compiled: minutes.
 test-warp: venv

@@ -1,6 +1,6 @@
 """What every test gets: an empty working directory, and one thread for torch.
 
-Coverage adds half to the CPU time of a test. Tests of whole pages, of benchmarks or of all terms,
+`make coverage` adds half to the CPU time of a test. Tests of whole pages, of benchmarks or of all terms,
 whose lines the tests of single modules cover, are marked `unmeasured`.
 """
 
