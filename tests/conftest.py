@@ -1,4 +1,4 @@
-"""What every test gets: an empty working directory, and one thread for torch.
+"""What every test gets: an empty working directory, Ctrl-C, and one thread for torch.
 
 `make coverage` adds half to the CPU time of a test. Tests of whole pages, of benchmarks or of all terms,
 whose lines the tests of single modules cover, are marked `unmeasured`.
@@ -6,6 +6,7 @@ whose lines the tests of single modules cover, are marked `unmeasured`.
 
 import gc
 import os
+import signal
 import sys
 import threading
 from collections.abc import Iterator
@@ -27,6 +28,17 @@ def pytest_collection_finish() -> None:
     """Spares the garbage collector what stays until the end: modules and thousands of tests."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def ctrl_c() -> Iterator[None]:
+    """Handles SIGINT as in a terminal: a shell's background jobs (`make test &`) ignore it.
+
+    Processes that tests start inherit this.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(autouse=True)
