@@ -1,8 +1,10 @@
 # Everything from a bare machine: `make run`, `make test`. Needs Python 3.11+, git and make.
 #
 #   make run       install what `run` needs, then run the main job
-#   make test      install the rest, then run every test  (PYTEST_ARGS="-m 'not slow'" leaves some out)
-#   make coverage  the same with coverage, which must not fall below its floor: half as long again (nightly)
+#   make test      install the rest, then run every test  (PYTEST_ARGS="-k camera" chooses some)
+#   make test-fast     what a developer runs again and again: without the tests that are marked slow or
+#                  cluster (COSTS=30 prints the CPU seconds of the 30 most expensive modules)
+#   make coverage  every test with coverage, which has a floor: half as long again (every night)
 #   make test-warp     every task on MuJoCo Warp (`make test` tries two)
 #   make docs      the documentation site, into build/site; DOCS_NOTEBOOKS=0 leaves out their execution
 #   make lint types imports     the other checks; `make check` is all of them
@@ -26,6 +28,7 @@ OLDEST ?= .venv-oldest
 NEWEST ?= .venv-newest
 TAG ?=
 PYTEST_ARGS ?=
+COSTS ?= 0
 
 BIN := $(VENV)/bin
 RUNS := $(VENV)/.installed
@@ -34,7 +37,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run venv test coverage test-warp docs lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
+.PHONY: help run venv test test-fast coverage test-warp docs lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
 
 help:
 	@sed -n 's/^#   /  /p' Makefile
@@ -69,10 +72,13 @@ system-tests: system
 
 # worksteal: neighbours share a worker, so what a module builds once (a wheel, a log) is rarely built
 # twice, and no worker is idle while the other has a long module left.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal --costs $(COSTS)
 
 test: venv
 	$(PYTEST) $(PYTEST_ARGS)
+
+test-fast: venv
+	$(PYTEST) -m fast $(PYTEST_ARGS)
 
 # Measuring costs half of a test's CPU time again: once a night, not with every change.
 coverage: venv
@@ -126,7 +132,7 @@ BOUNDS := tests/utils tests/config tests/lab/gym/test_base_env.py tests/lab/gym/
     tests/lab/gym/test_single.py tests/lab/sim/meshes tests/recording/test_api.py \
     tests/recording/test_recorder.py tests/recording/test_log_file.py \
     tests/learning/test_vec_env.py tests/learning/test_train.py tests/learning/test_resume.py \
-    -m "not slow" -k "not optuna and not recurrent and not with_a_memory"
+    -m "not cluster" -k "not optuna and not recurrent and not with_a_memory"
 
 $(OLDEST)/.installed: RESOLUTION := lowest-direct
 $(NEWEST)/.installed: RESOLUTION := highest

@@ -1,7 +1,7 @@
 """What every test gets: an empty working directory, Ctrl-C, and one thread for torch.
 
-`make coverage` adds half to the CPU time of a test. Tests of whole pages, of benchmarks or of all terms,
-whose lines the tests of single modules cover, are marked `unmeasured`.
+`make coverage` adds half to the CPU time of a test. Tests of whole pages, of benchmarks or of all
+terms, whose lines the tests of single modules cover, are marked `unmeasured`.
 """
 
 import gc
@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.helpers.costs import *  # noqa: F403  (hooks: the tiers, and what a module costs)
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Two workers on two cores: torch's own threads would only take turns. The engine's threads,

@@ -12,6 +12,8 @@ from embodichain.recording.check.verification import verify
 from embodichain.recording.demos.collection import read_collection
 from embodichain.recording.demos.segments import read_sources
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory: pytest.TempPathFactory) -> Path:

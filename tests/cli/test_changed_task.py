@@ -9,6 +9,8 @@ import pytest
 
 from embodichain.cli import main
 
+pytestmark = pytest.mark.slow
+
 TASK = "task=reach"
 SMALL = ["task.max_episode_steps=12"]
 KEYS = ["record=none", "--json"]

@@ -16,6 +16,8 @@ from embodichain.cli import main
 from embodichain.recording.check.verification import verify
 from embodichain.recording.demos.collection import read_collection
 
+pytestmark = pytest.mark.slow
+
 REACH = ("task=reach", "policy=random", "collect.success_steps=1", "seed=1", "-q")
 GUARD = 240.0
 """Seconds after which something hangs."""

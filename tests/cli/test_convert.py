@@ -12,6 +12,8 @@ import yaml
 from embodichain.cli import main
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 
+pytestmark = pytest.mark.slow
+
 CONFIGS = Path(__file__).parents[1] / "helpers" / "gym_configs"
 Run = Callable[..., CompletedProcess[str]]
 REPORT = """\

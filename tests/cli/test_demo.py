@@ -15,6 +15,8 @@ from embodichain.cli.verbs import demo
 from embodichain.data.pretrained import pretrained_tasks
 from tests.helpers.browser import chromium, needs_chromium
 
+pytestmark = pytest.mark.slow
+
 FILM = ["video.size=[48,32]", "video.max_seconds=0.2", "--json"]
 
 

@@ -14,6 +14,8 @@ from embodichain.cli import main
 from embodichain.learning.evaluation.evaluation import EVAL_SEED_OFFSET
 from embodichain.recording import inspect
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:

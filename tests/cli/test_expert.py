@@ -11,7 +11,7 @@ from embodichain.config.resolved import resolve
 from embodichain.learning.checkpoints.task_digest import TaskDigest
 from embodichain.utils.errors import ConfigError
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 SHORT = ("num_envs=4", "episodes=1", "seed=3", "record=none")
 

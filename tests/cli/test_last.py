@@ -7,6 +7,8 @@ import pytest
 
 from embodichain.cli.app import main
 
+pytestmark = pytest.mark.slow
+
 SHORT = ["num_envs=2", "task.max_episode_steps=20", "record=none", "-q"]
 TRAIN = ["train", "task=cart_pole", "total_timesteps=64", "algo.n_steps=16", *SHORT]
 

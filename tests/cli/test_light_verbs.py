@@ -9,6 +9,8 @@ import pytest
 from embodichain.cli import main
 from embodichain.lab.gym.envs.managers.terms.registry import KINDS
 
+pytestmark = pytest.mark.slow
+
 HEAVY = {"torch", "tensordict", "stable_baselines3"}
 
 

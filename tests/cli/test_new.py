@@ -15,7 +15,7 @@ import yaml
 from embodichain.cli import main
 from tests.helpers.mjcf_robots import ROBOTS
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 REPO = Path(__file__).parents[2]
 

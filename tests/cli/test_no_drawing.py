@@ -8,6 +8,8 @@ import pytest
 
 from embodichain.cli import main
 
+pytestmark = pytest.mark.slow
+
 DEPTH = """\
 description: A camera without colours.
 max_episode_steps: 2

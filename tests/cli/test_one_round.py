@@ -13,6 +13,8 @@ from embodichain.cli import main
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.system import video
 
+pytestmark = pytest.mark.slow
+
 PUSH = """\
 defaults: [push_cube, _self_]
 sensors:

@@ -14,7 +14,7 @@ from tests.helpers.ray_cluster import ray_cluster
 from tests.helpers.sweeps import TINY, summary
 
 pytest.importorskip("ray", reason="no ray: pip install 'embodichain[ray]'")
-pytestmark = [pytest.mark.unmeasured, pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.unmeasured, pytest.mark.cluster, pytest.mark.timeout(600)]
 GUARD = 240.0
 """Seconds after which something hangs."""
 

@@ -12,6 +12,8 @@ from PIL import Image
 import embodichain
 from embodichain.cli import main
 
+pytestmark = pytest.mark.slow
+
 SMALL = ("--size", "96x64", "seed=3")
 
 

@@ -12,6 +12,8 @@ import pytest
 from embodichain.cli import main
 from tests.helpers.browser import chromium, needs_chromium
 
+pytestmark = pytest.mark.slow
+
 WILD = "Balance </pre><script>document.title = 'taken'</script> & more."
 
 

@@ -10,6 +10,8 @@ from embodichain.cli import main
 from embodichain.cli.jobs.resuming import parsed_changes, resumed_folder, resumption, with_changes
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 
 def options(*words: str, **flags: object) -> SimpleNamespace:
     given = {"words": words, "multirun": False, "cfg": None, "info": None, "gym_config": None}

@@ -18,6 +18,8 @@ from embodichain.cli import main
 from embodichain.recording import inspect
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 TINY = ("task=random_reach", "num_envs=2", "task.max_episode_steps=5", "seed=3")
 FILES = {
     *("config.yaml", "overrides.yaml", "command.txt", "versions.json", "rollout.mcap"),

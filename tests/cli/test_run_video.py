@@ -15,6 +15,8 @@ from embodichain.config.keys.schema import VideoCfg
 from embodichain.config.resolved import resolve
 from tests.recording.test_film import pictures
 
+pytestmark = pytest.mark.slow
+
 TINY = ["task=cart_pole", "policy=zero", "num_envs=1", "max_steps=40", "seed=1", "scene_png=false"]
 
 

@@ -11,6 +11,8 @@ from embodichain.cli import main
 from embodichain.recording import open as open_log
 from tests.helpers.inside import places_of
 
+pytestmark = pytest.mark.slow
+
 SECRET, ITEM, ROBOTS = "hunter2-PLANTED", "hunter3-PLANTED", "PLANTED-robots"
 WORD = "PLANTED"
 REACH = ("task=reach", "num_envs=2", "seed=1", "task.max_episode_steps=8", "sim.num_threads=1")

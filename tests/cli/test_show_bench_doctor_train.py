@@ -9,6 +9,8 @@ import yaml
 
 from embodichain.cli import main
 
+pytestmark = pytest.mark.slow
+
 
 def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, object]:
     assert main([*arguments, "--json"]) == 0, capsys.readouterr().err

@@ -15,7 +15,7 @@ from embodichain.cli import main
 from embodichain.recording import inspect
 from tests.recording.test_film import pictures
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 """coverage's tracer holds a lock in Python: an exception of a signal there leaves it locked."""
 GUARD = 240.0
 """Seconds after which something hangs."""

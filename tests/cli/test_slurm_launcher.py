@@ -26,7 +26,7 @@ ON_SLURM = ("hydra/launcher=slurm", "hydra.launcher.poll_s=0.3")
 
 pytestmark = [
     pytest.mark.unmeasured,
-    pytest.mark.slow,
+    pytest.mark.cluster,
     pytest.mark.skipif(why_not() is not None, reason=str(why_not())),
 ]
 

@@ -8,6 +8,8 @@ import pytest
 from embodichain.cli import main
 from embodichain.cli.terminal.process import started, starting
 
+pytestmark = pytest.mark.slow
+
 seen: list[bool] = []
 
 

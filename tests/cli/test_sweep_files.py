@@ -7,6 +7,8 @@ import pytest
 
 from embodichain.cli import main
 
+pytestmark = pytest.mark.slow
+
 TINY = (
     *("task=cart_pole", "num_envs=2", "total_timesteps=32", "algo.n_steps=8", "algo.batch_size=16"),
     *("sim.num_threads=1", "eval.episodes=1", "record=none", "hydra/launcher=basic", "quiet=true"),

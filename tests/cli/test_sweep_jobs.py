@@ -17,6 +17,8 @@ import pytest
 from embodichain.cli import main
 from tests.helpers.sweeps import TINY, learned, results, summary
 
+pytestmark = pytest.mark.slow
+
 STEPS = ("total_timesteps=160", "checkpoint.every_steps=32")
 
 

@@ -15,6 +15,8 @@ from omegaconf import OmegaConf
 from embodichain.cli import main
 from embodichain.cli.sweeps.sweeping import points, towards_scores
 
+pytestmark = pytest.mark.slow
+
 TINY = (
     *("task=cart_pole", "num_envs=4", "total_timesteps=64", "algo.n_steps=8", "algo.batch_size=16"),
     *("sim.num_threads=1", "eval.episodes=2", "record=none"),

@@ -13,6 +13,8 @@ from embodichain.cli.verbs.train import train_job
 from embodichain.config import resolve
 from embodichain.recording import inspect, verify
 
+pytestmark = pytest.mark.slow
+
 TINY = (
     *("task=reach", "num_envs=4", "total_timesteps=64", "algo.n_steps=8", "algo.batch_size=16"),
     *("seed=5", "task.max_episode_steps=12", "sim.num_threads=1"),

@@ -8,6 +8,8 @@ import yaml
 
 from embodichain.cli import main
 
+pytestmark = pytest.mark.slow
+
 HOLD = ("task=hold_still", "task.max_episode_steps=8", "num_envs=3", "sim.num_threads=1", "seed=1")
 BC = ("algo=bc", "total_timesteps=512", "algo.batch_size=64", "algo.validation_share=0.3")
 

@@ -16,6 +16,8 @@ import yaml
 from embodichain.cli import main
 from tests.helpers.planted import NAME, plant, was_run
 
+pytestmark = pytest.mark.slow
+
 SMALL = ("num_envs=2", "task.max_episode_steps=6", "record=none", "scene_png=false", "--quiet")
 UNNEEDED = ("action_noise", "lr_schedule", "rollout_buffer_class", "ep_info_buffer")
 GHOSTSCRIPT = "#!/bin/sh\ntouch PWNED\nexit 1\n"

@@ -9,6 +9,8 @@ from embodichain.cli import main
 from embodichain.cli.jobs.unread_keys import refuse_unread
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     ("words", "says"),

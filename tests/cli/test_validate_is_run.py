@@ -22,7 +22,7 @@ from tests.config.conftest import WriteTask, write_task  # noqa: F401  (a fixtur
 from tests.helpers.example_scene import write_task as write_scene
 from tests.lab.gym.mdp.test_examples import ENTRIES, example_of
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 Params = dict[str, Any]
 

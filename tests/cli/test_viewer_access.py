@@ -11,6 +11,8 @@ from embodichain.cli import main
 from embodichain.config.rerun import resolve_again
 from embodichain.config.resolved import resolve, thaw
 
+pytestmark = pytest.mark.slow
+
 TASK = ("task=random_reach", "num_envs=2", "max_steps=3", "scene_png=false")
 TOKEN = "hush-9b1c77"
 

@@ -22,6 +22,8 @@ from embodichain.learning import SB3VecEnv, evaluate
 from embodichain.utils.errors import ConfigError
 from tests.config.conftest import WriteTask
 
+pytestmark = pytest.mark.slow
+
 REACH = "embodichain/reach-v0"
 
 

@@ -14,7 +14,7 @@ from embodichain.config.rerun import resolve_again
 from embodichain.config.resolved import dump_yaml, resolve
 from embodichain.utils.errors import ConfigError
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 WARP = ("sim.engine=warp", "sim.warp.nconmax=16", "sim.warp.njmax=16", "seed=1")
 ALONE = ("record=none", "viewer=none")

@@ -18,7 +18,7 @@ from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 from tests.helpers.ray_cluster import ray_cluster
 
-pytestmark = [pytest.mark.unmeasured, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.unmeasured, pytest.mark.timeout(600), pytest.mark.cluster]
 
 TRAINING = [
     *("task=cart_pole", "num_envs=6", "seed=4", "total_timesteps=576", "eval.episodes=0"),

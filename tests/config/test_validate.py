@@ -12,6 +12,8 @@ from embodichain.config.composition.hydra_loader import CONFIG_MODULE
 from embodichain.config.resolved import write_record
 from tests.config.conftest import GOOD, WriteTask
 
+pytestmark = pytest.mark.slow
+
 CONF = Path(sys.modules["embodichain"].__file__ or "").parent / CONFIG_MODULE.rpartition(".")[2]
 
 

@@ -6,6 +6,8 @@ import pytest
 
 from tests.helpers.house import REPO, house
 
+pytestmark = pytest.mark.slow
+
 PAGE = (REPO / "docs" / "architecture.md").read_text(encoding="utf-8")
 
 

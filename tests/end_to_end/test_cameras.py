@@ -19,6 +19,8 @@ from embodichain.recording import McapRecorder, verify
 from embodichain.utils.errors import RenderError
 from tests.recording.test_film import pictures
 
+pytestmark = pytest.mark.slow
+
 TASK = """
 description: A cube falls before a wall.
 max_episode_steps: 12

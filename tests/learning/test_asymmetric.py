@@ -17,6 +17,8 @@ from embodichain.learning.sb3.normalization import NormalizeStatistics, load_sta
 from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 # The actor has joints and its last action, the critic the way to the goal too.
 STATE = ["task.observations.to_goal.group=critic", "task.max_episode_steps=7"]
 DEPLOYED = ["~task.observations.to_goal", "task.max_episode_steps=7", "seed=5"]

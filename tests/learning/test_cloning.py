@@ -15,6 +15,8 @@ from embodichain.utils.errors import ConfigError
 from tests.learning.recorded import record
 from tests.learning.test_resume import content, everything
 
+pytestmark = pytest.mark.slow
+
 STEPS = 12
 REACH = (
     *("task=reach", f"task.max_episode_steps={STEPS}", "num_envs=8", "sim.num_threads=1"),

@@ -20,6 +20,8 @@ from tests.lab.gym.conftest import home, jumping, task
 from tests.lab.gym.mdp.test_terrain import levels
 from tests.lab.gym.mdp.test_terrain import task as terrain_task
 
+pytestmark = pytest.mark.slow
+
 STAGE = """
 max_episode_steps: 5
 robot: {uid: cart, fpath: CartPole/cart_pole.urdf, init_pos: [0, 0, 1], drive_pros: {drive_type: none}}

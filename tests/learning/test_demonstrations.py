@@ -14,6 +14,8 @@ from tests.learning.counting import CountingEnv
 from tests.learning.recorded import Recorded, record
 from tests.learning.test_algorithms import algorithm
 
+pytestmark = pytest.mark.slow
+
 LENGTHS = (5, 3, 7, 2)
 LOW, HIGH = np.float32([-3.0, 0.5]), np.float32([1.0, 20.0])
 

@@ -12,6 +12,8 @@ from embodichain.learning import evaluate, load_policy
 from embodichain.learning.checkpoints.plain_state import read_tree
 from embodichain.learning.training.train import train
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("mujoco_warp")
 
 CART = (

@@ -7,6 +7,8 @@ import torch
 from embodichain.learning.evaluation.evaluation import EVAL_SEED_OFFSET, evaluate, quotas
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     ("episodes", "num_envs", "expected"),

@@ -18,6 +18,8 @@ from embodichain.learning.sb3.normalization import save_statistics, statistics_p
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 
+pytestmark = pytest.mark.slow
+
 OBS = np.random.default_rng(4).normal(size=(9, 3)).astype(np.float32) * 8
 ALGORITHMS = {
     "ppo": {"n_steps": 4, "batch_size": 8, "policy_kwargs": {"log_std_init": 0.5}},

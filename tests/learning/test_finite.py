@@ -13,6 +13,8 @@ from embodichain.learning.policies.policy import load_model
 from embodichain.learning.training.finite import NotFiniteError, check_finite, told_apart
 from embodichain.learning.training.train import train
 
+pytestmark = pytest.mark.slow
+
 REACH = ("task=reach", "num_envs=4", "seed=1", "task.max_episode_steps=7", "eval.episodes=0")
 ALGORITHMS = {
     "ppo": (("algo.n_steps=8", "algo.batch_size=16"), "update 1, after 32"),

@@ -19,6 +19,8 @@ from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 from tests.learning.recorded import record
 
+pytestmark = pytest.mark.slow
+
 TASK = """
 description: A goal that a camera sees.
 max_episode_steps: 5

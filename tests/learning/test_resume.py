@@ -24,6 +24,8 @@ from embodichain.learning.training.keeper import find_resumable, state_path
 from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 # Episodes of 7 steps across rollouts of 8; commands, noise and terms with a memory in the second.
 REACH = ("task=reach", "task.max_episode_steps=7", "num_envs=4", "sim.num_threads=1", "seed=1")
 PPO = ("algo.n_steps=8", "algo.batch_size=16", "algo.n_epochs=2", "checkpoint.every_steps=1")

@@ -20,6 +20,8 @@ from rsl_rl.runners import OnPolicyRunner
 from embodichain.learning import RslRlVecEnv
 from embodichain.learning.tensors.rsl_rl_ppo import RslRlPpo
 
+pytestmark = pytest.mark.slow
+
 STATE = ["task.observations.to_goal.group=critic", "task.max_episode_steps=5", "seed=1"]
 # What is built from other keys, or not offered.
 GIVEN = {

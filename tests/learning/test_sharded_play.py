@@ -11,7 +11,7 @@ from embodichain.learning.episode_statistics import EpisodeStatistics, play
 from embodichain.learning.evaluation import sharded_play
 from tests.helpers.local_shards import sharded
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 
 def build(first: int, count: int) -> Any:

@@ -22,6 +22,8 @@ from skrl.trainers.torch import SequentialTrainer
 from embodichain.learning import SkrlEnv
 from embodichain.learning.tensors.skrl_ppo import SkrlPpo
 
+pytestmark = pytest.mark.slow
+
 STATE = ["task.observations.to_goal.group=critic", "task.max_episode_steps=5", "seed=1"]
 # What is built from other keys, or not offered.
 GIVEN = {

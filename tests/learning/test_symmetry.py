@@ -16,6 +16,8 @@ from embodichain.learning.sb3.symmetry import Columns, Mirror, MirroredMeanStd
 from embodichain.learning.training.train import train
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 TASK = ["task.enable_corruption=false", "task.max_episode_steps=20", "sim.num_threads=1"]
 TRAIN = ["task=quadruped_velocity", *TASK, "num_envs=4", "seed=1", "eval.episodes=0"]
 TRAIN += ["total_timesteps=64", "algo.n_steps=8", "algo.batch_size=16", "algo.n_epochs=2"]

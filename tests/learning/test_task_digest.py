@@ -7,6 +7,8 @@ import pytest
 from embodichain.config import list_options, make
 from embodichain.learning.checkpoints.task_digest import TaskDigest
 
+pytestmark = pytest.mark.slow
+
 LEARNABLE = [task for task in list_options("task") if task != "random_reach"]
 """It declares no observations."""
 

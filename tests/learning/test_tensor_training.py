@@ -28,6 +28,8 @@ from embodichain.learning.training.train import check_algorithm, train
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 
+pytestmark = pytest.mark.slow
+
 for package in ("rsl_rl", "skrl"):
     pytest.importorskip(package)
 

@@ -19,6 +19,8 @@ from embodichain.learning.sb3.vec_env import ENDS
 from embodichain.learning.training.train import TORCH_THREADS, train
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 TINY = (
     "task=reach",
     "task.max_episode_steps=5",

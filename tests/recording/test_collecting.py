@@ -25,6 +25,8 @@ from embodichain.recording.demos.collection import (
 )
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 Policy = Any
 
 

@@ -14,6 +14,8 @@ from embodichain.recording.format.log_error import LogError
 from embodichain.utils.errors import ConfigError
 from tests.recording.live import NOISY, record_task
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def record(tmp_path):

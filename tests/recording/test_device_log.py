@@ -13,7 +13,7 @@ from embodichain.recording.read.playback import Playback, span_of
 from tests.helpers.warp_scene import RANDOMIZED
 from tests.recording.rewrite import rewrite
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N, STEPS = 4, 18
 UNCHECKED = "the log has states, not writes: resets and events are not checked"

@@ -18,6 +18,8 @@ from scripts.flip_bits import UNCOVERED, flips
 from scripts.flip_bits import record as small_log
 from tests.recording.rewrite import as_before, rewrite
 
+pytestmark = pytest.mark.slow
+
 
 def records(data):
     """(opcode, offset of the record, its bytes) of each record of a whole file."""

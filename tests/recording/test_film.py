@@ -16,6 +16,8 @@ from embodichain.recording.read.playback import Playback, Span
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 
+pytestmark = pytest.mark.slow
+
 SIZE = (96, 64)
 
 

@@ -15,6 +15,8 @@ from tests.recording.rewrite import rewrite
 from tests.recording.runs import changed, flip
 from tests.recording.scene import SmallEnv
 
+pytestmark = pytest.mark.slow
+
 KEYFRAMES = RecordOptions(state="keyframes", keyframe_every=8)
 CASES = [
     {},

@@ -24,6 +24,8 @@ from embodichain.utils.errors import ConfigError
 from tests.recording.runs import changed, flip, runs
 from tests.recording.scene import MODEL, SmallEnv
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 
 

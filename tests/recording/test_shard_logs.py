@@ -16,6 +16,8 @@ from embodichain.recording.shards.shard_logs import ShardLogs, read_shards
 from embodichain.utils.errors import ConfigError
 from tests.helpers.local_shards import sharded
 
+pytestmark = pytest.mark.slow
+
 LINES = ["task.max_episode_steps=12", "+task.observations.qvel.noise={std: 0.01}"]
 STEPS = 31
 QUOTA = [1, 2, 0, 2, 1]

@@ -23,6 +23,8 @@ from embodichain.recording.read.recover import recover
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import SmallEnv
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 RUN = [sys.executable, "-m", "embodichain", "run", "task=random_reach", "num_envs=2", "seed=3"]
 

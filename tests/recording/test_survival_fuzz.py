@@ -10,7 +10,7 @@ import pytest
 from benchmarks.log_fuzz import GOOD, OUTCOMES, outcome_of, record
 from benchmarks.log_mutations import KINDS, mutate
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 ROOT = Path(__file__).parents[2]
 

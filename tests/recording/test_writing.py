@@ -20,6 +20,8 @@ from embodichain.utils.errors import ConfigError
 from tests.recording.runs import runs
 from tests.recording.scene import SmallEnv
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 
 

@@ -20,7 +20,7 @@ from embodichain.learning.checkpoints.plain_state import read_tree, write_tree
 from embodichain.utils.errors import ConfigError
 from tests.helpers.warp_scene import DEVICE
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N = 3
 LINES = (

@@ -16,7 +16,7 @@ import pytest
 from embodichain.lab.gym.envs.cfg import CommandCfg, CurriculumCfg, NoiseCfg, ObservationCfg
 from tests.lab.gym.conftest import flat, jumping, targets, task
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 ROBOT = {"entity_cfg": {"uid": "ur10"}}
 

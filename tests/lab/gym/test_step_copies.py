@@ -10,7 +10,7 @@ from embodichain.lab.sim.engine.device.device_array import HostTransferError
 from embodichain.utils.errors import ConfigError
 from tests.helpers.warp_scene import RANDOMIZED
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N, STEPS = 4, 18
 

@@ -21,6 +21,8 @@ from embodichain.lab.sim.engine.device.packed_arrays import ArrayPacker, HostBuf
 from embodichain.recording import McapRecorder
 from tests.helpers.warp_scene import DEVICE
 
+pytestmark = pytest.mark.slow
+
 N = 3
 LINES = (
     *(f"device={DEVICE}", "sim.engine=warp", "sim.warp.arrays=device", "sim.num_threads=1"),

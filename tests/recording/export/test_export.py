@@ -3,6 +3,7 @@ import csv
 import importlib
 import io
 import json
+import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -24,6 +25,8 @@ from embodichain.recording.export import FORMATS, Part, export
 from embodichain.recording.export.ros2 import urdf
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture

@@ -8,6 +8,8 @@ from embodichain.lab.gym.teleop import Teleop
 from embodichain.recording.viewers.operators.native_operator import NativeOperator
 from embodichain.utils.errors import ConfigError, EmbodichainError
 
+pytestmark = pytest.mark.slow
+
 UP, RIGHT, SPACE, ENTER, TURN, AXES = 265, 262, 32, 257, 324, 325
 
 

@@ -19,7 +19,7 @@ from embodichain.recording.viewers.operators.teleop_input import OperatorInput
 from embodichain.recording.viewers.page.web_page import WebPage
 from tests.helpers.browser import chromium, needs_chromium
 
-pytestmark = [needs_chromium, pytest.mark.unmeasured]
+pytestmark = [needs_chromium, pytest.mark.unmeasured, pytest.mark.slow]
 
 SECONDS = 60.0
 TOKEN = "of-these-tests"

@@ -10,7 +10,7 @@ from embodichain.config import make_env, resolve
 from embodichain.recording.viewers.web import WebView
 from tests.helpers.browser import chromium, needs_chromium, picture, share_of
 
-pytestmark = needs_chromium
+pytestmark = [needs_chromium, pytest.mark.slow]
 
 BLUE, MAGENTA = (0.36, 0.62, 0.84), (1.0, 0.0, 1.0)  # of the UR10's joints; of nothing
 SECONDS = 60.0

@@ -21,7 +21,7 @@ from embodichain.utils.errors import ConfigError
 from tests.helpers.example_scene import write_task
 from tests.lab.gym.mdp.test_examples import ENTRIES, example_of
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N, CHOSEN = 4, np.array([1, 2])
 SECTIONS = {"event": "events", "command": "commands", "action": "actions"}

@@ -16,7 +16,7 @@ from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
 from tests.helpers.example_scene import TERRAIN, environment
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 ENTRIES = [e for e in all_entries() if e.spec.func.__module__.startswith("embodichain.")]
 HINTS = get_type_hints(EnvCfg)

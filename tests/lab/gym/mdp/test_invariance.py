@@ -20,7 +20,7 @@ from embodichain.lab.gym.envs.managers.terms.registry import VALUE_KINDS
 from tests.helpers import acting_terms, judge_terms, randomizers, sensor_terms, spatial_events
 from tests.helpers.acting_terms import ACTIONS
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 ARM = {"entity_cfg": {"uid": "ur10"}}
 CUBE = {"entity_cfg": {"uid": "cube"}}

@@ -12,7 +12,7 @@ from embodichain.lab.gym.envs.managers import TERMS
 from embodichain.lab.gym.envs.mdp.events.randomize import Randomize
 from tests.helpers.randomizers import CASES, IDS, Case
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N = 600
 DISTRIBUTED = [

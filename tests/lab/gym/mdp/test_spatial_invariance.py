@@ -7,7 +7,7 @@ from embodichain.lab.gym.envs.managers import TERMS
 from tests.helpers.sensor_terms import SENSORS
 from tests.helpers.spatial_events import EVENTS, LIGHTS
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 PACKAGES = ("embodichain.lab.gym.envs.mdp.events.", "embodichain.compat.terms.")
 OTHERS = (".randomize",)

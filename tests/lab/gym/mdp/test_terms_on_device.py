@@ -21,7 +21,7 @@ from embodichain.utils.errors import ConfigError
 from tests.helpers.example_scene import environment
 from tests.lab.gym.mdp.test_examples import ENTRIES, HINTS, SECTION_OF, example_of
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N, STEPS, WARM = 3, 8, 2
 REPEATED = (6, 7)

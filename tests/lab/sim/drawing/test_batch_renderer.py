@@ -18,6 +18,8 @@ from embodichain.lab.sim.drawing.views import Optics, View
 from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.utils.errors import RenderError
 
+pytestmark = pytest.mark.slow
+
 SCENE = """
 <mujoco>
   <worldbody>

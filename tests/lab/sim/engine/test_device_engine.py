@@ -11,7 +11,7 @@ from embodichain.lab.sim.engine.warp.warp_engine import WarpEngine
 from embodichain.utils.errors import ConfigError
 from tests.helpers.warp_scene import DEVICE, SCENE, N, close, scatter
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 IDS = np.array([0, 2])
 OUTPUTS = ("qacc", "qfrc_actuator", "sensordata")
 

@@ -11,7 +11,7 @@ from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.engine.test_warp_engine import DEVICE, SCENE, N, warp_engine
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 CHOSEN = np.array([1, 3])
 

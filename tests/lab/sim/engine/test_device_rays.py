@@ -11,7 +11,7 @@ from embodichain.lab.sim.engine.device.device_array import DeviceArray, EnvMask
 from embodichain.lab.sim.engine.warp.device_engine import DeviceEngine
 from tests.lab.sim.engine.test_warp_engine import DEVICE, SCENE, N
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 DOWN = np.array([[0.0, 0.0, -1.0]])
 ABOVE_BALL = np.array([[0.0, 0.8, 2.0]])

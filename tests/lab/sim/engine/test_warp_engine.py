@@ -14,7 +14,7 @@ from embodichain.lab.sim.engine.warp.warp_worlds import measured_sizes
 from embodichain.utils.errors import ConfigError
 from tests.helpers.warp_scene import DEVICE, SCENE, N, close, scatter
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 
 def warp_engine(model, **sizes):

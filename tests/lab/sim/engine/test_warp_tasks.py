@@ -24,7 +24,7 @@ from embodichain.recording.demos.reenactment import Reenactment
 from embodichain.recording.read import simulation
 from embodichain.utils.errors import ConfigError
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 FEW = ["cart_pole", "quadruped_velocity"]
 ALL = os.environ.get("EMBODICHAIN_TEST_WARP") == "all"
