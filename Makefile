@@ -29,6 +29,7 @@ NEWEST ?= .venv-newest
 TAG ?=
 PYTEST_ARGS ?=
 COSTS ?= 0
+WORKERS ?= 3
 
 BIN := $(VENV)/bin
 RUNS := $(VENV)/.installed
@@ -72,7 +73,8 @@ system-tests: system
 
 # worksteal: neighbours share a worker, so what a module builds once (a wheel, a log) is rarely built
 # twice, and no worker is idle while the other has a long module left.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal --costs $(COSTS)
+# One more than there are cores: tests of clusters, signals and servers wait.
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --costs $(COSTS)
 
 test: venv
 	$(PYTEST) $(PYTEST_ARGS)

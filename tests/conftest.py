@@ -14,10 +14,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.commands import Commands, commands
 from tests.helpers.costs import *  # noqa: F403  (hooks: the tiers, and what a module costs)
 
 if "PYTEST_XDIST_WORKER" in os.environ:
-    # Two workers on two cores: torch's own threads would only take turns. The engine's threads,
+    # As many workers as cores: torch's own threads would only take turns. The engine's threads,
     # which tests choose by number, are not OpenMP's.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -41,6 +42,13 @@ def ctrl_c() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope="session", name="commands")
+def commands_of_this_session() -> Iterator[Commands]:
+    """Starts `embodichain ARGUMENTS` in processes that need not import everything anew."""
+    with commands() as started:
+        yield started
 
 
 @pytest.fixture(autouse=True)

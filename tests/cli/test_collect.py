@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -15,6 +13,7 @@ import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording.check.verification import verify
 from embodichain.recording.demos.collection import read_collection
+from tests.helpers.commands import Commands
 
 pytestmark = pytest.mark.slow
 
@@ -100,10 +99,9 @@ def test_more_later_into_the_same_folder(collection: Path) -> None:
 
 
 @pytest.mark.unmeasured
-def test_a_killed_collection_goes_on(collection: Path) -> None:
+def test_a_killed_collection_goes_on(commands: Commands, collection: Path) -> None:
     words = [*REACH, "episodes=4", "num_envs=2"]
-    command = [sys.executable, "-m", "embodichain", "collect", *words]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = commands.start("collect", *words)
     deadline = time.monotonic() + GUARD
     while time.monotonic() < deadline and process.poll() is None:
         lists = [*Path("outputs").glob("*/*_reach/*.jsonl")]
@@ -123,10 +121,9 @@ def test_a_killed_collection_goes_on(collection: Path) -> None:
     assert content(folder) == content(collection)
 
 
-def test_ctrl_c_ends_it_cleanly(tmp_path: Path) -> None:
+def test_ctrl_c_ends_it_cleanly(commands: Commands) -> None:
     words = ["task=hold_still", "policy=random", "num_envs=2", "collect.give_up_after=null"]
-    command = [sys.executable, "-m", "embodichain", "collect", *words, "--json"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = commands.start("collect", *words, "--json")
     deadline = time.monotonic() + GUARD
     while time.monotonic() < deadline and process.poll() is None:
         if any(path.stat().st_size for path in Path("outputs").glob("*/*/failures.jsonl")):

@@ -5,7 +5,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +16,7 @@ from PIL import Image
 from embodichain.cli import main
 from embodichain.recording import inspect
 from embodichain.utils.errors import ConfigError
+from tests.helpers.commands import Command, Commands
 
 pytestmark = pytest.mark.slow
 
@@ -158,18 +158,12 @@ def steps_of(log: Path) -> int:
 
 
 @pytest.fixture
-def started(tmp_path: Path):
+def started(commands: Commands, tmp_path: Path):
     """A run without an end, started and given back once its log grows."""
-    processes: list[subprocess.Popen[str]] = []
+    processes: list[Command] = []
 
-    def start() -> tuple[subprocess.Popen[str], Path]:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "embodichain", "run", *TINY, "episodes=1000000", "--json"],
-            cwd=tmp_path,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+    def start() -> tuple[Command, Path]:
+        process = commands.start("run", *TINY, "episodes=1000000", "--json", cwd=tmp_path)
         processes.append(process)
         log = tmp_path / "outputs" / "latest" / "rollout.mcap"
         deadline = time.monotonic() + 60
@@ -207,15 +201,9 @@ def test_interrupted_run_finishes_its_log(started, embodichain, tmp_path: Path, 
 
 
 @pytest.mark.unmeasured  # tests/learning/test_resume.py measures a training that a signal ends
-def test_interrupted_training_keeps_what_it_learned(tmp_path: Path) -> None:
+def test_interrupted_training_keeps_what_it_learned(commands: Commands, tmp_path: Path) -> None:
     words = ("task=reach", "num_envs=4", "algo.n_steps=8", "algo.batch_size=16")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "embodichain", "train", *words, "total_timesteps=100000000"],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = commands.start("train", *words, "total_timesteps=100000000", cwd=tmp_path)
     try:
         for line in process.stderr or ():  # progress: it learns by now
             if " steps  steps/s " in line:

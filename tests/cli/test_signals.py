@@ -3,8 +3,6 @@
 import json
 import re
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,6 +11,7 @@ import pytest
 
 from embodichain.cli import main
 from embodichain.recording import inspect
+from tests.helpers.commands import Command, Commands
 from tests.recording.test_film import pictures
 
 pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
@@ -21,7 +20,7 @@ GUARD = 240.0
 """Seconds after which something hangs."""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 
-Started = Callable[..., "subprocess.Popen[str]"]
+Started = Callable[..., Command]
 
 
 @pytest.fixture(scope="module")
@@ -41,18 +40,12 @@ def here(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def start(here: Path) -> Iterator[Started]:
+def start(commands: Commands, here: Path) -> Iterator[Started]:
     """Starts `embodichain ARGUMENTS` in the test's folder, and waits for a file in it."""
-    processes: list[subprocess.Popen[str]] = []
+    processes: list[Command] = []
 
-    def begun(pattern: str, *arguments: str) -> "subprocess.Popen[str]":
-        process = subprocess.Popen(
-            [sys.executable, "-m", "embodichain", *arguments],
-            cwd=here,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+    def begun(pattern: str, *arguments: str) -> Command:
+        process = commands.start(*arguments, cwd=here)
         processes.append(process)
         deadline = time.monotonic() + GUARD
         while time.monotonic() < deadline and process.poll() is None:
@@ -69,7 +62,7 @@ def start(here: Path) -> Iterator[Started]:
             process.communicate()
 
 
-def ended(process: "subprocess.Popen[str]", number: signal.Signals) -> str:
+def ended(process: Command, number: signal.Signals) -> str:
     """Send a signal; return what the process then said."""
     process.send_signal(number)
     _, err = process.communicate(timeout=GUARD)

@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from tests.helpers.commands import cpu_seconds
+
 __all__ = [
     "TIERS",
     "pytest_addoption",
@@ -45,7 +47,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def _cpu() -> float:
     user, system, user_of_children, system_of_children, _ = os.times()
-    return user + system + user_of_children + system_of_children
+    return user + system + user_of_children + system_of_children + cpu_seconds()
 
 
 def _costs(config: pytest.Config) -> Counter[str]:

@@ -5,8 +5,6 @@ import io
 import json
 import shutil
 import signal
-import subprocess
-import sys
 import time
 import zipfile
 from pathlib import Path
@@ -351,17 +349,11 @@ def test_trees_come_back_to_the_bit(tmp_path):
         read_tree(tmp_path / "t.npz")
 
 
-COMMAND = (sys.executable, "-m", "embodichain", "train")
 SMALL = (
     *("task=reach", "num_envs=4", "sim.num_threads=1", "seed=1", *PPO, "algo.normalize=both"),
     "eval.episodes=0",
 )
-
-
-def start(*overrides):
-    return subprocess.Popen(
-        [*COMMAND, *overrides], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+ENDLESS = ("total_timesteps=1_000_000", "checkpoint.every_steps=32")
 
 
 def wait_for(pattern, process, seconds=120):
@@ -376,18 +368,16 @@ def wait_for(pattern, process, seconds=120):
     pytest.fail(f"no {pattern} after {seconds} s")
 
 
-def resume(*overrides):
-    done = subprocess.run(
-        [*COMMAND, *overrides, "--json"], capture_output=True, text=True, check=False
-    )
+def resume(commands, *overrides):
+    done = commands.run("train", *overrides, "--json")
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
 @pytest.mark.unmeasured
-def test_killed_and_resumed_equals_uninterrupted(tmp_path, monkeypatch):
+def test_killed_and_resumed_equals_uninterrupted(tmp_path, monkeypatch, commands):
     monkeypatch.chdir(folder(tmp_path, "here"))
-    process = start(*SMALL, "total_timesteps=1_000_000", "checkpoint.every_steps=32", "--quiet")
+    process = commands.start("train", *SMALL, *ENDLESS, "--quiet")
     checkpoint = wait_for("step_*.zip", process)
     process.send_signal(signal.SIGKILL)
     process.communicate()
@@ -396,7 +386,7 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path, monkeypatch):
     steps = read_tree(state_path(find_resumable(run)[0]))["env_steps"]
     # What came before does not depend on how long the training was meant to be: nothing decays.
     total = f"total_timesteps={steps + 64}"
-    summary = resume("resume=last", total)
+    summary = resume(commands, "resume=last", total)
     assert summary["resumed_from"].startswith(str(run.resolve()))
     assert Path(summary["folder"]).resolve() != run.resolve()
     whole = folder(tmp_path, "whole")
@@ -407,9 +397,9 @@ def test_killed_and_resumed_equals_uninterrupted(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.unmeasured)]
 )
-def test_signals_write_a_checkpoint_and_end_with_130(tmp_path, monkeypatch, number):
+def test_signals_write_a_checkpoint_and_end_with_130(tmp_path, monkeypatch, commands, number):
     monkeypatch.chdir(folder(tmp_path, "here"))
-    process = start(*SMALL, "total_timesteps=1_000_000", "checkpoint.every_steps=32", "--quiet")
+    process = commands.start("train", *SMALL, *ENDLESS, "--quiet")
     run = wait_for("step_*.zip", process).parent.parent
     process.send_signal(number)
     _, error = process.communicate(timeout=60)

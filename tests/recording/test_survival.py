@@ -4,16 +4,12 @@
 """
 
 import json
-import os
 import random
 import resource
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 
@@ -25,21 +21,13 @@ from tests.recording.scene import SmallEnv
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[2]
-RUN = [sys.executable, "-m", "embodichain", "run", "task=random_reach", "num_envs=2", "seed=3"]
+RUN = ("run", "task=random_reach", "num_envs=2", "seed=3")
 
 
-def run_in(folder, *words, **kwargs):
+def run_in(folder, commands, largest_file=resource.RLIM_INFINITY):
     """A run without an end, and its log, once control steps can be read in it."""
-    process = subprocess.Popen(
-        [*RUN, "episodes=1000000", "--json", *words],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        **kwargs,
-    )
+    process = commands.start(*RUN, "episodes=1000000", "--json", cwd=folder)
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (largest_file, largest_file))
     log = folder / "outputs" / "latest" / "rollout.mcap"
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and process.poll() is None:
@@ -54,8 +42,8 @@ def run_in(folder, *words, **kwargs):
 
 @pytest.mark.unmeasured  # what a killed process has measured is lost
 @pytest.mark.parametrize("moment", range(5))
-def test_killed_at_any_moment_it_reads_verifies_and_recovers(tmp_path, moment):
-    process, log = run_in(tmp_path)
+def test_killed_at_any_moment_it_reads_verifies_and_recovers(tmp_path, commands, moment):
+    process, log = run_in(tmp_path, commands)
     time.sleep(random.Random(moment).uniform(0, 1.5))
     process.kill()
     process.communicate()
@@ -76,8 +64,8 @@ def test_killed_at_any_moment_it_reads_verifies_and_recovers(tmp_path, moment):
     assert json.loads((log.parent / "versions.json").read_text())
 
 
-def test_the_signal_of_batch_systems_ends_a_run_cleanly(tmp_path):
-    process, log = run_in(tmp_path)
+def test_the_signal_of_batch_systems_ends_a_run_cleanly(tmp_path, commands):
+    process, log = run_in(tmp_path, commands)
     process.send_signal(signal.SIGUSR2)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
@@ -88,14 +76,9 @@ def test_the_signal_of_batch_systems_ends_a_run_cleanly(tmp_path):
     assert told.steps == summary["control_steps"]
 
 
-def test_a_full_disk_ends_a_run_loudly(tmp_path):
-    limit = 8_000_000
-
-    def fill():  # in the child: writing more than this fails, as a full disk does
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
-    process, log = run_in(tmp_path, preexec_fn=fill)
+def test_a_full_disk_ends_a_run_loudly(tmp_path, commands):
+    """Writing more than this fails, as a full disk does; Python ignores the signal of it."""
+    process, log = run_in(tmp_path, commands, largest_file=8_000_000)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 1, err
     steps = inspect(log).steps
@@ -111,8 +94,8 @@ def test_a_full_disk_ends_a_run_loudly(tmp_path):
     assert verify(saved.path).ok
 
 
-def test_a_folder_that_vanishes_ends_a_run_loudly(tmp_path):
-    process, log = run_in(tmp_path)
+def test_a_folder_that_vanishes_ends_a_run_loudly(tmp_path, commands):
+    process, log = run_in(tmp_path, commands)
     shutil.rmtree(log.parent)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 1, err
