@@ -88,7 +88,7 @@ coverage: venv
 
 # Every task on MuJoCo Warp's CPU device. Kernels that are not in Warp's cache are compiled: minutes.
 test-warp: venv
-	EMBODICHAIN_TEST_WARP=all $(BIN)/python -m pytest -n 2 --dist worksteal --timeout 1800 tests/lab/sim/engine/test_warp_tasks.py
+	EMBODICHAIN_TEST_WARP=all $(BIN)/python -m pytest -n 2 --dist worksteal --timeout 1800 tests/lab/sim/engine/warp/test_warp_tasks.py
 
 # Warnings are errors: a link without a target, a page without a place, a docstring that cannot be read.
 # It is a folder of files: `python -m http.server -d build/site` serves it, and then its search works too.
@@ -130,10 +130,11 @@ smoke: dist
 # uv resolves to the lowest versions, which pip cannot; each environment has its own.
 # Tests of packages that are in neither (optuna, sb3-contrib) are left out. Test tools are the pinned
 # ones; what is resolved anew has no hashes. UV_TORCH_BACKEND=cpu avoids the CUDA build where uv reaches it.
-BOUNDS := tests/utils tests/config tests/lab/gym/test_base_env.py tests/lab/gym/test_vector.py \
-    tests/lab/gym/test_single.py tests/lab/sim/meshes tests/recording/test_api.py \
-    tests/recording/test_recorder.py tests/recording/test_log_file.py \
-    tests/learning/test_vec_env.py tests/learning/test_train.py tests/learning/test_resume.py \
+BOUNDS := tests/utils tests/config tests/lab/gym/envs/test_base_env.py tests/lab/gym/test_vector.py \
+    tests/lab/gym/test_single.py tests/lab/sim/compiler/geoms tests/recording/read/test_api.py \
+    tests/recording/write/test_recorder.py tests/recording/write/test_log_file.py \
+    tests/learning/sb3/test_vec_env.py tests/learning/training/test_train.py \
+    tests/learning/training/test_resume.py \
     -m "not cluster" -k "not optuna and not recurrent and not with_a_memory"
 
 $(OLDEST)/.installed: RESOLUTION := lowest-direct

@@ -16,7 +16,7 @@ from tests.lab.sim.compiler.helpers import start
 OUT_OF_PLACE = "alex_description/urdf/alex_nub_hands.urdf"
 
 
-@pytest.mark.unmeasured  # test_articulation.py and tests/lab/sim/meshes measure it
+@pytest.mark.unmeasured  # test_articulation.py and tests/lab/sim/compiler/geoms measure it
 @pytest.mark.parametrize("name", LOADABLE)
 def test_a_robot_loads_and_steps(name):
     # High above the ground and floating where it has legs: what it stands on is not the question.
