@@ -12,6 +12,8 @@ from embodichain.utils.errors import ConfigError
 from tests.data.robot_catalog import LOADABLE, NOT_LOADABLE, REPAIRED
 from tests.lab.sim.compiler.helpers import start
 
+pytestmark = pytest.mark.slow
+
 # Its file puts the collision shape of each hand 1.57 m beside it: an angle that became a place.
 OUT_OF_PLACE = "alex_description/urdf/alex_nub_hands.urdf"
 
