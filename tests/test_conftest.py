@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 IGNORED = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); import pytest;"
     "sys.exit(pytest.main(['-q', '-p', 'no:cacheprovider', *sys.argv[1:]]))"
