@@ -1,7 +1,10 @@
 # Everything from a bare machine: `make run`, `make test`. Needs Python 3.11+, git and make.
 #
 #   make run       install what `run` needs, then run the main job
-#   make test      install the rest, then run every test  (PYTEST_ARGS="-m 'not slow'" leaves some out)
+#   make test      install the rest, then run every test  (PYTEST_ARGS="-k camera" chooses some)
+#   make test-fast     what a developer runs again and again: without the tests that are marked slow or
+#                  cluster (COSTS=30 prints the CPU seconds of the 30 most expensive modules)
+#   make coverage  every test with coverage, which has a floor: half as long again (every night)
 #   make test-warp     every task on MuJoCo Warp (`make test` tries two)
 #   make docs      the documentation site, into build/site; DOCS_NOTEBOOKS=0 leaves out their execution
 #   make lint types imports     the other checks; `make check` is all of them
@@ -25,6 +28,8 @@ OLDEST ?= .venv-oldest
 NEWEST ?= .venv-newest
 TAG ?=
 PYTEST_ARGS ?=
+COSTS ?= 0
+WORKERS ?= 3
 
 BIN := $(VENV)/bin
 RUNS := $(VENV)/.installed
@@ -33,7 +38,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run venv test test-warp docs lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
+.PHONY: help run venv test test-fast coverage test-warp docs lint types imports lerobot check dist smoke test-oldest test-newest names format pins clean system system-tests
 
 help:
 	@sed -n 's/^#   /  /p' Makefile
@@ -68,12 +73,22 @@ system-tests: system
 
 # worksteal: neighbours share a worker, so what a module builds once (a wheel, a log) is rarely built
 # twice, and no worker is idle while the other has a long module left.
+# One more than there are cores: tests of clusters, signals and servers wait.
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --costs $(COSTS)
+
 test: venv
-	$(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term $(PYTEST_ARGS)
+	$(PYTEST) $(PYTEST_ARGS)
+
+test-fast: venv
+	$(PYTEST) -m fast $(PYTEST_ARGS)
+
+# Measuring costs half of a test's CPU time again: once a night, not with every change.
+coverage: venv
+	$(PYTEST) --cov --cov-report=term $(PYTEST_ARGS)
 
 # Every task on MuJoCo Warp's CPU device. Kernels that are not in Warp's cache are compiled: minutes.
 test-warp: venv
-	EMBODICHAIN_TEST_WARP=all $(BIN)/python -m pytest -n 2 --dist worksteal --timeout 1800 tests/lab/sim/engine/test_warp_tasks.py
+	EMBODICHAIN_TEST_WARP=all $(BIN)/python -m pytest -n 2 --dist worksteal --timeout 1800 tests/lab/sim/engine/warp/test_warp_tasks.py
 
 # Warnings are errors: a link without a target, a page without a place, a docstring that cannot be read.
 # It is a folder of files: `python -m http.server -d build/site` serves it, and then its search works too.
@@ -115,11 +130,12 @@ smoke: dist
 # uv resolves to the lowest versions, which pip cannot; each environment has its own.
 # Tests of packages that are in neither (optuna, sb3-contrib) are left out. Test tools are the pinned
 # ones; what is resolved anew has no hashes. UV_TORCH_BACKEND=cpu avoids the CUDA build where uv reaches it.
-BOUNDS := tests/utils tests/config tests/lab/gym/test_base_env.py tests/lab/gym/test_vector.py \
-    tests/lab/gym/test_single.py tests/lab/sim/meshes tests/recording/test_api.py \
-    tests/recording/test_recorder.py tests/recording/test_log_file.py \
-    tests/learning/test_vec_env.py tests/learning/test_train.py tests/learning/test_resume.py \
-    -m "not slow" -k "not optuna and not recurrent and not with_a_memory"
+BOUNDS := tests/utils tests/config tests/lab/gym/envs/test_base_env.py tests/lab/gym/test_vector.py \
+    tests/lab/gym/test_single.py tests/lab/sim/compiler/geoms tests/recording/read/test_api.py \
+    tests/recording/write/test_recorder.py tests/recording/write/test_log_file.py \
+    tests/learning/sb3/test_vec_env.py tests/learning/training/test_train.py \
+    tests/learning/training/test_resume.py \
+    -m "not cluster" -k "not optuna and not recurrent and not with_a_memory"
 
 $(OLDEST)/.installed: RESOLUTION := lowest-direct
 $(NEWEST)/.installed: RESOLUTION := highest

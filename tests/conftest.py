@@ -1,11 +1,12 @@
-"""What every test gets: an empty working directory, and one thread for torch.
+"""What every test gets: an empty working directory, Ctrl-C, and one thread for torch.
 
-Coverage adds half to the CPU time of a test. Tests of whole pages, of benchmarks or of all terms,
-whose lines the tests of single modules cover, are marked `unmeasured`.
+`make coverage` adds half to the CPU time of a test. Tests of whole pages, of benchmarks or of all
+terms, whose lines the tests of single modules cover, are marked `unmeasured`.
 """
 
 import gc
 import os
+import signal
 import sys
 import threading
 from collections.abc import Iterator
@@ -13,8 +14,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.commands import Commands, commands
+from tests.helpers.costs import *  # noqa: F403  (hooks: the tiers, and what a module costs)
+
 if "PYTEST_XDIST_WORKER" in os.environ:
-    # Two workers on two cores: torch's own threads would only take turns. The engine's threads,
+    # As many workers as cores: torch's own threads would only take turns. The engine's threads,
     # which tests choose by number, are not OpenMP's.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -27,6 +31,24 @@ def pytest_collection_finish() -> None:
     """Spares the garbage collector what stays until the end: modules and thousands of tests."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def ctrl_c() -> Iterator[None]:
+    """Handles SIGINT as in a terminal: a shell's background jobs (`make test &`) ignore it.
+
+    Processes that tests start inherit this.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope="session", name="commands")
+def commands_of_this_session() -> Iterator[Commands]:
+    """Starts `embodichain ARGUMENTS` in processes that need not import everything anew."""
+    with commands() as started:
+        yield started
 
 
 @pytest.fixture(autouse=True)

@@ -18,7 +18,7 @@ from benchmarks.plain_task import PlainTask
 from benchmarks.rounds import measure
 from embodichain.learning import SB3VecEnv
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 REPO = Path(__file__).parents[2]
 

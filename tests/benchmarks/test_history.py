@@ -9,6 +9,8 @@ import pytest
 
 from benchmarks import history
 
+pytestmark = pytest.mark.slow
+
 MACHINE = {
     **{"processor": "A", "cores": 2, "memory_gib": 8, "system": "Linux", "python": "3.11.7"},
     **{"packages": {"mujoco": "4.0.0"}, "load_at_start": 0.5, "date": "2026-01-02"},

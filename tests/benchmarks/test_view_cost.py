@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.view_cost import measure, report
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 
 def test_a_task_is_measured():

@@ -12,7 +12,7 @@ from benchmarks import arms, warp_speed
 from embodichain.lab.sim.engine.warp import warp_worlds
 from embodichain.lab.sim.engine.warp.warp_support import cuda_devices
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 REPO = Path(__file__).parents[2]
 NAMES = ["cart_pole", "cart_pole, bare", "cart_pole + MCAP"]

@@ -16,6 +16,8 @@ import yaml
 
 from embodichain.cli import main
 
+pytestmark = pytest.mark.slow
+
 TINY = (
     *("task=reach", "num_envs=4", "algo.n_steps=8", "algo.batch_size=16", "seed=5"),
     *("task.max_episode_steps=6", "sim.num_threads=1", "eval.episodes=0"),

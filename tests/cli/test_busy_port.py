@@ -4,6 +4,8 @@ import socket
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("viewer", ["web", "foxglove"])
 def test_a_busy_port_names_the_key(embodichain, tmp_path, viewer):

@@ -28,6 +28,8 @@ from embodichain.compat.functor_cfgs import (  # isort: skip  (where `managers` 
     RewardCfg,
 )
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts" / "tutorials" / "gym" / "modular_env.py"
 HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]

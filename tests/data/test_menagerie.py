@@ -10,6 +10,8 @@ from embodichain.data import DataNotFoundError, get_data_path, list_robots
 from embodichain.lab.sim.cfg import RobotCfg, name_of
 from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
 
+pytestmark = pytest.mark.slow
+
 MJCF = "<mujoco><worldbody><body name='b'><geom size='1'/></body></worldbody></mujoco>"
 LAYOUTS = {
     "checkout": "checkout/{}",

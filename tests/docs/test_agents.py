@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 REPO = Path(__file__).parents[2]
 SKILLS = sorted((REPO / ".claude" / "skills").glob("*/SKILL.md"))

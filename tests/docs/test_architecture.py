@@ -11,6 +11,8 @@ from embodichain.learning.sb3.extractors import SmallCnn
 from embodichain.learning.sb3.vec_env import SB3VecEnv
 from tests.helpers.house import REPO, house
 
+pytestmark = pytest.mark.slow
+
 PAGE = (REPO / "docs" / "architecture.md").read_text(encoding="utf-8")
 WALKS = {
     part.partition("\n")[0].partition(":")[0]: part

@@ -20,7 +20,7 @@ from embodichain.lab.gym.envs.managers.terms.registry import KINDS, SHAPES, TERM
 from embodichain.lab.sim.objects import Robot
 from embodichain.utils.errors import ConfigError
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 REPO = Path(__file__).parents[2]
 PAGES = sorted((REPO / "docs" / "coming-from").glob("*.md"))

@@ -12,7 +12,7 @@ import yaml
 from embodichain.config import resolve
 from tests.helpers.code_blocks import run_forked
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 REPO = Path(__file__).parents[2]
 PAGES = [REPO / "README.md", *sorted((REPO / "docs").rglob("*.md"))]

@@ -16,7 +16,7 @@ import pytest
 
 from embodichain.cli import main
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 REPO = Path(__file__).parents[2]
 GYM_CONFIG = REPO / "tests" / "helpers" / "gym_configs" / "push.yaml"  # what commands call so

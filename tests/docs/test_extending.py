@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.managers.terms.registry import KINDS, LEADING, TERMS
 from embodichain.lab.gym.policies import resolve_policy
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 

@@ -9,7 +9,7 @@ from scripts import gallery
 from scripts.gallery import BAR, COLUMNS, PICTURE, SIZE, TASKS, sheet
 from tests.data.robot_catalog import LOADABLE
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 
 def test_the_picture_has_a_place_for_every_task() -> None:

@@ -17,7 +17,9 @@ from embodichain.cli import main
 from embodichain.config.gymnasium_ids import register_task_ids
 from embodichain.recording import McapRecorder, verify
 from embodichain.utils.errors import RenderError
-from tests.recording.test_film import pictures
+from tests.recording.film.test_film import pictures
+
+pytestmark = pytest.mark.slow
 
 TASK = """
 description: A cube falls before a wall.

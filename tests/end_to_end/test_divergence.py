@@ -7,7 +7,7 @@ import torch
 import embodichain
 from tests.end_to_end.test_invariance import action_of, tensors
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 SICK, STEPS = 1, 6
 STATE = [f"{f}={v}" for f in ("qpos", "qvel", "mocap_pos") for v in ("nan", "inf", "1e30")]

@@ -15,7 +15,7 @@ from torch.distributions import Normal
 
 import embodichain  # noqa: F401  (registers the tasks)
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 GAMMA, LAMBDA, CLIP = 0.99, 0.95, 0.2
 

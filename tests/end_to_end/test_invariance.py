@@ -9,7 +9,7 @@ import torch
 import embodichain
 from embodichain.config import list_options
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 STEPS = 24
 

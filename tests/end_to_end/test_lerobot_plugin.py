@@ -12,6 +12,8 @@ import pytest
 
 from embodichain.cli import main
 
+pytestmark = pytest.mark.slow
+
 PLUGIN = Path(__file__).parents[2] / "plugins/lerobot_env_embodichain"
 SMALL = {
     "policy.type": "act",

@@ -11,6 +11,8 @@ from mujoco.batch import Batch
 
 import embodichain
 
+pytestmark = pytest.mark.slow
+
 SCRIPT = """
 import ctypes, gc, json, os
 from embodichain.config import make_env, resolve

@@ -9,7 +9,7 @@ from embodichain.recording.write.log_writer import LogWriter
 from tests.helpers.randomizers import CASES
 from tests.helpers.ur10_task import HOME, builder
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 
 def record(path, late: bool = False) -> np.ndarray:

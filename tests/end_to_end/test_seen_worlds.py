@@ -11,6 +11,8 @@ import embodichain
 from embodichain.utils.errors import RenderError
 from tests.helpers.kitchen import KITCHEN
 
+pytestmark = pytest.mark.slow
+
 ROOM = """
 description: A box on a table.
 max_episode_steps: 20

@@ -21,7 +21,7 @@ from embodichain.lab.gym.utils.gym_utils import config_to_cfg
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS, build_env
 from tests.helpers.upstream_tasks import CONFIGS, CartPole, PushCube
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 SMALL = ("num_envs=2", "seed=1")
 TRAIN = (

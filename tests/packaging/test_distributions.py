@@ -16,7 +16,7 @@ import pytest
 
 from scripts import release
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 EPOCH = 1767323044  # 2026-01-02 03:04:04 UTC; zip files have even seconds
 

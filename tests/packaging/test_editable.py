@@ -5,6 +5,9 @@ import sys
 import zipfile
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 BUILD = "import sys, setuptools.build_meta as b; b.build_editable(sys.argv[1])"
 

@@ -13,7 +13,7 @@ from embodichain.config.gymnasium_ids import task_id
 from embodichain.lab.gym.envs import BaseEnv
 from tests.helpers.house import house
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 
 def test_no_modules_import_each_other() -> None:

@@ -19,6 +19,8 @@ from packaging.requirements import Requirement
 
 from scripts import licences, locked, pins, sbom
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def packages() -> list[locked.Package]:

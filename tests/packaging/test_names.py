@@ -7,6 +7,8 @@ import pytest
 
 from scripts import names
 
+pytestmark = pytest.mark.slow
+
 LOG = """
 ## [Unreleased]
 

@@ -13,7 +13,7 @@ import pytest
 
 from embodichain.utils.system import platforms
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 HELPER = Path(__file__).parents[1] / "helpers" / "other_system.py"
 COMMANDS = {

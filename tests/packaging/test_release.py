@@ -7,6 +7,8 @@ import pytest
 
 from scripts import release
 
+pytestmark = pytest.mark.slow
+
 LOG = """\
 # Changelog
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 INSTALLED = "#!/bin/sh\necho installed\n"
 MISSING = "#!/bin/sh\nexit 1\n"
 RECORD = '#!/bin/sh\necho "$(basename "$0") $*" >> "$CALLS"\n'

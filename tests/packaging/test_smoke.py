@@ -11,6 +11,8 @@ import pytest
 
 from scripts import smoke
 
+pytestmark = pytest.mark.slow
+
 VERSION = f"{sys.version_info.major}.{sys.version_info.minor}"
 
 

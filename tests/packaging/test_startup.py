@@ -8,7 +8,7 @@ import pytest
 
 import embodichain
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 HEAVY = {"torch", "tensordict", "stable_baselines3"}
 

@@ -6,7 +6,7 @@ import pytest
 
 from embodichain.cli.app import call
 from embodichain.utils.errors import ConfigError
-from tests.recording.test_film import pictures
+from tests.recording.film.test_film import pictures
 
 
 def test_a_film_of_an_episode(record, tmp_path, capsys):

@@ -18,7 +18,7 @@ from embodichain.learning import SB3VecEnv
 from embodichain.recording import McapRecorder, verify
 from tests.end_to_end.test_invariance import action_of, tensors
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 CONF = Path(embodichain.__file__).parent / "conf" / "task"
 TASKS = list_options("task")

@@ -10,7 +10,7 @@ import yaml
 import embodichain
 from tests.helpers.hollow_meshes import write_revolved
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N = 16
 RIM = np.array([0.0, -0.067, 0.05])  # the middle of the wall, where the fingers move along y

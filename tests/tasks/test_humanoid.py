@@ -6,6 +6,8 @@ import torch
 
 import embodichain
 
+pytestmark = pytest.mark.slow
+
 STEADY = ["seed=1", "sim.num_threads=1", "~task.events.push", "~task.events.base"]
 ANKLES = [4, 10]
 """Pitch of the left and the right ankle among the actions, which turn targets by 0.25 rad each."""

@@ -9,7 +9,7 @@ import torch
 
 import embodichain
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N = 8
 TOOL = "gripper/tcp"

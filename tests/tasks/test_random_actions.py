@@ -7,7 +7,7 @@ import embodichain
 from embodichain.config import list_options
 from embodichain.lab.gym.policies import random
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 TASKS = list_options("task")
 ENVIRONMENTS, STEPS = 50, 10_000

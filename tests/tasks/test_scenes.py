@@ -15,7 +15,7 @@ from embodichain.lab.gym.policies import resolve_policy
 from embodichain.learning.checkpoints.physics_values import physics_values
 from tests.helpers.kitchen import KITCHEN
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 TASKS = list_options("task")
 FALL = {

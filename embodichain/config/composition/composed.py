@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 from hydra.core.config_loader import ConfigLoader
+from hydra.core.default_element import ResultDefault
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
@@ -141,7 +142,7 @@ def compose(
     choices = dict(config.hydra.runtime.choices)
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
     try:
-        files, of_hydra = _files(loader, config_name, lines_of_groups, folders, gym)
+        files, of_hydra = _files(loader.merged, folders, gym)
     except yaml.YAMLError as error:  # a tag that Hydra reads
         return _without_task(loader, config_name, lines, parsed, [explain_yaml(error)])
     OmegaConf.set_struct(config, False)
@@ -209,16 +210,14 @@ def _gym_config(parsed: ParsedOverrides) -> tuple[GymConfig | None, ParsedOverri
 
 
 def _files(
-    loader: ConfigLoader,
-    config_name: str,
-    for_hydra: list[str],
+    merged: Sequence[ResultDefault],
     folders: Sequence[Path | None],
     gym: GymConfig | None,
 ) -> tuple[list[ConfigFile], list[ConfigFile]]:
     """The files of a config in the order of merging, and the user's files for Hydra itself."""
     files = [] if gym is None else [gym.file]
     of_hydra: list[ConfigFile] = []
-    for default in loader.compute_defaults_list(config_name, for_hydra, RunMode.RUN).defaults:
+    for default in merged:
         name = default.config_path
         if name is None:
             continue

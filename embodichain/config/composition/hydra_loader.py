@@ -21,16 +21,18 @@ from pathlib import Path
 import yaml
 from hydra import version
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.config_repository import IConfigRepository
 from hydra._internal.utils import create_config_search_path
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.default_element import ResultDefault
 from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.types import Override
 from hydra.core.plugins import Plugins
 from hydra.core.utils import setup_globals
 from hydra.errors import HydraException, MissingConfigException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from embodichain.config.composition.defaults_lists import chosen_twice, explain_defaults
 from embodichain.config.composition.environment import register_env_resolvers
@@ -149,7 +151,7 @@ def search_path_of(override: Override) -> tuple[list[str], list[Problem]]:
 
 
 @contextmanager
-def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader]:
+def config_loader(config_dir: str | Path | None = None) -> Iterator[_Loader]:
     """Provide a loader of `embodichain.conf`.
 
     It is separate from that of a running Hydra application, which `hydra.initialize` would replace.
@@ -176,7 +178,24 @@ def register_resolvers() -> None:
 
 
 class _Loader(ConfigLoaderImpl):
-    """Gets a group's options from the sources; Hydra's loader copies them each time, in 10 ms."""
+    """Hydra's loader, which remembers what it merged.
+
+    It gets a group's options from the sources, which Hydra's loader copies each time, in 10 ms.
+
+    Attributes:
+        merged: The defaults list of the last config. To compute it again
+            (`compute_defaults_list`) reads every file again, a third of the time of composing.
+    """
+
+    def __init__(self, config_search_path: ConfigSearchPath) -> None:
+        super().__init__(config_search_path)
+        self.merged: tuple[ResultDefault, ...] = ()
+
+    def _compose_config_from_defaults_list(
+        self, defaults: list[ResultDefault], repo: IConfigRepository
+    ) -> DictConfig:
+        self.merged = tuple(defaults)
+        return super()._compose_config_from_defaults_list(defaults, repo)
 
     def get_group_options(
         self,

@@ -10,6 +10,8 @@ import pytest
 
 from embodichain.utils.errors import DeviceError
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 LISTING = ROOT.parent / "shared" / "seed" / "creating_a_basic_environment.txt"
 OWN = ROOT / "scripts" / "tutorials" / "gym" / "random_reach.py"

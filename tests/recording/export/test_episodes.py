@@ -18,6 +18,8 @@ from embodichain.recording.export import export_episodes
 from embodichain.utils.errors import ConfigError
 from tests.recording.live import NOISY, record_task
 
+pytestmark = pytest.mark.slow
+
 LEROBOT_READER = Path(__file__).parents[2] / "helpers/lerobot_reader.py"
 ROBOMIMIC_READER = LEROBOT_READER.with_name("robomimic_reader.py")
 NEAR = "task.metrics.success.shape.below=0.3"

@@ -26,6 +26,8 @@ from embodichain.recording.export.formats.ros2 import urdf
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def log(record):

@@ -24,6 +24,8 @@ from embodichain.recording.export.lerobot_writer import levels_of, of_levels
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL, SmallEnv
 
+pytestmark = pytest.mark.slow
+
 LEROBOT_READER = Path(__file__).parents[2] / "helpers/lerobot_reader.py"
 CAMERAS = """
 task:

@@ -15,6 +15,8 @@ from embodichain.utils.errors import ConfigError
 from tests.recording.live import record_task
 from tests.recording.scene import SmallEnv
 
+pytestmark = pytest.mark.slow
+
 SHORT = ["task.max_episode_steps=3"]
 SENSORS = """
     eye: {sensor_type: camera, observe: true, width: 32, height: 24,

@@ -17,6 +17,8 @@ from embodichain.recording import McapRecorder
 from embodichain.recording.export import Part, export
 from embodichain.utils.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 CAMERA = (
     "+task.sensors.front={sensor_type: camera, width: 64, height: 48, fovy: 45, "
     "extrinsics: {eye: [0, -3, 1.5], target: [0, 0, 1.2]}, observe: true}"

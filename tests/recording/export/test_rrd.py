@@ -22,6 +22,8 @@ from tests.recording.scene import MODEL, SmallEnv
 pytest.importorskip("rerun")
 from rerun.chunk import RrdReader
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def _no_analytics(monkeypatch, tmp_path_factory):

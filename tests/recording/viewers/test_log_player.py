@@ -18,6 +18,8 @@ from embodichain.utils.errors import ConfigError
 from tests.helpers.browser import chromium, needs_chromium, picture, share_of
 from tests.recording.scene import SmallEnv
 
+pytestmark = pytest.mark.slow
+
 BLUE = (0.36, 0.62, 0.84)  # of the UR10's joints
 
 

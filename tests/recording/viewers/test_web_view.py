@@ -6,7 +6,7 @@ import torch
 from embodichain.lab.gym.envs.cfg import EventCfg, RewardCfg
 from embodichain.recording.viewers.web import PageOptions, WebView
 from tests.helpers.ur10_task import builder
-from tests.recording.viewers.test_web_page import crc_of, until, visit
+from tests.recording.viewers.page.test_web_page import crc_of, until, visit
 
 PAINT = {"entity_cfg": {"uid": "cube"}, "base_color_range": [[0, 0, 0], [1, 1, 1]]}
 

@@ -14,7 +14,7 @@ import embodichain
 from embodichain.cli.app import main
 from embodichain.recording import ImageOptions, McapRecorder, RecordOptions, diff, inspect, verify
 from embodichain.utils.errors import ConfigError
-from tests.recording.test_api import decoded
+from tests.recording.read.test_api import decoded
 
 CAMERA = (
     "+task.sensors.front={sensor_type: camera, width: 64, height: 48, intrinsics: [60, 70, 30, 25],"

@@ -17,7 +17,7 @@ from embodichain.utils.math import (
     rotvec_to_quat,
 )
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 TOOL = "of: {uid: ur10, control_parts: arm}"
 LOOSE = "task.robot.drive_pros={stiffness: 0, damping: 0}"

@@ -14,7 +14,7 @@ from embodichain.lab.gym.expert.fingers import read_fingers
 from embodichain.lab.gym.expert.policy import Expert
 from embodichain.utils.errors import ConfigError
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 ARM = """<mujoco><compiler angle="degree"/><worldbody><body name="base">
  <geom size=".05" mass="1"/>

@@ -11,7 +11,7 @@ from embodichain.lab.gym.expert.trajectories import ToolPath
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import quat_multiply, rotvec_to_quat
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N = 3
 TOOL = "of: {uid: ur10, control_parts: arm}"

@@ -11,6 +11,8 @@ import embodichain
 from embodichain.lab.gym.shards import shard_pool
 from tests.helpers.local_shards import sharded
 
+pytestmark = pytest.mark.slow
+
 OVERRIDES = [
     "task.max_episode_steps=25",
     "+task.observations.qvel.noise={std: 0.01}",

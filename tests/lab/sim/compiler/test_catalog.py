@@ -13,11 +13,13 @@ from embodichain.utils.errors import ConfigError
 from tests.data.robot_catalog import LOADABLE, NOT_LOADABLE, REPAIRED
 from tests.lab.sim.compiler.helpers import start
 
+pytestmark = pytest.mark.slow
+
 # Its file puts the collision shape of each hand 1.57 m beside it: an angle that became a place.
 OUT_OF_PLACE = "alex_description/urdf/alex_nub_hands.urdf"
 
 
-@pytest.mark.unmeasured  # test_articulation.py and tests/lab/sim/meshes measure it
+@pytest.mark.unmeasured  # test_articulation.py and tests/lab/sim/compiler/geoms measure it
 @pytest.mark.parametrize("name", LOADABLE)
 def test_a_robot_loads_and_steps(name):
     # High above the ground and floating where it has legs: what it stands on is not the question.

@@ -18,6 +18,8 @@ from embodichain.lab.sim.drawing.views import Optics, View, Viewpoint, view_of
 from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.utils.errors import ConfigError, RenderError
 
+pytestmark = pytest.mark.slow
+
 SCENE = """
 <mujoco>
   <visual><global offwidth="160" offheight="120"/></visual>

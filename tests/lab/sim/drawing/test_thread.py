@@ -13,6 +13,8 @@ import pytest
 from embodichain.lab.sim.drawing.thread import RenderThread, render_thread
 from embodichain.utils.errors import RenderError
 
+pytestmark = pytest.mark.slow
+
 
 def test_all_calls_run_in_one_other_thread_in_order():
     thread, seen = RenderThread(), []

@@ -19,6 +19,8 @@ from embodichain.lab.sim.shapes import CubeCfg, SphereCfg
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.sensors.conftest import cube
 
+pytestmark = pytest.mark.slow
+
 WIDTH, HEIGHT = 64, 48
 LENS = (70.0, 90.0, 20.0, 30.0)
 AHEAD = ExtrinsicsCfg(eye=(0, 0, 1), target=(1, 0, 1))

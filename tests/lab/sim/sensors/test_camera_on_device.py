@@ -28,7 +28,7 @@ from embodichain.utils.errors import ConfigError
 from tests.helpers.warp_scene import DEVICE
 from tests.lab.sim.sensors.conftest import cube
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N, WIDTH, HEIGHT = 3, 64, 48
 LENS = (70.0, 90.0, 20.0, 30.0)

@@ -10,7 +10,7 @@ from embodichain.lab.sim.engine.device.device_array import DeviceArray
 from embodichain.lab.sim.engine.warp.device_arrays import DeviceArrays
 from embodichain.lab.sim.sensors.sampling import Sampler
 
-pytestmark = pytest.mark.unmeasured
+pytestmark = [pytest.mark.unmeasured, pytest.mark.slow]
 
 N = 3
 ARRAYS = DeviceArrays("cpu")

@@ -1,0 +1,66 @@
+"""Sweeps on a Ray cluster of two nodes, one of which is killed."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from omegaconf import OmegaConf
+
+from tests.helpers.ray_cluster import ray_cluster
+from tests.helpers.sweeps import TINY, summary
+
+pytest.importorskip("ray", reason="no ray: pip install 'embodichain[ray]'")
+pytestmark = [pytest.mark.unmeasured, pytest.mark.cluster, pytest.mark.timeout(600)]
+GUARD = 240.0
+"""Seconds after which something hangs."""
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[tuple[Any, list[Any]]]:
+    with ray_cluster(2) as found:
+        yield found
+
+
+def start(address: str, folder: Path, *more: str) -> "subprocess.Popen[str]":
+    where = [f"output_dir={folder}", f"hydra.sweep.dir={folder}/s", "hydra/launcher=ray"]
+    command = [sys.executable, "-m", "embodichain", "train", "-m", *where, *TINY, *more]
+    command.append(f"hydra.launcher.address={address}")
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_a_search_keeps_its_trials(cluster: tuple[Any, list[Any]], tmp_path: Path) -> None:
+    search = ("hydra/sweeper=optuna", "hydra.sweeper.n_trials=2", "hydra.sweeper.n_jobs=2")
+    storage = f"sqlite:///{tmp_path}/trials.db"
+    kept = (f"hydra.sweeper.storage={storage}", "hydra.sweeper.study_name=gammas")
+    point = ("algo.gamma=interval(0.9,0.99)", "seed=0", "total_timesteps=64")
+    process = start(cluster[0].address, tmp_path, *search, *kept, *point)
+    _, said = process.communicate(timeout=GUARD)
+    assert process.returncode == 0, said
+    best = max(summary(tmp_path / "s" / name)["objective"] for name in "01")
+    results: Any = OmegaConf.load(tmp_path / "s/optimization_results.yaml")
+    assert results.best_value == best
+    import optuna
+
+    study = optuna.load_study(study_name="gammas", storage=storage)
+    assert [trial.state.name for trial in study.trials] == ["COMPLETE", "COMPLETE"]
+
+
+def test_a_job_whose_node_died_goes_on_on_another(
+    cluster: tuple[Any, list[Any]], tmp_path: Path
+) -> None:
+    long = ("seed=0,1", "total_timesteps=1600", "checkpoint.every_steps=32")
+    process = start(cluster[0].address, tmp_path, *long)
+    end = time.monotonic() + GUARD
+    while len({p.parts[-3] for p in tmp_path.glob("s/*/checkpoints/step_*.zip")}) < 2:
+        assert time.monotonic() < end and process.poll() is None, process.communicate()
+        time.sleep(0.1)
+    cluster[0].remove_node(cluster[1].pop(), allow_graceful=False)
+    _, said = process.communicate(timeout=GUARD)
+    assert process.returncode == 0, said
+    found = [summary(tmp_path / "s" / name) for name in "01"]
+    assert [job["status"] for job in found] == ["finished", "finished"]
+    assert sorted(job["resumed_from"] is None for job in found) == [False, True]
