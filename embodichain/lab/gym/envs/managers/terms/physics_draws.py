@@ -82,8 +82,8 @@ def _draws_of(term: CheckedTerm) -> Sequence[PhysicsDraw]:
 def _arguments(spec: TermSpec, values: Mapping[str, Any]) -> dict[str, Any]:
     """The event's parameters that its declaration takes, with the event's defaults."""
     return {
-        spec.params[name].name: values.get(name, spec.params[name].default)
-        for name in spec.draws_params
+        name: values.get(word, spec.params[word].default)
+        for name, word in spec.draws_params.items()
     }
 
 

@@ -146,11 +146,11 @@ class TermSpec:
         return _place(self.func)
 
     @property
-    def draws_params(self) -> tuple[str, ...]:
-        """The parameters that `draws` takes, as a config names them."""
+    def draws_params(self) -> dict[str, str]:
+        """The parameters that `draws` takes -> their names in a config."""
         if self.draws is None:
-            return ()
-        return tuple(name.removesuffix("_") for name in inspect.signature(self.draws).parameters)
+            return {}
+        return {name: config_word(name) for name in inspect.signature(self.draws).parameters}
 
     def hints(self) -> dict[str, Any]:
         """Evaluated types of the parameters only: those of `env` and the result may need torch."""
@@ -386,7 +386,7 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
         lead=of_quantity,
         draws=_DRAWS.get(func) if kind == "event" else None,
     )
-    unknown = [name for name in spec.draws_params if name not in spec.params]
+    unknown = [name for name in spec.draws_params.values() if name not in spec.params]
     if unknown:
         message = f"draws takes {', '.join(unknown)}, and {spec.label} has no such parameter"
         raise ValueError(f"{message}; it has: {', '.join(spec.params) or 'none'}")
