@@ -11,7 +11,7 @@ from embodichain.learning.sb3.extractors import SmallCnn
 from embodichain.learning.sb3.vec_env import SB3VecEnv
 from tests.helpers.house import REPO, house
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.unmeasured]
 
 PAGE = (REPO / "docs" / "architecture.md").read_text(encoding="utf-8")
 WALKS = {
@@ -23,14 +23,15 @@ UNSEEN = {
     "lab/gym/envs/cfg.py",
     "lab/gym/expert/instructions.py",
     "lab/sim/configs/sensor_cfg.py",
+    "lab/sim/sensors/camera_cfg.py",
+    # Only mentioned: plays a trained policy.
+    "learning/policies/policy.py",
     # Runs in the thread that draws, which a walk does not follow.
     "lab/sim/drawing/layered/batch_renderer.py",
     # For names that stand for a quantity with a shape; reach has none.
     "lab/gym/envs/managers/terms/aliases.py",
 }
 QUIET = ("num_envs=2", "scene_png=false", "--quiet")
-
-pytestmark = pytest.mark.unmeasured
 
 
 def run_and_verify() -> None:
@@ -89,3 +90,22 @@ def test_there_are_five_walks() -> None:
 @pytest.mark.parametrize("name", sorted(set(re.findall(r"`([\w/]+/\w+\.py)`", PAGE))))
 def test_files_that_are_named_exist(name: str) -> None:
     assert (REPO / name).is_file() or (REPO / "embodichain" / name).is_file()
+
+
+def named_things() -> list[tuple[str, str]]:
+    """Path and name, where the page says `path`, `Name`: or `name` of `path` or `name` (`path`."""
+    path, name = r"`([\w/]+/\w+\.py)`", r"`([A-Za-z_]\w*)`"
+    before = re.findall(rf"{path},\s+{name}", PAGE)
+    after = re.findall(rf"{name}(?:\s+of|\s+in|\s+\()?\s*\(?{path}", PAGE)
+    return sorted({*before, *((file, thing) for thing, file in after)})
+
+
+@pytest.mark.parametrize(("path", "name"), named_things())
+def test_things_are_in_the_files_that_are_named(path: str, name: str) -> None:
+    file = REPO / path if (REPO / path).is_file() else REPO / "embodichain" / path
+    defined = rf"(?:def|class)\s+{name}\b|^\s*(?:self\.)?{name}(?::[^=\n]+)?\s*="
+    assert re.search(defined, file.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_names_of_things_are_checked() -> None:
+    assert len(named_things()) > 15

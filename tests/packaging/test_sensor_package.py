@@ -112,7 +112,7 @@ def test_without_the_package_its_type_is_unknown() -> None:
     arguments = [sys.executable, "-m", "embodichain", "validate", "task=reach", sensor]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "unknown sensor 'altimeter'; one of: contact, imu, force_torque" in done.stderr
+    assert "unknown sensor 'altimeter'; one of: camera, stereo_camera, contact" in done.stderr
 
 
 def test_a_broken_package_is_named_where_its_type_is_missing(tmp_path: Path) -> None:

@@ -354,8 +354,8 @@ BAD = {
         ),
     ),
     "unknown sensor": bad(
-        "command line: task.sensors.cam.sensor_type: unknown sensor 'camra'; one of: contact, "
-        "imu, force_torque, frame_pose, joint_torque, ray, height_scan, camera, stereo_camera. "
+        "command line: task.sensors.cam.sensor_type: unknown sensor 'camra'; one of: camera, "
+        "stereo_camera, contact, force_torque, frame_pose, imu, joint_torque, ray, height_scan. "
         "Did you mean 'camera'?",
         "command line: task.sensors.lidar.pattern.fan.horizontal_cout: unknown key; allowed: "
         "horizontal_range, horizontal_count, vertical_range, vertical_count. Did you mean "

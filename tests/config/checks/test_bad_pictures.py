@@ -117,8 +117,8 @@ CAMERAS = {
     ),
     "another sensor": (
         camera("width: 64", "camra"),
-        "sensor_type: unknown sensor 'camra'; one of: contact, imu, force_torque, frame_pose, "
-        "joint_torque, ray, height_scan, camera, stereo_camera. Did you mean 'camera'?",
+        "sensor_type: unknown sensor 'camra'; one of: camera, stereo_camera, contact, "
+        "force_torque, frame_pose, imu, joint_torque, ray, height_scan. Did you mean 'camera'?",
     ),
     "no rays": (ray("max_range: 3"), "pattern: give one of grid, fan, directions; got none"),
     "rays of two kinds": (

@@ -24,16 +24,8 @@ _SENSORS = "embodichain.lab.sim.sensors"
 
 SENSORS: Register[Any] = Register(
     "sensor type",
-    group=_SENSORS.replace("lab.sim.", ""),
-    modules=[
-        f"{_SENSORS}.contact",
-        f"{_SENSORS}.imu",
-        f"{_SENSORS}.force_torque",
-        f"{_SENSORS}.frame_pose",
-        f"{_SENSORS}.joint_torque",
-        f"{_SENSORS}.ray_sensors",
-        f"{_SENSORS}.camera",
-    ],
+    group="embodichain.sensors",
+    modules=(f"{_SENSORS}.*",),
 )
 """``sensor_type`` -> a subclass of `BaseSensor`, registered with `register_sensor`."""
 

@@ -70,7 +70,7 @@ def test_a_pattern_is_nested():
 @pytest.mark.parametrize(
     ("given", "path", "match"),
     [
-        ({"sensor_type": "radar"}, "sensor_type", "one of: contact, imu, force_torque"),
+        ({"sensor_type": "radar"}, "sensor_type", "one of: camera, Camera, stereo_camera"),
         ({"sensor_type": "im"}, "sensor_type", "Did you mean 'imu'"),
         ({}, "sensor_type", "unknown sensor_type ''"),
         ({"sensor_type": "imu", "agianst": {}}, "agianst", "unknown key"),
