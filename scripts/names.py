@@ -41,10 +41,17 @@ ROOT = Path(__file__).parents[1]
 LIST = ROOT / "tests" / "packaging" / "public_names.txt"
 CHANGELOG = ROOT / "CHANGELOG.md"
 MODULES = (
+    "embodichain.cli.sweeps.launching",
+    "embodichain.config.keys.learners",
+    "embodichain.config.keys.tensor_algorithms",
     "embodichain.lab.gym.envs.cfg",
     "embodichain.lab.gym.envs.managers.param_types",
     "embodichain.lab.gym.envs.managers.scene_entity",
     "embodichain.lab.gym.envs.managers.term",
+    "embodichain.lab.gym.envs.managers.terms.registry",
+    "embodichain.lab.gym.envs.observers",
+    "embodichain.lab.gym.expert.instructions",
+    "embodichain.lab.gym.expert.step_register",
     "embodichain.lab.gym.lerobot_env",
     "embodichain.lab.gym.policies",
     "embodichain.lab.gym.utils.registration",
@@ -52,6 +59,7 @@ MODULES = (
     "embodichain.lab.sim.drawing.views",
     "embodichain.lab.sim.shapes",
     "embodichain.recording.demos.collection",
+    "embodichain.recording.viewers.showing",
     "embodichain.recording.viewers.web",
     "embodichain.utils.configclass",
     "embodichain.utils.errors",

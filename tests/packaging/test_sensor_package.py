@@ -29,14 +29,14 @@ TRY = """
 import json, sys
 import numpy as np
 from embodichain.config import resolve
-from embodichain.config.resolved import build_env
+from embodichain.config.resolved import build_env, compile_scene_of
 from embodichain.lab.sim.sensors import SENSORS
 
 overrides = ["task=reach", "num_envs=2", "seed=1", f"+task.sensors.tool={sys.argv[1]}"]
 term = "{func: sensor_reading, params: {sensor: tool, reading: height}}"
 resolved = resolve([*overrides, f"+task.observations.height={term}"])
 torch_is_loaded = "torch" in sys.modules
-env = build_env(resolved)
+env = build_env(resolved, compile_scene_of(resolved))
 env.reset()
 env.step(env.action_space.sample())
 sensor = env.sensors["tool"]

@@ -12,7 +12,6 @@ from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, GetCoreSchemaHandler
-from pydantic_core import CoreSchema
 
 from embodichain.config.keys.learners import LEARNERS, Demonstrations, learner
 from embodichain.config.keys.tensor_algorithms import TensorAlgoCfg
@@ -237,9 +236,7 @@ for _name, (_path, _) in ALGORITHMS.items():
 class _RegisteredConfigs:
     """Tells pydantic the configs of all learners, when it first builds a schema with them."""
 
-    def __get_pydantic_core_schema__(
-        self, source: Any, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
         configs = [entry.config for _, entry in LEARNERS.items()]
         union: Any = reduce(or_, configs)
         return handler.generate_schema(Annotated[union, Field(discriminator="name")])

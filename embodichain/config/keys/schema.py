@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, GetCoreSchemaHandler
-from pydantic_core import CoreSchema, core_schema
 
 from embodichain.config.keys.algorithms import AnyAlgoCfg
 from embodichain.config.keys.viewers import NO_VIEWER, VIEWERS
@@ -129,10 +128,9 @@ class RecordCfg:
 class _ViewerNames:
     """Tells pydantic the names of viewers, when it first builds a schema with them."""
 
-    def __get_pydantic_core_schema__(
-        self, source: Any, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        return core_schema.literal_schema([NO_VIEWER, *VIEWERS.names()])
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        names: Any = Literal[(NO_VIEWER, *VIEWERS.names())]
+        return handler.generate_schema(names)
 
 
 @configclass

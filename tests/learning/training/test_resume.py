@@ -465,7 +465,7 @@ def test_only_few_keys_may_change(tmp_path, monkeypatch, capsys):
     assert main(["train", "-m", "resume=last", "total_timesteps=96,128"]) == 2
     assert "no --multirun" in capsys.readouterr().err
     assert main(["train", "resume=nowhere"]) == 2
-    assert "'nowhere' is no training's folder" in capsys.readouterr().err
+    assert "'nowhere' is not a training's folder" in capsys.readouterr().err
 
 
 def test_a_buffer_with_less_memory_goes_on_too(tmp_path, caplog):

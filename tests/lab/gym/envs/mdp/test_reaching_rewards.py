@@ -223,11 +223,11 @@ UPSTREAM = {
 
 @pytest.mark.parametrize("name", sorted(UPSTREAM))
 def test_embodichains_rewards_keep_their_parameters_and_defaults(name) -> None:
-    params = TERMS["reward"][name].params
-    found = {
-        key: NEEDED if params[key].default is inspect.Parameter.empty else params[key].default
-        for key in UPSTREAM[name]
-    }
+    spec = TERMS["reward"][name]
+    words = spec.written(UPSTREAM[name])  # EmbodiChain's name -> ours
+    defaults = {key: spec.params[words[key]].default for key in UPSTREAM[name]}
+    required = inspect.Parameter.empty
+    found = {key: NEEDED if value is required else value for key, value in defaults.items()}
     assert found == UPSTREAM[name]
-    added = [parameter for key, parameter in params.items() if key not in UPSTREAM[name]]
+    added = [param for key, param in spec.params.items() if key not in words.values()]
     assert all(parameter.default is not inspect.Parameter.empty for parameter in added)
