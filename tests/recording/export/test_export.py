@@ -3,6 +3,7 @@ import csv
 import importlib
 import io
 import json
+import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
