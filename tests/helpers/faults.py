@@ -224,7 +224,7 @@ RUN = (
     *("run", "task=cart_pole", *SMALL, "max_steps=60", "policy=zero", "scene_png=false"),
     "quiet=true",
 )
-COLLECT = ("collect", "task=reach", *SMALL, "policy=random", "scene_png=false", "quiet=true")
+COLLECT = ("collect", "task=reach", *SMALL, "policy=random", "quiet=true")
 
 
 def folders(place: Path, pattern: str) -> list[Path]:
