@@ -258,6 +258,7 @@ def checkpoint_of(path: str | Path) -> Path:
     if not given.is_dir():
         message = f"no such file or folder: {given}{perhaps_last(path)}"
         raise ConfigError([Problem("policy", message)])
+    remove_abandoned((given / CHECKPOINT).parent)
     if (given / CHECKPOINT).is_file():
         return given / CHECKPOINT
     others = sorted((given / CHECKPOINT).parent.glob("*.zip")) or sorted(given.glob("*.zip"))

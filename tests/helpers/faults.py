@@ -123,6 +123,7 @@ def tried(
     errors: Sequence[int] = ERRORS,
     *,
     stays: bool = False,
+    again_every: int = 1,
     report: Callable[[Tried], None] = lambda found: None,
 ) -> tuple[list[str], list[Tried]]:
     """Let calls of a case fail one after another; return all its calls, and what came.
@@ -135,6 +136,7 @@ def tried(
             with all errors.
         errors: The errors, in turn.
         stays: Whether all later writes fail too.
+        again_every: Of so many tries one is followed by the command again.
         report: Called with each result.
     """
     with prepared(case, forks, place) as start:
@@ -151,10 +153,11 @@ def tried(
             numbers = chosen(ended.calls)
             faults = [(n, errors[i % len(errors)]) for i, n in enumerate(numbers)]
         found = []
-        for n, number in faults:
+        for i, (n, number) in enumerate(faults):
             folder = place / f"{case.name}-{n}"
             shutil.copytree(start, folder, symlinks=True)
-            result = _try(case, forks, folder, n, number, wanted, stays=stays)
+            again = i % again_every == 0
+            result = _try(case, forks, folder, n, number, wanted, stays=stays, again=again)
             shutil.rmtree(folder, ignore_errors=True)
             found.append(result)
             report(result)
@@ -163,7 +166,15 @@ def tried(
 
 
 def _try(
-    case: Case, forks: Forks, folder: Path, n: int, number: int, wanted: object, *, stays: bool
+    case: Case,
+    forks: Forks,
+    folder: Path,
+    n: int,
+    number: int,
+    wanted: object,
+    *,
+    stays: bool,
+    again: bool,
 ) -> Tried:
     ended = forks.run(case.arguments, folder, n, number, stays=stays)
     wrong = _said_wrong(ended)
@@ -173,9 +184,11 @@ def _try(
     if not ended.code:
         wrong += [] if case.result(folder) == wanted else ["exit code 0, and another result"]
         return Tried(n, number, ended, wrong)
-    again = forks.run(case.again(folder) or case.arguments, folder)
-    if again.code:
-        wrong.append(f"again: exit code {again.code}: {again.err.strip()}")
+    if not again:
+        return Tried(n, number, ended, wrong)
+    second = forks.run(case.again(folder) or case.arguments, folder)
+    if second.code:
+        wrong.append(f"again: exit code {second.code}: {second.err.strip()}")
     elif case.result(folder) != wanted:
         wrong.append("again: another result")
     wrong += [f"again: {what}" for what in half_written(folder)]
@@ -207,7 +220,10 @@ _TRAIN = (
     *("total_timesteps=96", "algo.n_steps=16", "algo.batch_size=16", "algo.n_epochs=1"),
     *("checkpoint.every_steps=32", "checkpoint.keep=2", "eval.episodes=0", "quiet=true"),
 )
-RUN = ("run", "task=cart_pole", *SMALL, "max_steps=60", "policy=zero", "quiet=true")
+RUN = (
+    *("run", "task=cart_pole", *SMALL, "max_steps=60", "policy=zero", "scene_png=false"),
+    "quiet=true",
+)
 COLLECT = ("collect", "task=reach", *SMALL, "policy=random", "quiet=true")
 
 
@@ -252,8 +268,15 @@ def resume_training(place: Path) -> tuple[str, ...] | None:
             find_resumable(folder)
         except EmbodichainError:
             continue
+        if _is_finished(folder):
+            return None  # nothing is left to do there
         return ("train", f"resume={folder}", "quiet=true")
     return None
+
+
+def _is_finished(folder: Path) -> bool:
+    summary = folder / "summary.json"
+    return summary.is_file() and json.loads(summary.read_text())["status"] == "finished"
 
 
 def collected(place: Path) -> object:
@@ -300,6 +323,7 @@ CASES: dict[str, Case] = {
     case.name: case
     for case in (
         Case("run", RUN, ran),
+        Case("run-picture", (*RUN, "max_steps=2", "scene_png=true"), ran),
         Case("train", _TRAIN, trained, again=resume_training),
         Case(
             "collect",

@@ -22,9 +22,10 @@ import yaml
 
 from embodichain.cli.terminal.output import number
 from embodichain.config.composition.locate import display_path
-from embodichain.config.run_folder import CONFIG, LOG, SUMMARY
+from embodichain.config.run_folder import CHECKPOINT, CONFIG, LOG, SUMMARY
 from embodichain.utils.env_text import recorded_texts, shown
 from embodichain.utils.errors import ConfigError, EmbodichainError
+from embodichain.utils.system.atomic import remove_abandoned
 
 if TYPE_CHECKING:
     from embodichain.learning.evaluation.comparison import Curve
@@ -58,6 +59,8 @@ def page_of(folder: Path) -> str:
 
     if not (folder / CONFIG).is_file():
         raise ConfigError(f"{folder} is no run's folder: it has no {CONFIG}")
+    for place in (folder, (folder / CHECKPOINT).parent):
+        remove_abandoned(place)
     config = _yaml(folder / CONFIG)
     summary, evaluated = shown(_json(folder / SUMMARY)), shown(_json(folder / "eval.json"))
     kind = "training" if "algo" in summary or (folder / "progress.csv").exists() else "run"

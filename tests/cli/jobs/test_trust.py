@@ -1,5 +1,6 @@
 """Verbs read folders, logs and robots of other people: none runs what is planted in them."""
 
+import importlib.util
 import json
 import os
 import shutil
@@ -14,7 +15,15 @@ import pytest
 import yaml
 
 from embodichain.cli import main
-from tests.helpers.planted import NAME, plant, was_run
+from embodichain.learning.checkpoints.checkpoint import save_script
+from tests.helpers.planted import NAME, Payload, pickled, plant, was_run
+from tests.helpers.planted_networks import (
+    Writes,
+    WritesAtLoading,
+    WritesInABranch,
+    onnx_beside,
+    script_of,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -139,6 +148,46 @@ def test_it_is_run_where_it_is_trusted(verb: str, folder: Path, trained: Path) -
     trust = "--trust" if verb == "replay" else "trust=true"
     assert main([*words, trust]) == 2  # the payload returns no arguments
     assert was_run()
+
+
+FILES: dict[str, Callable[[Path], list[str]]] = {
+    **{
+        verb: lambda file, verb=verb: VERBS[verb](file, Path("r.mcap"))  # type: ignore[misc]
+        for verb in ("validate", "run", "collect", "render")
+    },
+    "eval": lambda file: ["eval", str(file), "task=reach", "episodes=1", "record=none", "--quiet"],
+    "play": lambda file: ["play", str(file), "task=reach", "viewer=none", "--quiet"],
+    "bench": lambda file: ["bench", "task=reach", f"policy={file}"],
+    "replay": lambda file: ["replay", "LOG", "--policy", str(file), "--quiet"],
+}
+"""Verbs with the file of an exported policy."""
+
+
+@pytest.mark.parametrize("verb", FILES)
+def test_a_planted_network_is_not_run(
+    verb: str, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """TorchScript that writes, alone and in a zip of rsl_rl; a pickle; ONNX with another file."""
+    zipped = tmp_path / "final.zip"
+    save_script(script_of(Writes()), zipped, {"algo": "rsl_rl_ppo", "group": "policy"})
+    planted = {
+        "writes.pt": (script_of(Writes()), "does more than compute"),
+        "branch.ts": (script_of(WritesInABranch()), "does more than compute"),
+        "loading.pt": (script_of(WritesAtLoading()), "runs while it is loaded"),
+        "final.zip": (zipped.read_bytes(), "does more than compute"),
+        "pickle.pt": (pickled(Payload()), "no TorchScript file"),
+    }
+    if importlib.util.find_spec("onnxruntime") and importlib.util.find_spec("onnx"):
+        (tmp_path / "secret.bin").write_bytes(bytes(8))
+        planted["beside.onnx"] = onnx_beside("secret.bin"), "no ONNX file"
+    for name, (content, why) in planted.items():
+        file = tmp_path / name
+        file.write_bytes(content)
+        log = str(trained / "log/rollout.mcap")
+        words = [log if word == "LOG" else word for word in FILES[verb](file)]
+        assert main(words) == 2, (name, capsys.readouterr().err)
+        assert why in capsys.readouterr().err
+        assert not was_run(), name
 
 
 def test_what_reads_no_code_takes_no_trust(capsys: pytest.CaptureFixture[str]) -> None:

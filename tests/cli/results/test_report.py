@@ -5,11 +5,14 @@ import json
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from embodichain.cli import main
+from embodichain.utils.errors import ConfigError
 from tests.helpers.browser import chromium, needs_chromium
 
 pytestmark = pytest.mark.slow
@@ -183,3 +186,22 @@ def test_mistakes_are_reported(
         assert main(["report", *arguments]) == 2
         assert message in capsys.readouterr().err
     assert (tmp_path / "mine.html").read_text() == "mine"
+
+
+def test_what_a_killed_training_left_of_its_first_checkpoint_is_removed(tmp_path: Path) -> None:
+    from embodichain.config.run_folder import checkpoint_of
+    from embodichain.utils.system.processes import own_process
+
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        pass
+    (tmp_path / "config.yaml").write_text("seed: 1\ntask: {}\n")
+    (tmp_path / "checkpoints").mkdir()
+    process = f"{own_process().place}-{ended.pid}-{own_process().began}"
+    left = tmp_path / f"checkpoints/.step_000000000072.{process}-3.part.zip"
+    left.write_bytes(b"half")
+    main(["report", str(tmp_path)])
+    assert not left.exists()
+    left.write_bytes(b"half")
+    with pytest.raises(ConfigError, match="it is no finished training's folder"):
+        checkpoint_of(tmp_path)
+    assert not left.exists()

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
+from tests.helpers.inside import places_of
 from tests.helpers.ray_cluster import ray_cluster
 from tests.helpers.sweeps import TINY, summary
 
@@ -64,3 +65,19 @@ def test_a_job_whose_node_died_goes_on_on_another(
     found = [summary(tmp_path / "s" / name) for name in "01"]
     assert [job["status"] for job in found] == ["finished", "finished"]
     assert sorted(job["resumed_from"] is None for job in found) == [False, True]
+
+
+def test_a_secret_is_in_no_record_of_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The nodes have the variable; what a job is sent has its name."""
+    monkeypatch.setenv("MY_SECRET", "hunter2-PLANTED")
+    keys = ("task.description=for ${oc.env:MY_SECRET}", "seed=0,1", "total_timesteps=32")
+    with ray_cluster(1) as (head, _):
+        process = start(head.address, tmp_path, *keys)
+        out, said = process.communicate(timeout=GUARD)
+    assert process.returncode == 0, said
+    assert "PLANTED" not in out + said
+    for name in "01":
+        assert summary(tmp_path / "s" / name)["status"] == "finished"
+        text = (tmp_path / "s" / name / "config.yaml").read_text()
+        assert "description: for ${oc.env:MY_SECRET}" in text
+    assert places_of("PLANTED", tmp_path) == []

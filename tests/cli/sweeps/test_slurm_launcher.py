@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from embodichain.cli import main
+from tests.helpers.inside import places_of
 from tests.helpers.slurm_cluster import Slurm, slurm, why_not
 from tests.helpers.sweeps import TINY, learned, results, summary
 
@@ -158,3 +159,19 @@ def test_nothing_of_a_cluster_survives(tmp_path: Path) -> None:
             if marker in (path / "environ").read_bytes() + (path / "cmdline").read_bytes():
                 left.append(path.name)
     assert left == []
+
+
+def test_a_secret_is_in_no_record_of_a_job(cluster: Slurm, tmp_path: Path) -> None:
+    """Nor in the scripts and logs of Slurm's jobs, which get the variable from where they came."""
+    keys = ("task.description=for ${oc.env:MY_SECRET}", "seed=0,1", "total_timesteps=32")
+    cluster.env["MY_SECRET"] = "hunter2-PLANTED"
+    try:
+        code, said = ended(sweep(cluster, tmp_path, *TINY, *keys))
+    finally:
+        del cluster.env["MY_SECRET"]
+    assert code == 0, said
+    assert "PLANTED" not in said
+    for name in "01":
+        text = (tmp_path / "s" / name / "config.yaml").read_text()
+        assert "description: for ${oc.env:MY_SECRET}" in text
+    assert places_of("PLANTED", tmp_path) == []

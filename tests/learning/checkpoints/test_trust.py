@@ -28,6 +28,7 @@ from embodichain.learning.sb3.normalization import load_statistics, statistics_p
 from embodichain.learning.sb3.training_state import load_parameters
 from embodichain.utils.errors import ConfigError
 from tests.helpers.planted import NAME, Payload, pickled, plant, replace, was_run
+from tests.helpers.planted_networks import Writes, WritesAtLoading, WritesInABranch, onnx_beside
 from tests.learning.counting import CountingEnv
 
 pytestmark = pytest.mark.slow
@@ -203,43 +204,6 @@ def test_arrays_of_objects_are_not_read(path, where):
 # ------------------------------------------------------------------------- TorchScript and ONNX
 
 
-class Writes(torch.nn.Module):
-    """Writes a file when it acts."""
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        kept = torch.from_file("PWNED", shared=True, size=2, dtype=torch.float32)
-        return x[:, :2] + kept.fill_(1.0)
-
-
-class WritesInABranch(torch.nn.Module):
-    """Writes a file, in a branch of a loop of a function."""
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        for _ in range(2):
-            if x.sum() > -1.0:
-                x = x + _touched()
-        return x
-
-
-def _touched() -> torch.Tensor:
-    return torch.from_file("PWNED", shared=True, size=1, dtype=torch.float32).fill_(1.0)
-
-
-class WritesAtLoading(torch.nn.Module):
-    """Has a method that runs while the file is loaded."""
-
-    @torch.jit.export
-    def __getstate__(self):
-        return (3, self.training)
-
-    @torch.jit.export
-    def __setstate__(self, state: tuple[int, bool]):
-        self.training = state[1]
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return x[:, :2]
-
-
 SCRIPTS = {
     Writes: "does more than compute.*aten::from_file",
     WritesInABranch: "does more than compute.*aten::from_file",
@@ -281,19 +245,11 @@ def test_save_of_torchscript_needs_trust(tmp_path):
 
 @pytest.mark.parametrize("location", ["secret.bin", "../secret.bin", "{here}/secret.bin"])
 def test_onnx_reads_no_other_file(tmp_path, location):
-    onnx = pytest.importorskip("onnx")
+    pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")
     Path("secret.bin").write_bytes(np.ones(2, np.float32).tobytes())
-    weights = onnx.TensorProto(name="w", data_type=1, dims=[2])
-    weights.data_location = onnx.TensorProto.EXTERNAL
-    where = location.format(here=Path.cwd())
-    weights.external_data.add(key="location", value=where)
-    values = [onnx.helper.make_tensor_value_info(n, 1, ["N", 2]) for n in ("a", "b")]
-    node = onnx.helper.make_node("Add", ["a", "w"], ["b"])
-    graph = onnx.helper.make_graph([node], "g", values[:1], values[1:], [weights])
-    version = [onnx.helper.make_opsetid("", 17)]
-    model = onnx.helper.make_model(graph, opset_imports=version, ir_version=9)
-    (tmp_path / "policy.onnx").write_bytes(model.SerializeToString())
+    model = onnx_beside(location.format(here=Path.cwd()))
+    (tmp_path / "policy.onnx").write_bytes(model)
     with pytest.raises(ConfigError, match="is no policy"):
         load_policy(tmp_path / "policy.onnx")
 
