@@ -81,10 +81,10 @@ def test_keys_that_help_names_exist() -> None:
         ),
         (["run", "reach", "task.x={a: b"], "'task.x={a: b' has a bracket without its other one"),
         (["list", "tasks", "--jsn"], "No such option '--jsn'. Did you mean '--json'?"),
-        (["list"], "Missing argument '{tasks|robots|policies|terms}'. Choose from:"),
+        (["list"], "Missing argument '{tasks|robots|policies|terms|formats|viewers|learners|steps}'. Choose from:"),
         (
             ["list", "task"],
-            "Invalid value for '{tasks|robots|policies|terms}': 'task' is not one of 'tasks', ",
+            "Invalid value for '{tasks|robots|policies|terms|formats|viewers|learners|steps}': 'task' is not one of 'tasks', ",
         ),
         (["list", "tasks", "robots"], "Got unexpected extra argument (robots)"),
         (["run", "one", "two"], "one task at a time: one, two."),
