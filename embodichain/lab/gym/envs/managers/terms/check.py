@@ -1,6 +1,6 @@
 """Checks of terms: their parameters against signatures, and their keys besides `func` and `params`.
 
-For a whole task, and for one term when it is built. `scene_setup.py` checks that the entities in
+For a whole task, and for one term when it is built. `scene_setup` checks that the entities in
 parameters exist. Imports no torch.
 """
 
