@@ -128,7 +128,9 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
             shapes.append(shape.func(env, **shape.arguments(params)))
     if source.lead is None and not shapes:
         call = _direct_call(source, values, kind, instance)
-        return BuiltTerm(name, cfg, source, call, instance=instance, columns=columns)
+        return BuiltTerm(
+            name=name, cfg=cfg, spec=source, call=call, instance=instance, columns=columns
+        )
 
     call = _shaped_call(
         _reader(source, values, instance),
@@ -140,7 +142,7 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
         columns=_axes_of(source, values) or columns,
     )
     state = _state_of([instance, *shapes])
-    return BuiltTerm(name, cfg, spec, call, instance=state, columns=columns)
+    return BuiltTerm(name=name, cfg=cfg, spec=spec, call=call, instance=state, columns=columns)
 
 
 def _names_in_config(checked: CheckedTerm) -> dict[str, str]:
@@ -409,7 +411,7 @@ class Manager(Generic[C]):
         self.terms: dict[str, BuiltTerm[C]] = {}
         for name, cfg in cfgs.items():
             try:
-                self.terms[name] = build_term(env, kind, name, cfg, f"{section}.{name}")
+                self.terms[name] = build_term(env, kind, name, cfg, path=f"{section}.{name}")
             except ConfigError as error:
                 problems += error.problems
             except FAILURES as error:
@@ -421,7 +423,8 @@ class Manager(Generic[C]):
     def _renew(self, name: str) -> None:
         """Build a term anew: without a state, as at the start of an episode."""
         old = self.terms[name]
-        term = build_term(self.env, self._kind, name, old.cfg, f"{self.section}.{name}")
+        path = f"{self.section}.{name}"
+        term = build_term(self.env, self._kind, name, old.cfg, path=path)
         if hasattr(term.instance, "reset"):
             term.instance.reset(None)
         self.terms[name] = term
@@ -463,7 +466,8 @@ class Manager(Generic[C]):
             changes["shape"] = shape
         cfg = copy.copy(old.cfg)
         vars(cfg).update(changes)
-        term = build_term(self.env, self._kind, name, cfg, f"{self.section}.{name}")
+        path = f"{self.section}.{name}"
+        term = build_term(self.env, self._kind, name, cfg, path=path)
         if old.instance is not None and hasattr(old.instance, "state_dict"):
             term.instance.load_state_dict(old.instance.state_dict())
         self.terms[name] = term

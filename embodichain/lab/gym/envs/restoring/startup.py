@@ -92,5 +92,6 @@ def _same(a: Any, b: Any) -> bool:
     """Whether two parts of a state are equal to the bit; those of a device are maps of arrays."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
-    first, second = np.asarray(a), np.asarray(b)
+    first = np.asarray(a)
+    second = np.asarray(b)
     return first.shape == second.shape and first.tobytes() == second.tobytes()

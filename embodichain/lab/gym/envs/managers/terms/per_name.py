@@ -213,11 +213,11 @@ def per_joint(
             one that another regex matches; or if a joint has no value. Lists the joints.
     """
     if isinstance(value, Mapping):
-        rows = _matched(value, names, path, what, match_every)
+        rows = _matched(value, names, path=path, what=what, matching=match_every)
         _require_all(rows, names, path, what)
         value = [rows[name] for name in names]
     elif isinstance(value, (list, tuple)):
-        value = in_columns(value, names, named_by, path, what)
+        value = in_columns(value, names, named_by, path=path, what=what)
     else:
         value = [value] * len(names)
     return np.asarray(value, np.float64)
@@ -243,7 +243,7 @@ def joint_clip(
     """
     value = _intervals(value)
     if isinstance(value, Mapping):
-        rows = _matched(value, names, path, what, match)
+        rows = _matched(value, names, path=path, what=what, matching=match)
         if rest is None:
             _require_all(rows, names, path, what)
         else:
@@ -252,7 +252,7 @@ def joint_clip(
             rows = {name: (low, high) for name, low, high in of_rest} | rows
         value = [rows[name] for name in names]
     elif isinstance(value, list):
-        value = in_columns(value, names, named_by, path, what)
+        value = in_columns(value, names, named_by, path=path, what=what)
     else:
         value = [value] * len(names)
     low, high = np.asarray(value, np.float64).reshape(len(names), 2).T.copy()
@@ -280,7 +280,7 @@ def ranges_in_columns(
     """
     count = len(names)
     if isinstance(value, Mapping):
-        rows = _matched(value, names, path, what, match_every)
+        rows = _matched(value, names, path=path, what=what, matching=match_every)
         _require_all(rows, names, path, what)
         pairs = [rows[name] for name in names]
     elif isinstance(value[0], (list, tuple)):

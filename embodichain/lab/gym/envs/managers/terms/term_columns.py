@@ -77,7 +77,7 @@ class TermColumns:
             return float(value)
         if has_names and self.named_by:
             if len(self.names) == width:
-                value = in_columns(value, labels, self.named_by, path, self.what)
+                value = in_columns(value, labels, self.named_by, path=path, what=self.what)
             else:
                 self._require_plain_order(value, path)
         if len(value) != width:
