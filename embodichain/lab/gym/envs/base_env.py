@@ -557,7 +557,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             return self._step_by_graph(self._graph, checked_action)
 
     def _step_by_graph(self, graph: StepGraph, action: torch.Tensor) -> Step:
-        """Take a step by a CUDA graph, once it is recorded; Python then runs no more."""
+        """Take a step by a CUDA graph, once one is recorded; a replay runs no Python."""
         steps_before = self.control_step
         arrays_moved = self.arrays_moved
         self.arrays_moved = False

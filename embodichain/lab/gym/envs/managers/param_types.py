@@ -210,7 +210,7 @@ class Reference:
 
 
 def references(hint: Any) -> Iterator[Reference]:
-    """The marks within an annotation, also of members of unions and of lists."""
+    """Yield the marks within an annotation, also of members of unions and of lists."""
     for part in getattr(hint, "__metadata__", ()):
         if isinstance(part, Reference):
             yield part
@@ -235,7 +235,7 @@ def _reference(mark: Reference, description: str) -> Any:
 
 
 class _Entity(Reference):
-    """An entity as `resolve` checks it; subclasses say what of it a term uses."""
+    """An entity as `resolve` checks it; subclasses say which part of it a term uses."""
 
 
 class _Whole(_Entity):

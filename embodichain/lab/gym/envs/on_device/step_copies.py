@@ -41,7 +41,7 @@ Values = dict[str, Any]
 
 @dataclass(frozen=True)
 class _Call:
-    """Something that observers are told.
+    """One call of observers, with the arrays that it passes on.
 
     Attributes:
         kind: ``states``, ``fields``, ``commands``, ``reset begins``, ``reset``, ``physics``,

@@ -151,31 +151,31 @@ def kind_of_values(values: NDArray[Any]) -> str:
     return "NaN" if has_nan else "infinite"
 
 
-def counted(path: str, told: dict[str, int]) -> int:
+def counted(path: str, counts: dict[str, int]) -> int:
     """Count a step of a term; return the count if it is 1, 10, 100..., and else 0."""
-    count = told.get(path, 0) + 1
-    told[path] = count
+    count = counts.get(path, 0) + 1
+    counts[path] = count
     is_power_of_ten = count == 10 ** (len(str(count)) - 1)
     return count if is_power_of_ten else 0
 
 
 def warn_not_finite(
     env: TermContext,
-    found: Mapping[str, tuple[str, NDArray[np.bool_]]],
+    causes: Mapping[str, tuple[str, NDArray[np.bool_]]],
     what: str,
-    told: dict[str, int],
+    counts: dict[str, int],
 ) -> None:
     """Log which terms gave values that are not finite, and in which environments.
 
     Args:
         env: The environment.
-        found: ``SECTION.NAME`` -> what its values are (`kind_of_values`), and in which
+        causes: ``SECTION.NAME`` -> what its values are (`kind_of_values`), and in which
             environments, (N,).
         what: What happens to these environments.
-        told: Counts the steps of each term; it is named in the first, the tenth, the hundredth...
+        counts: Counts the steps of each term; it is named in the first, the tenth, the hundredth...
     """
-    for path, (kind, rows) in found.items():
-        count = counted(path, told)
+    for path, (kind, rows) in causes.items():
+        count = counted(path, counts)
         if not count:
             continue
         ids = np.flatnonzero(rows)
