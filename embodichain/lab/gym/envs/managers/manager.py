@@ -553,7 +553,10 @@ class Manager(Generic[C]):
         """Continue where `state_dict` was taken."""
         for name in {*self._changed, *state["params"]}:
             declared = self._declared[name]
-            values = {"params": declared.params, "shape": getattr(declared, "shape", None)}
+            values: dict[str, Any] = {
+                "params": declared.params,
+                "shape": getattr(declared, "shape", None),
+            }
             values |= state["params"].get(name, {})
             self.set_params(name, **copy.deepcopy(values))
         self.load_term_states(state["terms"])

@@ -445,7 +445,7 @@ def resolve_entity(
     from embodichain.lab.sim.compiler.names import frame_in_model, frame_names, pick
 
     if not isinstance(cfg, SceneEntityCfg):
-        cfg = from_dict(SceneEntityCfg, dict(cfg))
+        cfg = _from_mapping(cfg)
     picked, problems = pick(path, vars(cfg), sim.known)
     if problems:
         raise ConfigError(problems)
@@ -475,6 +475,10 @@ def resolve_entity(
         frames_by=picked.frames_by,
         all_joints=picks_all_joints,
     )
+
+
+def _from_mapping(cfg: Mapping[str, Any]) -> SceneEntityCfg:
+    return from_dict(SceneEntityCfg, dict(cfg))
 
 
 _FIELDS = frozenset(SceneEntityCfg.__dataclass_fields__)

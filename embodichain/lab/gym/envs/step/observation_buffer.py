@@ -123,9 +123,9 @@ class ObservationBuffer:
         extended = entries if extend is None else extend(entries)
         if extended is None:
             raise TypeError("_extend_obs must return the observation, got None")
-        obs = self._nested(extended)
-        self._compute_terms(obs)
-        return obs
+        nested = self._nested(extended)
+        self._compute_terms(nested)
+        return nested
 
     def _compute_terms(self, obs: TensorMapping) -> None:
         """Add the entries of terms to those of robot and sensors."""
