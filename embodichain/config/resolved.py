@@ -45,7 +45,7 @@ from embodichain.utils.system.atomic import write_text
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.gym.envs.scene_setup import DeclaredScene
+    from embodichain.lab.gym.envs.scene_setup.declared_scene import DeclaredScene
     from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 
 __all__ = [
@@ -542,7 +542,7 @@ def compile_scene_of(resolved: Resolved) -> CompiledScene | None:
             return None
     declared = resolved.declared
     if declared is None:
-        from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
+        from embodichain.lab.gym.envs.scene_setup.declared_scene import describe  # imports MuJoCo
 
         declared = describe(root.task, root.num_envs)
     with resolved.locating():

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from embodichain.cli.app import main
-from embodichain.lab.gym.envs import scene_setup
+from embodichain.lab.gym.envs.scene_setup import declared_scene
 from embodichain.lab.sim import scene as scene_module
 from embodichain.lab.sim.compiler.robot import articulation
 
@@ -42,7 +42,7 @@ def counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, int]:
 
         return call
 
-    for module in (scene_setup, scene_module):
+    for module in (declared_scene, scene_module):
         monkeypatch.setattr(module, "compile_scene", counted("scenes", module.compile_scene))
     read = counted("files", articulation.read_robot)
     monkeypatch.setattr(articulation, "read_robot", read)

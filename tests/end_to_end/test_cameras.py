@@ -171,7 +171,7 @@ def test_groups_of_images_and_of_numbers(make):
     assert set(env.observation_manager.image_terms()) == {"picture", "late"}
     assert env.observation_manager.image_terms("critic") == ()
     torch.testing.assert_close(obs["height"][:, 2], torch.full((2,), 1.3))
-    with pytest.raises(ValueError, match="'policy' is no flat vector: picture, late are images"):
+    with pytest.raises(ValueError, match="'policy' is not a flat vector: picture, late are images"):
         env.observation_manager.flatten(obs)
     numbers = env.observation_manager.flatten(obs, "critic")
     torch.testing.assert_close(numbers, obs["height"])

@@ -10,7 +10,7 @@ from embodichain.lab.sim.cfg import choose_engine
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.scene_setup import DeclaredScene
+    from embodichain.lab.gym.envs.scene_setup.declared_scene import DeclaredScene
     from embodichain.lab.sim.compiler.compile_scene import CompiledScene
 
 __all__ = ["compile_declared"]

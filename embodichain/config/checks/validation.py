@@ -49,7 +49,7 @@ from embodichain.utils.fields.type_errors import unknown_key
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.scene_setup import DeclaredScene
+    from embodichain.lab.gym.envs.scene_setup.declared_scene import DeclaredScene
 
 __all__ = ["Check", "check_composed", "check_training_keys", "check_tree", "named_maps", "validate"]
 
@@ -206,7 +206,7 @@ def _read_scene(root: RootCfg, missing: Sequence[str], allow_import: bool) -> De
     """Read the scene of the task; None where a mistake of type leaves entities out."""
     if any(_ENTITY.fullmatch(path) for path in missing):
         return None
-    from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
+    from embodichain.lab.gym.envs.scene_setup.declared_scene import describe  # imports MuJoCo
 
     return describe(root.task, root.num_envs, allow_import=allow_import)
 

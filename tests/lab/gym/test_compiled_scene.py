@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.lab.gym.envs import scene_setup
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import EnvCfg, EventCfg, PhysicsTaskCfg
-from embodichain.lab.gym.envs.scene_setup import describe
+from embodichain.lab.gym.envs.scene_setup import declared_scene
+from embodichain.lab.gym.envs.scene_setup.declared_scene import describe
 from embodichain.lab.gym.utils.registration import config_declares_scene, register_env
 from embodichain.lab.sim import scene as scene_module
 from embodichain.lab.sim.cfg import (
@@ -117,7 +117,7 @@ def reading(monkeypatch):
 
         return call
 
-    for module in (scene_setup, scene_module):
+    for module in (declared_scene, scene_module):
         monkeypatch.setattr(module, "compile_scene", counted("scenes", module.compile_scene))
     read = counted("files", articulation.read_robot)
     monkeypatch.setattr(articulation, "read_robot", read)

@@ -124,7 +124,7 @@ def test_terminal_observations_have_images(env):
 
 
 def test_a_flat_group_is_refused_with_the_term(env):
-    with pytest.raises(ConfigError, match="'policy' is no flat vector: front is an image"):
+    with pytest.raises(ConfigError, match="'policy' is not a flat vector: front is an image"):
         SB3VecEnv(env)
 
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ActionColumn", "action_columns"]
 
-_Line = tuple[Sequence[float | str], Sequence[float | str]]
-"""Centre and scale of each column."""
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""Names of the columns of a tool's pose or motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +30,8 @@ class ActionColumn:
             the term does not say.
         reference: What a delta is added to: ``target`` or ``qpos``; empty of absolute values.
         frame: The axes of a pose or motion: ``base``, ``world`` or ``tool``; else empty.
-        centre: The value of the action 0, of a delta the change; words where it is no number.
-        scale: Change of the value per unit of action; words where it is no number.
+        centre: The value of the action 0, of a delta the change; words where it is not a number.
+        scale: Change of the value per unit of action; words where it is not a number.
         unit: Of the value; empty if there is none, or the term does not say.
         low: Lowest action.
         high: Highest action.
@@ -60,95 +60,133 @@ class ActionColumn:
         return asdict(self)
 
 
+@dataclass(frozen=True, slots=True)
+class _TermColumns:
+    """The columns of one action term, as it describes them.
+
+    Attributes:
+        names: Their names.
+        centres: The centre of each.
+        scales: The scale of each.
+        meaning: What they command.
+    """
+
+    names: list[str]
+    centres: Sequence[float | str]
+    scales: Sequence[float | str]
+    meaning: ActionMeaning
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What each commands."""
+        return self.meaning.of("quantity", len(self.names))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit of each."""
+        return self.meaning.of("units", len(self.names))
+
+
 def action_columns(env: BaseEnv) -> list[ActionColumn]:
     """The columns of an environment's action, in order.
 
     Empty if the environment's class defines its action space itself: it says what it means.
     """
-    manager, space = env.action_manager, env.single_action_space
-    parts: list[tuple[list[str], _Line, ActionMeaning]]
-    if len(manager):
-        parts = [
-            (_names(env, name), _line(term.instance), _meaning(term.instance))
-            for name, term in manager.terms.items()
-        ]
-        _require_lengths(list(manager.terms), parts)
-    elif env.robot is not None:  # joint positions as they are
-        names = [env.robot.joint_names[i] for i in env.active_joint_ids]
-        line: _Line = [0.0] * len(names), [1.0] * len(names)
-        units = joint_units(env.robot, env.active_joint_ids)
-        parts = [(names, line, ActionMeaning("joint position", "absolute", units=units))]
+    if len(env.action_manager):
+        terms = [_columns_of_term(env, name) for name in env.action_manager.terms]
+        for name, term in zip(env.action_manager.terms, terms, strict=True):
+            _require_lengths(name, term)
+    elif env.robot is not None:
+        terms = [_joint_positions(env)]
     else:
         return []
-    found: list[tuple[Any, ...]] = []
-    for names, (centres, scales), meaning in parts:
-        quantities, units = (meaning.of(part, len(names)) for part in ("quantity", "units"))
-        about = meaning.mode, meaning.reference, meaning.frame
-        for name, quantity, centre, scale, unit in zip(
-            names, quantities, centres, scales, units, strict=True
-        ):
-            value = _centre(centre, meaning), _plain(scale)
-            found.append((name, quantity, *about, *value, unit))
-    if space.shape != (len(found),):
+    space: Any = env.single_action_space
+    if space.shape != (sum(len(term.names) for term in terms),):
         return []
-    low, high = (end.tolist() for end in (space.low, space.high))  # type: ignore[attr-defined]
-    return [ActionColumn(*row, *ends) for row, *ends in zip(found, low, high, strict=True)]
+    lows = iter(space.low.tolist())
+    highs = iter(space.high.tolist())
+    columns: list[ActionColumn] = []
+    for term in terms:
+        meaning = term.meaning
+        for i, name in enumerate(term.names):
+            column = ActionColumn(
+                name=name,
+                quantity=term.quantities[i],
+                mode=meaning.mode,
+                reference=meaning.reference,
+                frame=meaning.frame,
+                centre=_centre(term.centres[i], meaning),
+                scale=_plain(term.scales[i]),
+                unit=term.units[i],
+                low=next(lows),
+                high=next(highs),
+            )
+            columns.append(column)
+    return columns
 
 
-def _require_lengths(
-    terms: Sequence[str], parts: Sequence[tuple[list[str], _Line, ActionMeaning]]
-) -> None:
-    """Refuse terms that describe another number of columns than they have."""
-    for term, (names, (centres, scales), meaning) in zip(terms, parts, strict=True):
-        count = len(names)
-        given = {
-            "centre": centres,
-            "scale": scales,
-            "quantity": meaning.of("quantity", count),
-            "units": meaning.of("units", count),
-        }
-        for what, values in given.items():
-            if len(values) != count:
-                message = f"says {len(values)} of {what} for {count} columns of its action"
-                raise ConfigError([Problem(f"actions.{term}.func", message)])
+def _columns_of_term(env: BaseEnv, name: str) -> _TermColumns:
+    """Return the columns of an action term, which need not be a subclass of `ActionTerm`."""
+    instance = env.action_manager.terms[name].instance
+    centres: Sequence[float | str] = [""] * len(instance.low)
+    scales: Sequence[float | str] = [""] * len(instance.low)
+    if hasattr(instance, "centre_and_scale"):
+        centres, scales = instance.centre_and_scale()
+    meaning = instance.meaning() if hasattr(instance, "meaning") else None
+    if not isinstance(meaning, ActionMeaning):
+        meaning = ActionMeaning()
+    return _TermColumns(_names(env, name), centres, scales, meaning)
 
 
-def _line(term: Any) -> _Line:
-    """Centre and scale of a term's columns; a term need not be a subclass of `ActionTerm`."""
-    if hasattr(term, "centre_and_scale"):
-        return term.centre_and_scale()
-    return [""] * len(term.low), [""] * len(term.low)
+def _joint_positions(env: BaseEnv) -> _TermColumns:
+    """Return the columns of a robot that has no action terms: joint positions as they are."""
+    robot: Any = env.robot
+    joint_ids = env.active_joint_ids
+    units = joint_units(robot, joint_ids)
+    return _TermColumns(
+        names=[robot.joint_names[i] for i in joint_ids],
+        centres=[0.0] * len(joint_ids),
+        scales=[1.0] * len(joint_ids),
+        meaning=ActionMeaning("joint position", "absolute", units=units),
+    )
 
 
-def _meaning(term: Any) -> ActionMeaning:
-    found = term.meaning() if hasattr(term, "meaning") else None
-    return found if isinstance(found, ActionMeaning) else ActionMeaning()
+def _require_lengths(name: str, term: _TermColumns) -> None:
+    """Refuse a term that describes another number of columns than it has."""
+    count = len(term.names)
+    lengths = {
+        "centre": len(term.centres),
+        "scale": len(term.scales),
+        "quantity": len(term.quantities),
+        "units": len(term.units),
+    }
+    for description, length in lengths.items():
+        if length != count:
+            message = f"says {length} of {description} for {count} columns of its action"
+            raise ConfigError([Problem(f"actions.{name}.func", message)])
 
 
 def _names(env: BaseEnv, name: str) -> list[str]:
     """``TERM/COLUMN``; the term alone if its only column is named after no joint or control."""
     columns = env.action_manager.columns_of(name)
     if len(columns) == 1:
-        assets = {**env.sim.robots, **env.sim.articulations}.values()
-        parsed = [asset.parsed for asset in assets]
-        known = {n for one in parsed for n in (*one.joint_names, *one.control_names)}
-        if columns[0] not in {*known, *_AXES}:
+        named_after = set(_AXES)
+        for asset in {**env.sim.robots, **env.sim.articulations}.values():
+            named_after.update(asset.parsed.joint_names, asset.parsed.control_names)
+        if columns[0] not in named_after:
             return [name]
     return [f"{name}/{column}" for column in columns]
 
 
-_AXES = ("x", "y", "z", "rx", "ry", "rz")
-
-
-def _centre(given: Any, meaning: ActionMeaning) -> float | str:
+def _centre(centre: Any, meaning: ActionMeaning) -> float | str:
     """The centre; of a delta without the words for its reference, which is another attribute."""
-    if meaning.mode == "delta" and isinstance(given, str):
-        if given == meaning.reference:
+    if meaning.mode == "delta" and isinstance(centre, str):
+        if centre == meaning.reference:
             return 0.0
         words = f"{meaning.reference} + "
-        if given.startswith(words):
-            return float(given.removeprefix(words))
-    return _plain(given)
+        if centre.startswith(words):
+            return float(centre.removeprefix(words))
+    return _plain(centre)
 
 
 def _plain(value: Any) -> float | str:

@@ -23,7 +23,6 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs import scene_setup
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg
 from embodichain.lab.gym.envs.closed import require_open
 from embodichain.lab.gym.envs.managers.action_manager import (
@@ -56,6 +55,15 @@ from embodichain.lab.gym.envs.on_device.step_graph import StepGraph
 from embodichain.lab.gym.envs.restoring import restored as restoring
 from embodichain.lab.gym.envs.restoring.snapshot import Snapshot, SnapshotSource
 from embodichain.lab.gym.envs.restoring.startup import StartupChanges
+from embodichain.lab.gym.envs.scene_setup.drive_changes import drive_changes
+from embodichain.lab.gym.envs.scene_setup.frozen_cfg import frozen_cfg
+from embodichain.lab.gym.envs.scene_setup.scene_building import (
+    add_declared_robots,
+    add_declared_scene,
+    add_declared_sensors,
+    open_window,
+    with_all_problems,
+)
 from embodichain.lab.gym.envs.step.episodes import Episodes, add_finals, parse_mode, seed_globals
 from embodichain.lab.gym.envs.step.judging import (
     JudgingHooks,
@@ -107,7 +115,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         autoreset_mode: SAME_STEP, NEXT_STEP or DISABLED; also in the instance's `metadata`.
         num_envs: N; overrides the config's.
         run_dir: Folder for the states of environments that diverge; None writes none.
-        compiled_scene: The scene, compiled before from the same config (`scene_setup.describe`);
+        compiled_scene: The scene, compiled before from the same config (`scene_setup`);
             several environments may share it. None compiles it here, as for a class that adds
             entities in `_setup_robot`, `_prepare_scene` or `_setup_sensors`.
         **kwargs: Passed to the hooks that build the scene.
@@ -192,7 +200,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         **kwargs: Any,
     ) -> None:
         self.affordance_datas = {}
-        self.cfg = cfg = scene_setup.frozen_cfg(cfg, num_envs)
+        self.cfg = cfg = frozen_cfg(cfg, num_envs)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
         self.render_mode = render_mode
@@ -202,8 +210,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self.metadata = {**type(self).metadata, "autoreset_mode": parse_mode(autoreset_mode)}
         self.metadata["render_fps"] = self.control_frequency
         # A config from a file was checked, which has reported its values without effect.
-        checked = cfg.key_sources is not None
-        self.sim = SimulationManager(cfg.sim_cfg, compiled_scene=compiled_scene, checked=checked)
+        is_checked = cfg.key_sources is not None
+        self.sim = SimulationManager(cfg.sim_cfg, compiled_scene=compiled_scene, checked=is_checked)
         self.streams = self.arrays.streams(first_seed(cfg.seed), cfg.num_envs, cfg.first_env)
         if cfg.seed is not None:
             seed_globals(self, self.streams.seed)
@@ -221,14 +229,14 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self.sim.physics_steps_per_control = cfg.sim_steps_per_control
         try:
             if compiled_scene is None:
-                self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
+                self.sim.drive_changes = drive_changes(cfg.events)
             self._build_scene(kwargs)
             self._build_managers()
             self._start(kwargs)
         except ConfigError as error:
             self.sim.destroy()
             by_hooks = not self.overridden.isdisjoint(("_setup_robot", "_prepare_scene"))
-            raise scene_setup.with_all_problems(error, cfg, by_hooks) from error
+            raise with_all_problems(error, cfg, by_hooks) from error
         except BaseException:
             self.sim.destroy()
             raise
@@ -237,33 +245,45 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     def _build_scene(self, kwargs: dict[str, Any]) -> None:
         """Declare robot, scene, sensors, in this order, and compile them."""
-        cfg, sim = self.cfg, self.sim
+        cfg = self.cfg
         self.drives_robot = not cfg.actions and bool(cfg.robot or cfg.robots)
-        own = self._setup_robot(**kwargs)
         # After each hook, add the declared entities that an override did not add.
-        declared = scene_setup.add_declared_robots(sim, cfg)
-        self.robot = own if own is not None else declared
-        has_space = getattr(self, "single_action_space", None) is not None
-        chosen = has_space or self.active_joint_ids or "_step_action" in self.overridden
-        if self.drives_robot and not chosen:
-            cfg.actions = default_actions(self.robot)
-            self.drives_robot = not cfg.actions and not is_passive(self.robot)
-            if not (cfg.actions or self.drives_robot):
+        robot_of_hook = self._setup_robot(**kwargs)
+        declared_robot = add_declared_robots(self.sim, cfg)
+        self.robot = declared_robot if robot_of_hook is None else robot_of_hook
+        self._choose_actions()
+        self._prepare_scene(**kwargs)
+        add_declared_scene(self.sim, cfg)
+        sensors_of_hook = self._setup_sensors(**kwargs) or {}
+        declared_sensors = add_declared_sensors(self.sim, cfg)
+        self.sensors = {**declared_sensors, **sensors_of_hook}
+        set_extensions(self, cfg.extensions)
+        self.sim.compile()
+        open_window(self.sim, cfg.sim_cfg)
+
+    def _choose_actions(self) -> None:
+        """Give the declared robot its default actions, if neither config nor class defines any."""
+        class_defines_actions = (
+            self._has_action_space()
+            or bool(self.active_joint_ids)
+            or "_step_action" in self.overridden
+        )
+        if self.drives_robot and not class_defines_actions:
+            self.cfg.actions = default_actions(self.robot)
+            self.drives_robot = not self.cfg.actions and not is_passive(self.robot)
+            if not self.cfg.actions and not self.drives_robot:
                 self.single_action_space = no_action()
         if self.robot is not None and not self.active_joint_ids:
             self.active_joint_ids = list(self.robot.active_joint_ids)
-        self._prepare_scene(**kwargs)
-        scene_setup.add_declared_scene(sim, cfg)
-        sensors = self._setup_sensors(**kwargs) or {}
-        self.sensors = {**scene_setup.add_declared_sensors(sim, cfg), **sensors}
-        set_extensions(self, cfg.extensions)
-        sim.compile()
-        scene_setup.open_window(sim, cfg.sim_cfg)
+
+    def _has_action_space(self) -> bool:
+        """Whether the class has set its action space, itself or in `_setup_robot`."""
+        return getattr(self, "single_action_space", None) is not None
 
     def _build_managers(self) -> None:
+        """Build the terms of each section."""
         cfg = self.cfg
         # Commands first: other terms look them up when built. Curricula last: they look up all.
-        # What is wrong in one section does not hide what is wrong in the next.
         self.managers = {}
         problems: list[Problem] = []
         makers: dict[str, Callable[[], Manager[Any]]] = {
@@ -279,9 +299,10 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             try:
                 manager = make()
             except ConfigError as error:
+                # A mistake in one section does not hide those in the next.
                 problems += error.problems
             except Exception as error:
-                if problems:  # it may look up what could not be built
+                if problems:  # it may have looked up what could not be built
                     raise ConfigError(problems) from error
                 raise
             else:
@@ -294,54 +315,72 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     def _start(self, kwargs: dict[str, Any]) -> None:
         """Make spaces, run startup events, and observe once."""
-        cfg, sim, robot, joints = self.cfg, self.sim, self.robot, self.active_joint_ids
-        if getattr(self, "single_action_space", None) is None or len(self.action_manager):
-            self.single_action_space = action_space(robot, joints, self.action_manager)
-        space = self.single_action_space
-        self.action_space = batch_space(space, cfg.num_envs)
-        self._check_action = ActionCheck(space, cfg.num_envs, self.arrays)
-        shape = cfg.num_envs, gym.spaces.utils.flatdim(space)
-        self.episodes.last_action = self.arrays.full(shape, 0.0)
-        sim.reset_objects_state()
+        num_envs = self.cfg.num_envs
+        robot = self.robot
+        joint_ids = self.active_joint_ids
+        if not self._has_action_space() or len(self.action_manager):
+            self.single_action_space = action_space(robot, joint_ids, self.action_manager)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._check_action = ActionCheck(self.single_action_space, num_envs, self.arrays)
+        action_width = gym.spaces.utils.flatdim(self.single_action_space)
+        self.episodes.last_action = self.arrays.full((num_envs, action_width), 0.0)
+
+        self.sim.reset_objects_state()
         self._init_sim_state(**kwargs)
-        has_startup = self.event_manager.has("startup")
-        self._startup = StartupChanges(sim) if has_startup else None
+        self._startup: StartupChanges | None = None
+        if self.event_manager.has("startup"):
+            self._startup = StartupChanges(self.sim)
         self.event_manager.apply("startup", None)
         if self._startup is not None:
             self._startup.note()
-        sim.engine.forward()
-        self._dump = None if self.arrays.on_device else StateDump(sim.engine)
+        self.sim.engine.forward()
+
+        self._dump = None if self.arrays.on_device else StateDump(self.sim.engine)
         self._judge = self._make_judge()
-        own_code = self.overridden & {"get_obs", "_extend_obs"}
-        self.observation_buffer = buffer = ObservationBuffer(
-            robot, joints, self.observation_manager, not own_code, self.episodes, self.sensors
+        observes_by_hooks = bool(self.overridden & {"get_obs", "_extend_obs"})
+        self.observation_buffer = ObservationBuffer(
+            robot,
+            joint_ids,
+            self.observation_manager,
+            plain=not observes_by_hooks,
+            episodes=self.episodes,
+            sensors=self.sensors,
         )
         self._step_observation = StepObservation(
             self,
             self.get_obs,
-            buffer,
+            self.observation_buffer,
             episodes=self.episodes,
             observations=self.observation_manager,
             events=self.event_manager,
             commands=self.command_manager,
         )
-        saved = self.streams.state_dict()
-        first = buffer.store(buffer.build(self.get_obs(**kwargs)))
-        self._judge.check_terms(first)
-        self.streams.load_state_dict(saved)  # the first reset draws as if this had not happened
-        self.single_observation_space = observation_space(first)
-        self.observation_space = batch_space(self.single_observation_space, cfg.num_envs)
+        first_observation = self._observe_once(kwargs)
+        self.single_observation_space = observation_space(first_observation)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._graph = StepGraph(self) if self.device.type == "cuda" else None
-        if cfg.sim_cfg.visualization is not None:
-            cfg.sim_cfg.visualization.attach(self)
+        if self.cfg.sim_cfg.visualization is not None:
+            self.cfg.sim_cfg.visualization.attach(self)
+
+    def _observe_once(self, kwargs: dict[str, Any]) -> Observation:
+        """Return an observation, whose shapes make the space, and check terms by it."""
+        # The first reset must draw as if this had not happened.
+        streams = self.streams.state_dict()
+        buffer = self.observation_buffer
+        observation = buffer.store(buffer.build(self.get_obs(**kwargs)))
+        self._judge.check_terms(observation)
+        self.streams.load_state_dict(streams)
+        return observation
 
     def _make_judge(self) -> StepJudge:
-        overridden = self.overridden
+        """Return the judge of steps, with the hooks that the class overrides."""
+        makes_reward = "get_reward" in self.overridden
+        extends_reward = "_extend_reward" in self.overridden
         hooks = JudgingHooks(
-            overridden=overridden,
+            overridden=self.overridden,
             get_info=self.get_info,
-            get_reward=self.get_reward if "get_reward" in overridden else None,
-            extend_reward=self._extend_reward if "_extend_reward" in overridden else None,
+            get_reward=self.get_reward if makes_reward else None,
+            extend_reward=self._extend_reward if extends_reward else None,
         )
         return StepJudge(
             self,
@@ -389,7 +428,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         self.arrays_moved = True
         self._reset_rows(ids, options)
         self.episodes.settle(ids)
-        return self._observe_reset(ids, options), dict(self.get_info(**options).items())
+        obs = self._observe_reset(ids, options)
+        info = dict(self.get_info(**options).items())
+        return obs, info
 
     def reseed(self, seed: int, *, startup: bool) -> None:
         """Begin all random numbers anew.
@@ -412,10 +453,15 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             self.event_manager.apply("startup", None, again=True)
             self.sim.engine.forward()
 
+    def _none_for_all(self, ids: EnvIndex) -> EnvIndex | None:
+        """Return environments, or None for all: much then needs no selection of rows."""
+        return None if self.arrays.are_all(ids, self.num_envs) else ids
+
     def _reset_rows(self, ids: EnvIndex, options: dict[str, Any]) -> None:
+        """Reset environments in place, without observing them."""
         if not len(ids):
             return
-        where = None if self.arrays.are_all(ids, self.num_envs) else ids
+        where = self._none_for_all(ids)
         self._task_success = self.is_task_success()
         self.curriculum_manager.compute(where)
         if self._startup_due:
@@ -438,11 +484,14 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         """Observe after a reset; the other rows keep their last observation, bit for bit."""
         others = self.arrays.full(self.num_envs, True, np.bool_)
         others[ids] = False
-        where = None if self.arrays.are_all(ids, self.num_envs) else ids
-        saved = None if where is None else self.streams.save_counters()
-        obs = self._step_observation.after_reset(options, where)
-        if saved is not None:
-            self.streams.rewind(saved, others)
+        where = self._none_for_all(ids)
+        if where is None:
+            obs = self._step_observation.after_reset(options, None)
+        else:
+            # Observing draws noise in all environments; the others must not have drawn.
+            counters = self.streams.save_counters()
+            obs = self._step_observation.after_reset(options, where)
+            self.streams.rewind(counters, others)
         return self.observation_buffer.store_first(obs, others)
 
     # -- step ----------------------------------------------------------------------------------
@@ -501,38 +550,45 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         if not self.episodes.begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
         self.curriculum_manager.before_step()
-        checked, given = self._check_action(action)
+        checked_action, action_values = self._check_action(action)
         with self.copies or nullcontext():
-            if self._graph is None or kwargs or not isinstance(checked, torch.Tensor):
-                return self._step(checked, given, kwargs)
-            return self._step_by_graph(self._graph, checked)
+            if self._graph is None or kwargs or not isinstance(checked_action, torch.Tensor):
+                return self._step(checked_action, action_values, kwargs)
+            return self._step_by_graph(self._graph, checked_action)
 
     def _step_by_graph(self, graph: StepGraph, action: torch.Tensor) -> Step:
-        """Take a step by a CUDA graph, once it is recorded; Python then runs no more."""
-        taken = self.control_step
+        """Take a step by a CUDA graph, once one is recorded; a replay runs no Python."""
+        steps_before = self.control_step
         arrays_moved = self.arrays_moved
         self.arrays_moved = False
 
         def run(action: torch.Tensor) -> Step:
-            return self._step(*self._check_action(action), {})
+            checked_action, action_values = self._check_action(action)
+            return self._step(checked_action, action_values, {})
 
         def forget() -> None:
-            self.control_step = taken
+            self.control_step = steps_before
             if self.copies is not None:
                 self.copies.restart()
 
         result = graph.step(run, action, arrays_moved=arrays_moved, forget=forget)
-        self.control_step = taken + 1
+        # A replayed graph runs no Python, which would have counted the step.
+        self.control_step = steps_before + 1
         return result
 
-    def _step(self, action: EnvAction, given: Floats, kwargs: dict[str, Any]) -> Step:
+    def _step(self, action: EnvAction, action_values: Floats, kwargs: dict[str, Any]) -> Step:
         """Take a step by a checked action and its numbers (N, A)."""
         episodes = self.episodes
-        episodes.last_action = given
         judge = self._judge
-        pending = episodes.pending  # NEXT_STEP: these are reset instead of stepped
-        saved = None if pending is None else self.streams.save_counters()
-        stepped = None if pending is None else self.arrays.where(~pending)
+        episodes.last_action = action_values
+        # With NEXT_STEP, pending environments are reset after this step; what it does to them does
+        # not count, and its draws are taken back.
+        pending = episodes.pending
+        counters = None
+        stepped = None
+        if pending is not None:
+            counters = self.streams.save_counters()
+            stepped = self.arrays.where(~pending)
 
         action = self._act(self._preprocess_action(action))
         if self.run_dir is not None and self._dump is not None:
@@ -542,52 +598,77 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         episodes.advance()
         self.control_step += 1
 
-        seen = self._step_observation.to_judge(kwargs, stepped) if judge.takes_obs else None
+        judged_obs = None
+        if judge.takes_obs:
+            judged_obs = self._step_observation.to_judge(kwargs, stepped)
         self.command_manager.measure(stepped)
-        info, outcome = judge.info(seen, action, kwargs)
-        reward = judge.reward(seen, action, info)
+        info, outcome = judge.info(judged_obs, action, kwargs)
+        reward = judge.reward(judged_obs, action, info)
         with episodes.counting(present=False):
             action = self._postprocess_action(action)
         over = episodes.over()
-        if seen is not None and "check_truncated" in self.overridden:
-            cut = self.check_truncated(seen, info)
+        if judged_obs is not None and "check_truncated" in self.overridden:
+            cut = self.check_truncated(judged_obs, info)
             over |= as_mask(cut, self.num_envs, "check_truncated", self.arrays)
         terminated, truncated = outcome.ends(over, self.cfg.ignore_terminations)
 
-        going = self._going_on(terminated, truncated, pending)
-        changed = self.event_manager.step(going, stepped) + self.command_manager.step(going)
-        obs = self._step_observation.to_return(seen, changed, kwargs, stepped)
-        mask = judge.diverged(obs, reward)
-        if mask is not None:
-            judge.explain(mask, obs, reward, info)
-            info = judge.exclude(mask, info)
-            obs, reward = self.observation_buffer.without(obs, mask), np.where(mask, _ZERO, reward)
-            terminated, truncated = terminated | mask, truncated & ~mask
+        going_on = self._going_on(terminated, truncated, pending)
+        changed = self.event_manager.step(going_on, stepped) + self.command_manager.step(going_on)
+        obs = self._step_observation.to_return(judged_obs, changed, kwargs, stepped)
+        diverged = judge.diverged(obs, reward)
+        if diverged is not None:
+            judge.explain(diverged, obs, reward, info)
+            info = judge.exclude(diverged, info)
+            obs = self.observation_buffer.without(obs, diverged)
+            reward = np.where(diverged, _ZERO, reward)
+            terminated = terminated | diverged
+            truncated = truncated & ~diverged
             if self._dump is not None:
-                self._dump.write(self.run_dir, mask, self.control_step - 1, given)
+                self._dump.write(self.run_dir, diverged, self.control_step - 1, action_values)
         self.observation_buffer.store(obs)
-        info["diverged"] = tensor_of(np.zeros(len(given), np.bool_) if mask is None else mask)
+        if diverged is None:
+            diverged = np.zeros(len(action_values), np.bool_)
+        info["diverged"] = tensor_of(diverged)
         info["elapsed_steps"] = self.elapsed_steps
-        if pending is not None and saved is not None:
-            self.streams.rewind(saved, pending)
-            terminated, truncated = terminated & ~pending, truncated & ~pending
+
+        if pending is not None and counters is not None:
+            self.streams.rewind(counters, pending)
+            terminated = terminated & ~pending
+            truncated = truncated & ~pending
             reward = np.where(pending, _ZERO, reward)
             info = zeroed(info, pending)
-        flags = tensor_of(terminated), tensor_of(truncated)
+        terminateds = tensor_of(terminated)
+        truncateds = tensor_of(truncated)
         rewards = tensor_of(reward)
         if "_hook_after_sim_step" in self.overridden:
-            ended = {"terminateds": flags[0].clone(), "truncateds": flags[1].clone()}
-            dones = tensor_of(terminated | truncated)
-            self._hook_after_sim_step(obs, action, rewards, dones, info, **ended, **kwargs)
+            self._hook_after_sim_step(
+                obs,
+                action,
+                rewards,
+                tensor_of(terminated | truncated),
+                info,
+                terminateds=terminateds.clone(),
+                truncateds=truncateds.clone(),
+                **kwargs,
+            )
 
-        ids = episodes.ids.copy() if self.observers else episodes.ids
+        # Observers may keep the ids of the episodes that end, which the reset counts on.
+        episode_ids = episodes.ids.copy() if self.observers else episodes.ids
         obs = self._autoreset(obs, info, terminated, truncated)
         if self.observers:
-            results = reward, terminated, truncated, info, obs, ids
-            record = StepRecord(self.control_step, given, *results)
+            record = StepRecord(
+                control_step=self.control_step,
+                action=action_values,
+                reward=reward,
+                terminated=terminated,
+                truncated=truncated,
+                info=info,
+                obs=obs,
+                episode_ids=episode_ids,
+            )
             for observer in self.observers:
                 observer.on_step(self, record)
-        return obs, rewards, *flags, info
+        return obs, rewards, terminateds, truncateds, info
 
     def _step_physics(self) -> None:
         """Take the K physics steps of a control step, at once unless action terms act in each."""
@@ -599,7 +680,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             self.sim.update(step=1)
 
     def _going_on(self, terminated: Mask, truncated: Mask, pending: Mask | None) -> EnvIndex | None:
-        """Environments whose episode goes on after this step, None for all."""
+        """Return the environments whose episode goes on after this step, None for all."""
         ended = terminated | truncated
         if pending is not None:
             ended |= pending
@@ -611,24 +692,28 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             if not isinstance(action, torch.Tensor):
                 raise TypeError(f"action terms take a tensor (N, A), got {type(action).__name__}")
             self.action_manager.apply(action)
-        seen = self._step_action(action)
-        return action if seen is None else seen
+        rewarded_action = self._step_action(action)
+        return action if rewarded_action is None else rewarded_action
 
     def _autoreset(
         self, obs: Observation, info: Info, terminated: Mask, truncated: Mask
     ) -> Observation:
         """Reset environments as the autoreset mode says; return the observation after it."""
         mode = self.metadata["autoreset_mode"]
-        done = None if none_set(terminated) and none_set(truncated) else terminated | truncated
+        done: Mask | None = None
+        if not (none_set(terminated) and none_set(truncated)):
+            done = terminated | truncated
+        to_reset: Mask | None = None
         if mode is AutoresetMode.SAME_STEP and done is not None:
             add_finals(info, obs, done)
+            to_reset = done
         elif mode is AutoresetMode.NEXT_STEP:
-            done, self.episodes.pending = self.episodes.pending, done
-        else:
+            # Those that ended in the step before are reset now, the present ones in the next.
+            to_reset = self.episodes.pending
+            self.episodes.pending = done
+        if to_reset is None or none_set(to_reset):
             return obs
-        if done is None or none_set(done):
-            return obs
-        ids = self.arrays.where(done)
+        ids = self.arrays.where(to_reset)
         self._reset_rows(ids, {})
         return self._observe_reset(ids, {})
 
@@ -641,11 +726,11 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         under ``robot`` and ``robots``; declared robots that an override does not add are added
         after it.
         """
-        return scene_setup.add_declared_robots(self.sim, self.cfg)
+        return add_declared_robots(self.sim, self.cfg)
 
     def _prepare_scene(self, **kwargs: Any) -> None:
         """Add all other entities, after `_setup_robot`. The default adds the declared ones."""
-        scene_setup.add_declared_scene(self.sim, self.cfg)
+        add_declared_scene(self.sim, self.cfg)
 
     def _setup_sensors(self, **kwargs: Any) -> dict[str, Any]:
         """Return sensors by uid, each with ``get_data()``; called after `_prepare_scene`.
@@ -653,7 +738,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         The default adds what the config declares. Declared sensors that an override does not add
         are added after it.
         """
-        return dict(scene_setup.add_declared_sensors(self.sim, self.cfg))
+        return dict(add_declared_sensors(self.sim, self.cfg))
 
     def _init_sim_state(self, **kwargs: Any) -> None:
         """Prepare the compiled scene once, before startup events."""
@@ -735,9 +820,12 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         Returns:
             Batch size N; ``obs["robot"]`` has ``qpos``, ``qvel``, ``qf``, (N, A) float32 each.
         """
-        sensors = self._get_sensor_obs(**kwargs) if self.observes_sensors else {}
-        extends = "_extend_obs" in self.overridden
-        extend = partial(self._extend_obs, **kwargs) if extends else None
+        sensors: Mapping[str, Any] = {}
+        if self.observes_sensors:
+            sensors = self._get_sensor_obs(**kwargs)
+        extend = None
+        if "_extend_obs" in self.overridden:
+            extend = partial(self._extend_obs, **kwargs)
         return self.observation_buffer.observe(sensors, extend)
 
     def _get_sensor_obs(self, **kwargs: Any) -> Mapping[str, Any]:
@@ -745,7 +833,11 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
         Called only if there are sensors. The default leaves out those whose `observe` is False.
         """
-        return {u: s.get_data() for u, s in self.sensors.items() if getattr(s, "observe", True)}
+        return {
+            uid: sensor.get_data()
+            for uid, sensor in self.sensors.items()
+            if getattr(sensor, "observe", True)
+        }
 
     def _extend_obs(self, obs: EnvObs, **kwargs: Any) -> EnvObs:
         """Return the observation with entries added; observation terms run after this."""
@@ -769,8 +861,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
         Either ends the episode. Declared terminations and metrics are added to them.
         """
-        none = torch.zeros(self.cfg.num_envs, dtype=torch.bool, device=self.sim.device)
-        return none, none.clone(), {}
+        no_flags = torch.zeros(self.cfg.num_envs, dtype=torch.bool, device=self.sim.device)
+        return no_flags, no_flags.clone(), {}
 
     def evaluate(self, **kwargs: Any) -> Mapping[str, Any]:
         """Return entries of ``info``; ``success`` and ``fail``, (N,) bool, end the episode.
@@ -803,7 +895,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
             ValueError: If there is no such view or camera.
         """
         require_open(self._closed)
-        return self.sim.render(camera=view) if self.render_mode == "rgb_array" else None
+        if self.render_mode != "rgb_array":
+            return None
+        return self.sim.render(camera=view)
 
     def restore(
         self,
@@ -918,9 +1012,12 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
     @property
     def revision(self) -> tuple[int, ...]:
         """Numbers that change when a step is computed in another way: limit, terms, model."""
-        managers = (manager.revision for manager in self.managers.values())
-        watched = len(self.observers)
-        return self.episodes.limit, getattr(self.sim.engine, "revision", 0), watched, *managers
+        return (
+            self.episodes.limit,
+            getattr(self.sim.engine, "revision", 0),
+            len(self.observers),
+            *(manager.revision for manager in self.managers.values()),
+        )
 
     @property
     def physics_dt(self) -> float:
@@ -959,7 +1056,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         if steps < 1 and steps != -1:
             raise ValueError(f"max_episode_steps must be at least 1, or -1 for never, got {steps}")
         limit = NO_LIMIT if steps == -1 else min(int(steps), NO_LIMIT)
-        self.episodes.limit = self.cfg.max_episode_steps = limit
+        self.episodes.limit = limit
+        self.cfg.max_episode_steps = limit
 
     @property
     def elapsed_steps(self) -> torch.Tensor:
@@ -973,12 +1071,13 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     @elapsed_steps.setter
     def elapsed_steps(self, steps: torch.Tensor) -> None:
-        counted, given = self.episodes.elapsed, torch.as_tensor(steps)
-        if given.shape != counted.shape:
-            raise ValueError(f"elapsed_steps must be {tuple(counted.shape)}, got {given.shape}")
-        if not self.arrays.on_device and (given < 0).any():
+        values = torch.as_tensor(steps)
+        elapsed = self.episodes.elapsed
+        if values.shape != elapsed.shape:
+            raise ValueError(f"elapsed_steps must be {tuple(elapsed.shape)}, got {values.shape}")
+        if not self.arrays.on_device and (values < 0).any():
             raise ValueError("elapsed_steps must not be negative")
-        counted[:] = self.arrays.of(given.to(torch.int32))
+        elapsed[:] = self.arrays.of(values.to(torch.int32))
 
     @property
     def episode_ids(self) -> torch.Tensor:
@@ -1075,8 +1174,9 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         unknown = [uid for uid in uids if uid not in self.sim.asset_uids]
         if unknown:
             raise ValueError(f"no entities {unknown}; there are: {self.sim.asset_uids}")
-        known = self._detached_uids
-        known += [uid for uid in dict.fromkeys(uids) if uid not in known]
+        for uid in uids:
+            if uid not in self._detached_uids:
+                self._detached_uids.append(uid)
 
     @property
     def observation_paths(self) -> list[tuple[str, ...]]:
@@ -1093,7 +1193,7 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         return self.curriculum_manager.stage_dict()
 
     def hold_curriculum(self, stage: Mapping[str, Any] | None = None) -> None:
-        """Keep the curriculum at a stage: its terms are called no more.
+        """Keep the curriculum at a stage: its terms are not called any more.
 
         Evaluations do this, so that what they judge depends neither on their length nor on the
         number of environments. The next resets apply it to environments.
@@ -1154,14 +1254,16 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
 
     def remove_observer(self, observer: StepObserver) -> None:
         """Detach an observer; ValueError if it is not attached."""
-        found: StepObserver = observer
+        attached: StepObserver = observer
         if self.copies is not None:
             self.copies.flush()
             self.copies.host.observers.remove(observer)
             if self.copies.host.observers:
                 return
-            found, self.copies = self.copies, None
-        self.observers.remove(found)
+            # Without observers of the copy, steps need not be copied.
+            attached = self.copies
+            self.copies = None
+        self.observers.remove(attached)
         if not self.observers:
             self.sim.engine.listeners.remove(EngineRelay(self))
 
@@ -1175,7 +1277,8 @@ class BaseEnv(Uncopied, gym.Env[EnvObs, EnvAction]):
         """Report to observers that a term fired and what it drew."""
         if self.observers:
             # On a device the only observer is `StepCopies`, which takes masks.
-            record = EventRecord(term, mode, cast("EnvIds | None", env_ids), drawn or {})
+            ids = cast("EnvIds | None", env_ids)
+            record = EventRecord(term=term, mode=mode, env_ids=ids, drawn=drawn or {})
             for observer in self.observers:
                 observer.on_event(self, record)
 
@@ -1212,9 +1315,20 @@ EmbodiedEnv = BaseEnv
 
 
 OPTIONAL_HOOKS = (
-    *("get_obs", "_extend_obs", "_get_sensor_obs", "_step_action", "get_reward", "_extend_reward"),
-    *("check_truncated", "_hook_after_sim_step", "compute_task_state", "evaluate", "get_info"),
-    *("_setup_robot", "_prepare_scene", "_initialize_episode"),
+    "get_obs",
+    "_extend_obs",
+    "_get_sensor_obs",
+    "_step_action",
+    "get_reward",
+    "_extend_reward",
+    "check_truncated",
+    "_hook_after_sim_step",
+    "compute_task_state",
+    "evaluate",
+    "get_info",
+    "_setup_robot",
+    "_prepare_scene",
+    "_initialize_episode",
 )
 """Hooks with special treatment where a class does not override them: most are not called."""
 
@@ -1226,17 +1340,18 @@ def overridden_hooks(env: BaseEnv) -> frozenset[str]:
         ConfigError: If arrays are on the device, where environments are masks, and it takes
             indices of environments, or resets in the next step.
     """
-    cls, arrays = type(env), env.sim.arrays
-    found = frozenset(
+    cls = type(env)
+    arrays = env.sim.arrays
+    hooks = frozenset(
         name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(BaseEnv, name)
     )
-    if "_initialize_episode" in found:
+    if "_initialize_episode" in hooks:
         arrays.require_host(
             f"indices of environments, which {cls.__name__}._initialize_episode takes,"
         )
     if env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
         arrays.require_host("steps of some environments, as of autoreset mode NEXT_STEP,")
-    return found
+    return hooks
 
 
 def set_extensions(env: object, extensions: dict[str, Any]) -> None:
@@ -1245,13 +1360,12 @@ def set_extensions(env: object, extensions: dict[str, Any]) -> None:
     Raises:
         ConfigError: If the environment has an attribute of that name already.
     """
-    taken = [key for key in extensions if not key.isidentifier() or hasattr(env, key)]
-    if taken:
-        raise ConfigError(
-            [
-                Problem(f"extensions.{key}", "taken by the environment, or not a name")
-                for key in taken
-            ]
-        )
+    problems = [
+        Problem(f"extensions.{key}", "taken by the environment, or not a name")
+        for key in extensions
+        if not key.isidentifier() or hasattr(env, key)
+    ]
+    if problems:
+        raise ConfigError(problems)
     for key, value in extensions.items():
         setattr(env, key, value)

@@ -99,10 +99,11 @@ class ObservationLayout:
         self.groups = {name: self._columns_of(list(paths)) for name, paths in groups.items()}
 
     def _columns_of(self, paths: list[Path]) -> Columns | None:
+        """Return the columns of a group; None if an entry is not in the array."""
         if any(path not in self.columns for path in paths):
             return None
-        found = [self.columns[path] for path in paths]
-        indices = np.concatenate([np.arange(c.start, c.stop) for c in found])
+        slices = [self.columns[path] for path in paths]
+        indices = np.concatenate([np.arange(part.start, part.stop) for part in slices])
         if len(indices) and (np.diff(indices) == 1).all():
             return slice(int(indices[0]), int(indices[-1]) + 1)
         return indices
@@ -123,12 +124,12 @@ class ObservationLayout:
         """
         if isinstance(obs, Observation) and obs.layout is self and obs.packed:
             return obs
-        found = Observation(self, self.empty())
+        packed = Observation(self, self.empty())
         leaves = dict(leaves_of(obs))
         for path in self.paths:
-            self.write(found, path, leaves.pop(path))
-        found.others.update(leaves)
-        return found
+            self.write(packed, path, leaves.pop(path))
+        packed.others.update(leaves)
+        return packed
 
     def write(self, obs: Observation, path: Path, value: Any) -> None:
         """Set an entry of an observation.
@@ -143,12 +144,15 @@ class ObservationLayout:
         """
         columns = self.columns.get(path)
         if columns is None:
-            obs.set_other(path, value if isinstance(value, torch.Tensor) else new_tensor(value))
+            if not isinstance(value, torch.Tensor):
+                value = new_tensor(value)
+            obs.set_other(path, value)
             return
         array = self._arrays.of(value)
         if array.shape[1:] != self.shapes[path]:
-            name, wanted = "/".join(path), (self.num_envs, *self.shapes[path])
-            raise ValueError(f"observation {name!r} was {wanted}, is now {tuple(array.shape)}")
+            name = "/".join(path)
+            first_shape = (self.num_envs, *self.shapes[path])
+            raise ValueError(f"observation {name!r} was {first_shape}, is now {tuple(array.shape)}")
         obs.rows[:, columns] = array if array.ndim == 2 else array.reshape(self.num_envs, -1)
 
     def entry(self, rows: F32, path: Path) -> NDArray[np.float32]:
@@ -183,8 +187,8 @@ def new_tensor(value: Any) -> torch.Tensor:
     if isinstance(value, torch.Tensor) and value.device.type != "cpu":
         return value.to(torch.float32 if value.is_floating_point() else value.dtype, copy=True)
     array = as_array(value)
-    wide = np.issubdtype(array.dtype, np.floating)
-    return torch.from_numpy(np.array(array, np.float32 if wide else None))
+    dtype = np.float32 if np.issubdtype(array.dtype, np.floating) else None
+    return torch.from_numpy(np.array(array, dtype))
 
 
 class Observation(TensorMapping):
@@ -214,15 +218,16 @@ class Observation(TensorMapping):
         """Return an observation with another array; entries outside the array are shared."""
         if rows is self.rows:
             return self
-        found = Observation(self.layout, rows)
-        found.others.update(self.others)
-        return found
+        other = Observation(self.layout, rows)
+        other.others.update(self.others)
+        return other
 
     def copy(self) -> Observation:
         """Return an observation that shares no memory with this one."""
-        found = Observation(self.layout, self.rows.copy())
-        found.others.update({path: value.clone() for path, value in self.others.items()})
-        return found
+        other = Observation(self.layout, self.rows.copy())
+        for path, value in self.others.items():
+            other.others[path] = value.clone()
+        return other
 
     def set_other(self, path: Path, value: torch.Tensor) -> None:
         """Set an entry that is not in the array; terms may have read `others` already."""
@@ -248,7 +253,7 @@ class Observation(TensorMapping):
             return True
         leaves = [leaf for _, leaf in leaves_of(self._tree)]
         return len(leaves) == len(self._views) and all(
-            a is b for a, b in zip(leaves, self._views, strict=True)
+            leaf is view for leaf, view in zip(leaves, self._views, strict=True)
         )
 
 
@@ -295,13 +300,13 @@ def entry_spaces(space: gym.Space[Any], names: Iterable[str]) -> spaces.Dict:
         space: The space of one environment's observation.
         names: The entries; "/" nests.
     """
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name in names:
-        leaf: Any = space
+        entry: Any = space
         for key in name.split("/"):
-            leaf = leaf[key]
-        found[name] = leaf
-    return spaces.Dict(found)
+            entry = entry[key]
+        entries[name] = entry
+    return spaces.Dict(entries)
 
 
 def named_obs(obs: Any, space: spaces.Dict) -> dict[str, NDArray[Any]]:
@@ -311,8 +316,11 @@ def named_obs(obs: Any, space: spaces.Dict) -> dict[str, NDArray[Any]]:
         obs: An observation of N environments.
         space: The result of `entry_spaces`.
     """
-    parts = {name: obs[tuple(name.split("/"))].numpy(force=True) for name in space}
-    return {name: np.array(part, space[name].dtype) for name, part in parts.items()}
+    arrays: dict[str, NDArray[Any]] = {}
+    for name in space:
+        entry = obs[tuple(name.split("/"))]
+        arrays[name] = np.array(entry.numpy(force=True), space[name].dtype)
+    return arrays
 
 
 def on_host(tensors: Mapping[_Key, torch.Tensor]) -> dict[_Key, NDArray[Any]]:
@@ -324,14 +332,15 @@ def on_host(tensors: Mapping[_Key, torch.Tensor]) -> dict[_Key, NDArray[Any]]:
     # Wide types are first, so that each array's address is a multiple of its type's size.
     order = sorted(tensors, key=lambda key: -tensors[key].element_size())
     parts = [tensors[key].reshape(-1).view(torch.uint8) for key in order]
-    whole = torch.cat(parts).numpy(force=True)
-    found, start = {}, 0
+    all_bytes = torch.cat(parts).numpy(force=True)
+    arrays: dict[_Key, NDArray[Any]] = {}
+    start = 0
     for key, part in zip(order, parts, strict=True):
         stop = start + len(part)
-        kind = torch.empty(0, dtype=tensors[key].dtype).numpy().dtype
-        found[key] = whole[start:stop].view(kind).reshape(tuple(tensors[key].shape))
+        dtype = torch.empty(0, dtype=tensors[key].dtype).numpy().dtype
+        arrays[key] = all_bytes[start:stop].view(dtype).reshape(tuple(tensors[key].shape))
         start = stop
-    return {key: found[key] for key in tensors}
+    return {key: arrays[key] for key in tensors}
 
 
 def numpy_obs(obs: Mapping[str, Any]) -> dict[str, Any]:

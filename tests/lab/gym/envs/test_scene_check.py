@@ -12,7 +12,7 @@ from embodichain.lab.gym.envs.cfg import (
     RewardCfg,
     SceneEntityCfg,
 )
-from embodichain.lab.gym.envs.scene_setup import describe
+from embodichain.lab.gym.envs.scene_setup.declared_scene import describe
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     JointDrivePropertiesCfg,
@@ -262,7 +262,7 @@ def test_checking_a_scene_imports_no_torch():
         "import sys\n"
         "from embodichain.lab.gym.envs.cfg import EnvCfg\n"
         "from embodichain.lab.sim.cfg import RobotCfg\n"
-        "from embodichain.lab.gym.envs.scene_setup import describe\n"
+        "from embodichain.lab.gym.envs.scene_setup.declared_scene import describe\n"
         f"cfg = EnvCfg(robot=RobotCfg(fpath={UR10!r}))\n"
         "assert describe(cfg).compile().model.nu == 6\n"
         "assert 'torch' not in sys.modules"

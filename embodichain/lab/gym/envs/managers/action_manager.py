@@ -74,8 +74,8 @@ def default_actions(robot: Robot | None) -> dict[str, ActionTermCfg]:
     if robot is None:
         return {}
     parsed = robot.parsed
-    passive = any(not parsed.drives[i] for i in robot.active_joint_ids)
-    if parsed.own_actuators or (passive and parsed.control_names):
+    has_passive_joint = any(not parsed.drives[i] for i in robot.active_joint_ids)
+    if parsed.own_actuators or (has_passive_joint and parsed.control_names):
         params = {"of": SceneEntityCfg(uid=robot.uid)}
         return {"ctrl": ActionTermCfg(func="actuator_ctrl", params=params)}
     return {}
@@ -91,9 +91,9 @@ class ActionCheck:
     """
 
     def __init__(self, space: gym.Space[Any], num_envs: int, arrays: Arrays) -> None:
-        self._shape = (
-            (num_envs, *(space.shape or ())) if isinstance(space, gym.spaces.Box) else None
-        )
+        self._shape: tuple[int, ...] | None = None
+        if isinstance(space, gym.spaces.Box):
+            self._shape = (num_envs, *(space.shape or ()))
         self._num_envs = num_envs
         self._arrays = arrays
 
@@ -115,36 +115,41 @@ class ActionCheck:
         """
         if isinstance(action, np.ndarray) and self._arrays.on_device:
             action = tensor_of(self._arrays.put(action))
+        tensor: torch.Tensor | None = None
         if isinstance(action, np.ndarray):
             numbers = action
-            tensor = (
-                torch.from_numpy(action.astype(np.float32)) if action.dtype.kind == "f" else None
-            )
+            if action.dtype.kind == "f":
+                tensor = torch.from_numpy(action.astype(np.float32))
         elif isinstance(action, torch.Tensor):
             if action.device != self._arrays.device:
-                found = f"action is on {action.device}"
-                raise ValueError(f"{found}; this environment is on {self._arrays.device}")
+                raise ValueError(
+                    f"action is on {action.device}; this environment is on {self._arrays.device}"
+                )
             tensor = action.detach() if action.requires_grad else action
             numbers = self._arrays.of(tensor)
         elif isinstance(action, Mapping):
             self._arrays.require_host("actions that are mappings")
-            return action, self._finite(self._joined(action))
+            return action, self._require_finite(self._joined(action))
         else:
-            raise TypeError(f"an action is a tensor {self._wanted()}, got {type(action).__name__}")
+            kind = type(action).__name__
+            raise TypeError(f"an action is a tensor {self._allowed_shape()}, got {kind}")
         if tensor is None or numbers.dtype.kind != "f":
             raise TypeError(
-                f"an action is a floating point tensor {self._wanted()}, got {action.dtype}"
+                f"an action is a floating point tensor {self._allowed_shape()}, got {action.dtype}"
             )
         shape = numbers.shape
         if shape != self._shape and (self._shape is not None or shape[:1] != (self._num_envs,)):
-            raise ValueError(f"action must have shape {self._wanted()}, got {shape}")
-        given: Floats = numbers.astype(np.float64)
-        return tensor, self._finite(given if given.ndim == 2 else given.reshape(len(given), -1))
+            raise ValueError(f"action must have shape {self._allowed_shape()}, got {shape}")
+        values: Floats = numbers.astype(np.float64)
+        if values.ndim != 2:
+            values = values.reshape(len(values), -1)
+        return tensor, self._require_finite(values)
 
-    def _wanted(self) -> str:
+    def _allowed_shape(self) -> str:
         return f"({self._num_envs}, ...)" if self._shape is None else f"{self._shape}"
 
     def _joined(self, action: Mapping[str, Any]) -> Floats:
+        """(N, A) the numbers of a mapping, entry by entry."""
         leaves = [leaf.detach().cpu().numpy() for _, leaf in leaves_of(action)]
         if not leaves:
             raise ValueError("the action is an empty mapping")
@@ -157,7 +162,8 @@ class ActionCheck:
         return np.concatenate(rows, axis=1).astype(np.float64)
 
     @staticmethod
-    def _finite(values: Floats) -> Floats:
+    def _require_finite(values: Floats) -> Floats:
+        """Return the values, if all are finite."""
         if is_host(values) and not all_finite(values):
             rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
             raise ValueError(f"action is not finite in environments {rows[:8].tolist()}")
@@ -185,18 +191,23 @@ def drive_robot(
     joints = np.asarray(joint_ids, np.int64)
     drives = robot.drives
 
-    def move(target: torch.Tensor, joint_ids: list[int]) -> None:
-        wanted = np.asarray(target, np.float64)
-        robot.set_qpos(drives.within_rate(wanted, joints, seconds), joint_ids=joint_ids)
+    def set_position_targets(target: torch.Tensor, joint_ids: list[int]) -> None:
+        qpos = drives.within_rate(np.asarray(target, np.float64), joints, seconds)
+        robot.set_qpos(qpos, joint_ids=joint_ids)
 
-    def turn(target: torch.Tensor, joint_ids: list[int]) -> None:
-        most = drives.max_velocity[:, joints]
-        robot.set_qvel(np.clip(np.asarray(target, np.float64), -most, most), joint_ids=joint_ids)
+    def set_velocity_targets(target: torch.Tensor, joint_ids: list[int]) -> None:
+        limit = drives.max_velocity[:, joints]
+        qvel = np.clip(np.asarray(target, np.float64), -limit, limit)
+        robot.set_qvel(qvel, joint_ids=joint_ids)
 
     if isinstance(action, torch.Tensor):
-        move(action, joint_ids)
+        set_position_targets(action, joint_ids)
         return
-    setters: dict[Any, Any] = {"qpos": move, "qvel": turn, "qf": robot.set_qf}
+    setters: dict[Any, Any] = {
+        "qpos": set_position_targets,
+        "qvel": set_velocity_targets,
+        "qf": robot.set_qf,
+    }
     unknown = [key for key in action.keys() if key not in setters]  # noqa: SIM118  (it may be a TensorDict)
     if unknown:
         raise ValueError(f"unknown action entries {unknown}; allowed: {', '.join(setters)}")
@@ -229,7 +240,8 @@ class ActionManager(Manager[ActionTermCfg]):
         super().__init__(env, "actions", "action", cfgs)
 
     def _bind(self) -> None:
-        known, self.slices = self.slices, {}
+        was_bound = bool(self.slices)
+        self.slices = {}
         start = 0
         lows: list[NDArray[np.float32]] = [np.zeros(0, np.float32)]
         highs: list[NDArray[np.float32]] = [np.zeros(0, np.float32)]
@@ -239,13 +251,17 @@ class ActionManager(Manager[ActionTermCfg]):
             start += len(low)
             lows.append(low)
             highs.append(high)
-        low, high = np.concatenate(lows), np.concatenate(highs)
-        if known and not (np.array_equal(low, self.low) and np.array_equal(high, self.high)):
+        low = np.concatenate(lows)
+        high = np.concatenate(highs)
+        if was_bound and not (np.array_equal(low, self.low) and np.array_equal(high, self.high)):
             raise ConfigError([Problem("actions", "the action space cannot change while it runs")])
         self.action_dim = start
         self.low: NDArray[np.float32] = low
         self.high: NDArray[np.float32] = high
-        self._calls = [(n, self._receiver(n, t), self.slices[n]) for n, t in self.terms.items()]
+        self._calls = [
+            (name, self._receiver(name, term), self.slices[name])
+            for name, term in self.terms.items()
+        ]
         self._measured = [
             (name, term.instance.metrics)
             for name, term in self.terms.items()
@@ -258,10 +274,12 @@ class ActionManager(Manager[ActionTermCfg]):
         ]
 
     def _receiver(self, name: str, term: BuiltTerm[ActionTermCfg]) -> Callable[..., Any]:
-        """The function that receives a term's slice: the term, or its delay and noise."""
-        call, cfg = term.call, term.cfg
+        """Return the function that receives a term's slice: the term, or its delay and noise."""
+        call = term.call
+        cfg = term.cfg
         if cfg.delay == 0 and cfg.noise is None:
             return call
+        # A term that is rebuilt keeps its delayed actions.
         pipeline = self._pipelines.get(name)
         if pipeline is None:
             columns = TermColumns(self._columns(term), term.instance.named_by, "joint")
@@ -278,8 +296,8 @@ class ActionManager(Manager[ActionTermCfg]):
 
     def state_dict(self) -> dict[str, Any]:
         """State of terms, and delayed actions (copies)."""
-        under_way = {name: p.state_dict() for name, p in self._pipelines.items()}
-        return {**super().state_dict(), "pipelines": under_way}
+        pipelines = {name: pipeline.state_dict() for name, pipeline in self._pipelines.items()}
+        return {**super().state_dict(), "pipelines": pipelines}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
@@ -290,10 +308,10 @@ class ActionManager(Manager[ActionTermCfg]):
     @property
     def names(self) -> tuple[str, ...]:
         """Name of each column of the action: ``TERM/JOINT``."""
-        found: list[str] = []
+        names: list[str] = []
         for name, term in self.terms.items():
-            found += [f"{name}/{column}" for column in self._columns(term)]
-        return tuple(found)
+            names += [f"{name}/{column}" for column in self._columns(term)]
+        return tuple(names)
 
     def columns_of(self, name: str) -> tuple[str, ...]:
         """Name of each column of a term's slice, or its number."""
@@ -302,8 +320,9 @@ class ActionManager(Manager[ActionTermCfg]):
     @staticmethod
     def _columns(term: BuiltTerm[ActionTermCfg]) -> tuple[str, ...]:
         """Name of each column of a term's slice, or its number."""
-        found: tuple[str, ...] = term.instance.names
-        return found or tuple(map(str, range(term.instance.action_dim)))
+        if term.instance.names:
+            return term.instance.names
+        return tuple(str(i) for i in range(term.instance.action_dim))
 
     def centre_and_scale(self) -> tuple[list[float | str], list[float | str]]:
         """Centre and scale of each column of the action; see `ActionTerm.centre_and_scale`."""
@@ -321,10 +340,10 @@ class ActionManager(Manager[ActionTermCfg]):
         Args:
             action: (N, A) float32, finite (checked by the environment).
         """
-        alone = len(self._calls) == 1
+        is_only_term = len(self._calls) == 1
         for name, call, columns in self._calls:
             try:
-                call(action if alone else action[:, columns])
+                call(action if is_only_term else action[:, columns])
             except FAILURES as error:
                 self.fail(name, error)
 
@@ -355,14 +374,15 @@ class ActionManager(Manager[ActionTermCfg]):
 
     def home(self) -> NDArray[np.float64]:
         """(A,) the action that goes to the initial state."""
-        return np.concatenate([np.zeros(0), *(t.instance.home() for t in self.terms.values())])
+        parts = [term.instance.home() for term in self.terms.values()]
+        return np.concatenate([np.zeros(0), *parts])
 
     def hold(self) -> NDArray[np.float64]:
         """(N, A) the action that keeps the present targets."""
-        held: Floats = self._arrays.full((self.num_envs, self.action_dim), 0.0)
+        action: Floats = self._arrays.full((self.num_envs, self.action_dim), 0.0)
         for name, term in self.terms.items():
-            held[:, self.slices[name]] = term.instance.hold()
-        return held
+            action[:, self.slices[name]] = term.instance.hold()
+        return action
 
 
 def _overrides(term: BuiltTerm[ActionTermCfg], name: str) -> bool:
@@ -383,11 +403,13 @@ def _bounds_of(
     if not hasattr(instance, "low") or not hasattr(instance, "high"):
         message = f"{term.spec.label} must set low and high"
         raise ConfigError([Problem(f"actions.{name}.func", message)])
-    low, high = (np.asarray(bound, np.float32) for bound in (instance.low, instance.high))
-    width = int(instance.action_dim)
-    both = (np.isfinite(low) & np.isfinite(high)) | (np.isneginf(low) & np.isposinf(high))
-    finite = both.all()
-    if low.shape != (width,) or high.shape != (width,) or not finite or not (low < high).all():
-        message = f"needs finite bounds low < high of shape ({width},), got {low}, {high}"
+    low = np.asarray(instance.low, np.float32)
+    high = np.asarray(instance.high, np.float32)
+    shape = (int(instance.action_dim),)
+    is_bounded = np.isfinite(low) & np.isfinite(high)
+    is_unbounded = np.isneginf(low) & np.isposinf(high)
+    are_valid = (is_bounded | is_unbounded).all() and (low < high).all()
+    if low.shape != shape or high.shape != shape or not are_valid:
+        message = f"needs finite bounds low < high of shape {shape}, got {low}, {high}"
         raise ConfigError([Problem(f"actions.{name}", message)])
     return low, high

@@ -65,10 +65,11 @@ class DrawingManager(Manager[C]):
         try:
             term.call(*args)
         except ConfigError as error:
-            where = f"{self.section}.{term.name}.params"
-            problems = (
-                Problem(f"{where}.{p.path}".rstrip("."), p.message, p.hint) for p in error.problems
-            )
+            params_path = f"{self.section}.{term.name}.params"
+            problems = [
+                Problem(f"{params_path}.{problem.path}".rstrip("."), problem.message, problem.hint)
+                for problem in error.problems
+            ]
             raise self.failed(term.name, ConfigError(problems), env_ids) from error
         except FAILURES as error:
             self.fail(term.name, error, env_ids)
@@ -90,7 +91,9 @@ class DrawingManager(Manager[C]):
         Returns:
             (n, *shape) float64. Do not write into it.
         """
-        values = self._replayed(what, shape, env_ids) if self._recorded else None
+        values: Floats | None = None
+        if self._recorded:
+            values = self._replayed(what, shape, env_ids)
         if values is None:
             values = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
         self._drawn[what] = values
@@ -118,11 +121,14 @@ class DrawingManager(Manager[C]):
         Returns:
             (n, k) float64. Do not write into it.
         """
-        found = [self._replayed(n, (c.stop - c.start,), env_ids) for n, c in columns.items()]
-        known = [values for values in found if values is not None]
+        recorded: list[Floats] = []
+        for name, where in columns.items():
+            draw = self._replayed(name, (where.stop - where.start,), env_ids)
+            if draw is not None:
+                recorded.append(draw)
         values: Floats
-        if known and len(known) == len(found):
-            values = np.concatenate(known, axis=1)
+        if recorded and len(recorded) == len(columns):
+            values = np.concatenate(recorded, axis=1)
         elif normal:
             values = self.env.streams.normal(self._stream, (len(low),), env_ids)
             values = 0.5 * (low + high) + (high - low) / 6.0 * values
@@ -134,12 +140,13 @@ class DrawingManager(Manager[C]):
         return values
 
     def _replayed(self, what: str, shape: Sequence[int], env_ids: EnvIndex | None) -> Floats | None:
-        """(n, *shape) recorded draw of a term that is replayed, or None."""
-        given = self._recorded.get(what)
-        if given is None or given.shape != tuple(shape):
+        """Return the recorded draw of a term that is replayed, (n, *shape), or None."""
+        draw = self._recorded.get(what)
+        if draw is None or draw.shape != tuple(shape):
             return None
         n = self.num_envs if env_ids is None else len(env_ids)
-        return self.env.arrays.put(np.tile(given, (n, *[1] * len(shape))))
+        once_per_axis = [1] * len(shape)
+        return self.env.arrays.put(np.tile(draw, (n, *once_per_axis)))
 
     def replay(
         self, name: str, mode: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]
@@ -213,15 +220,17 @@ class EventManager(DrawingManager[EventCfg]):
     def __init__(self, env: TermContext, cfgs: Mapping[str, EventCfg]) -> None:
         self._intervals: list[_Interval] = []
         super().__init__(env, "events", "event", cfgs)
-        self._intervals = [_Interval(env, t) for t in self._by_mode["interval"]]
+        self._intervals = [_Interval(env, term) for term in self._by_mode["interval"]]
         self._started = False
 
     def _bind(self) -> None:
+        # A stable sort: the others keep the order in which they are declared.
+        events = sorted(
+            self.terms.values(),
+            key=lambda term: not getattr(term.instance, "comes_first", False),
+        )
         self._by_mode: dict[str, list[BuiltTerm[EventCfg]]] = {
-            mode: sorted(
-                (t for t in self.terms.values() if t.cfg.mode == mode),
-                key=lambda term: not getattr(term.instance, "comes_first", False),
-            )
+            mode: [event for event in events if event.cfg.mode == mode]
             for mode in ("startup", "reset", "interval")
         }
         for interval in self._intervals:
@@ -292,7 +301,7 @@ class EventManager(DrawingManager[EventCfg]):
 
     def state_dict(self) -> dict[str, Any]:
         """Timers, and the state of terms that are classes (copies)."""
-        timers = {i.term.name: i.timer.left.copy() for i in self._intervals}
+        timers = {interval.term.name: interval.timer.left.copy() for interval in self._intervals}
         return {**super().state_dict(), "timers": timers, "started": self._started}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -307,9 +316,10 @@ class _Interval:
     """The timer of an event."""
 
     def __init__(self, env: TermContext, term: BuiltTerm[EventCfg]) -> None:
-        self.term = term
-        self._streams, self._arrays = env.streams, env.arrays
         cfg = term.cfg
+        self.term = term
+        self._streams = env.streams
+        self._arrays = env.arrays
         self.is_global = cfg.is_global
         self.watches: bool = getattr(term.instance, "watches", False)
         self.every_step = cfg.interval_range_s is None and cfg.interval_step == 1
@@ -325,10 +335,14 @@ class _Interval:
             self.timer.left[slice(None) if env_ids is None else env_ids] = cfg.interval_step
             return
         low, high = cfg.interval_range_s
-        ids = env_ids[self._first] if self.is_global and env_ids is not None else env_ids
-        name = f"events.{self.term.name}.interval"
-        seconds = self._streams.uniform(name, (), low, high, ids)
-        self.timer.start(env_ids, seconds[:1] if self.is_global else seconds)
+        drawing_ids = env_ids
+        if self.is_global and env_ids is not None:
+            drawing_ids = env_ids[self._first]
+        stream = f"events.{self.term.name}.interval"
+        seconds = self._streams.uniform(stream, (), low, high, drawing_ids)
+        if self.is_global:
+            seconds = seconds[:1]
+        self.timer.start(env_ids, seconds)
 
     def restart(self, env_ids: EnvIndex | None) -> None:
         """Restart the timer of environments that begin an episode; a global one is not changed."""
@@ -340,13 +354,16 @@ class _Interval:
         if self.every_step:
             return None if self.is_global else env_ids
         if self.is_global:
-            env_ids, stopped = None, self.timer.left == 0
-            if may_be_set(stopped):
-                self._start(self._arrays.where(stopped))
-        found = self.timer.advance(env_ids)
-        due = None if self._arrays.are_all(found, len(self.timer.left)) else found
-        if len(found):
-            self._start(found if self.is_global else due)
+            env_ids = None
+            # No reset starts a timer that all share: the first step does.
+            is_stopped = self.timer.left == 0
+            if may_be_set(is_stopped):
+                self._start(self._arrays.where(is_stopped))
+        due_ids = self.timer.advance(env_ids)
+        due = None if self._arrays.are_all(due_ids, len(self.timer.left)) else due_ids
+        if len(due_ids):
+            # A timer that all share draws from environment 0's stream; None would draw from all.
+            self._start(due_ids if self.is_global else due)
         return due
 
 
@@ -381,8 +398,8 @@ class CommandManager(DrawingManager[CommandCfg]):
             if values is None or getattr(values, "ndim", 0) != 2:
                 message = f"{term.spec.label} must set values, an array (N, K)"
                 raise ConfigError([Problem(f"commands.{name}.func", message)])
-            plain = self.env.arrays.on_device or values.dtype == np.float64
-            if values.shape[0] != self.num_envs or not plain:
+            has_right_type = self.env.arrays.on_device or values.dtype == np.float64
+            if values.shape[0] != self.num_envs or not has_right_type:
                 message = f"needs float64 values ({self.num_envs}, K), got {values.shape}"
                 raise ConfigError([Problem(f"commands.{name}", message)])
         instances = [(name, term.instance) for name, term in self.terms.items()]
@@ -410,8 +427,7 @@ class CommandManager(DrawingManager[CommandCfg]):
             ConfigError: If there is no such command; lists those that exist.
         """
         if name not in self.terms:
-            known = listing(self.terms, name)
-            message = f"no command is called {name!r}; there are: {known}"
+            message = f"no command is called {name!r}; there are: {listing(self.terms, name)}"
             raise ConfigError([Problem(key, message, did_you_mean(name, self.terms).strip())])
         return name
 
@@ -458,9 +474,9 @@ class CommandManager(DrawingManager[CommandCfg]):
         for name, timer in self._timers.items():
             due = timer.advance(env_ids)
             if len(due):
-                everyone = None if self.env.arrays.are_all(due, self.num_envs) else due
-                self._run(self.terms[name], "command", everyone)
-                changed.append(everyone)
+                drawing_ids = None if self.env.arrays.are_all(due, self.num_envs) else due
+                self._run(self.terms[name], "command", drawing_ids)
+                changed.append(drawing_ids)
         self._update(env_ids)
         if self._updates and (env_ids is None or len(env_ids)):
             changed.append(env_ids)
@@ -506,10 +522,13 @@ class CommandManager(DrawingManager[CommandCfg]):
 
     def _run(self, term: BuiltTerm[CommandCfg], mode: str, env_ids: EnvIndex | None) -> None:
         self._call(term, mode, env_ids, env_ids)
-        timer, times = self._timers.get(term.name), term.cfg.resampling_time_s
-        if timer is not None and times is not None:
-            stream, (low, high) = f"commands.{term.name}.interval", times
-            timer.start(env_ids, self.env.streams.uniform(stream, (), low, high, env_ids))
+        timer = self._timers.get(term.name)
+        range_s = term.cfg.resampling_time_s
+        if timer is not None and range_s is not None:
+            low, high = range_s
+            stream = f"commands.{term.name}.interval"
+            seconds = self.env.streams.uniform(stream, (), low, high, env_ids)
+            timer.start(env_ids, seconds)
 
     def update(self, env_ids: EnvIndex | None) -> None:
         """Adjust the commands of environments to a restored state."""
@@ -531,13 +550,13 @@ class CommandManager(DrawingManager[CommandCfg]):
         Returns:
             ``commands.NAME`` -> what its values are, and in which environments, (N,).
         """
-        found = {}
+        causes: dict[str, tuple[str, NDArray[np.bool_]]] = {}
         for name in self.terms:
             values = self.values(name)
             bad = rows & ~np.isfinite(values).all(axis=1)
             if bad.any():
-                found[f"{self.section}.{name}"] = kind_of_values(values[bad]), bad
-        return found
+                causes[f"{self.section}.{name}"] = (kind_of_values(values[bad]), bad)
+        return causes
 
     # -- saving --------------------------------------------------------------------------------
 

@@ -102,100 +102,142 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
         ConfigError: If it is wrong or refers to something that does not exist; lists all mistakes.
     """
     checked, problems = check_term(kind, cfg, path)
-    where = f"{path}.params"
+    params_path = f"{path}.params"
     if checked is not None:
-        problems = check_in_task(checked, env.cfg, where)
+        problems = check_in_task(checked, env.cfg, params_path)
     if checked is None or problems:
         raise ConfigError(problems)
     spec = checked.spec
-    values, names = _values_in_scene(env, checked, where), checked.names
-    if isinstance(spec, AliasSpec):
-        of_target = {key: names.get(name, name) for key, name in spec.names.items()}
-        python = spec.target.python_names()
-        names |= {name: of_target[key] for name, key in python.items() if key in of_target}
-        names = {**names, **of_target}
+    values = _values_in_scene(env, checked, params_path)
     columns = columns_of_term(env, checked.values, values, spec.hints())
-    with _under(where, names):
-        parts = spec.meaning(values, env) if isinstance(spec, AliasSpec) else [(spec, values)]
-        (source, values), steps = parts[0], parts[1:]
-        instance = source.func(env, **source.arguments(values)) if source.is_class else None
-        shapes = [step.func(env, **step.arguments(given)) for step, given in steps]
-    for step, given in checked.shapes:
-        with _under(f"{path}.shape.{step.name}"):
-            given = _in_columns_of_term(given, columns)
-            shapes.append(step.func(env, **step.arguments(given)))
+
+    with _under(params_path, _names_in_config(checked)):
+        parts = [(spec, values)]
+        if isinstance(spec, AliasSpec):
+            parts = spec.meaning(values, env)
+        source, values = parts[0]
+        instance: Any = None
+        if source.is_class:
+            instance = source.func(env, **source.arguments(values))
+        shapes: list[Shape] = [
+            shape.func(env, **shape.arguments(params)) for shape, params in parts[1:]
+        ]
+    for shape, params in checked.shapes:
+        with _under(f"{path}.shape.{shape.name}"):
+            params = _in_columns_of_term(params, columns)
+            shapes.append(shape.func(env, **shape.arguments(params)))
     if source.lead is None and not shapes:
-        return _plain(name, cfg, source, values, kind, instance, columns)
-    if instance is not None:
-        read = instance if source.lead is None else _discarding(instance)
-    else:
-        read = partial(source.func, **source.arguments(values))
-    lead = source.lead
-    if lead is None:  # a function or class with the signature of its kind
-        lead = ("obs",) if kind == "observation" else ("obs", "action", "info")
-    usual = source.params["axes"].default if "axes" in source.params else ""
-    axes = str(values.get("axes", usual))
-    call = _call(source.name, read, lead, shapes, kind, where, axes or columns)
-    kept = [part for part in (instance, *shapes) if hasattr(part, "state_dict")]
-    if len(kept) > 1:
-        return BuiltTerm(name, cfg, spec, call, _Several(kept), columns)
-    return BuiltTerm(name, cfg, spec, call, kept[0] if kept else None, columns)
+        call = _direct_call(source, values, kind, instance)
+        return BuiltTerm(
+            name=name, cfg=cfg, spec=source, call=call, instance=instance, columns=columns
+        )
+
+    call = _shaped_call(
+        _reader(source, values, instance),
+        shapes,
+        name=source.name,
+        lead=_lead_of(source, kind),
+        kind=kind,
+        path=path,
+        columns=_axes_of(source, values) or columns,
+    )
+    state = _state_of([instance, *shapes])
+    return BuiltTerm(name=name, cfg=cfg, spec=spec, call=call, instance=state, columns=columns)
 
 
-def _in_columns_of_term(given: Mapping[str, Any], columns: TermColumns) -> dict[str, Any]:
-    """Parameters of a shape, in the order of the columns: bounds of each, the number of one."""
-    found = dict(given)
-    which = found.get("which")
+def _names_in_config(checked: CheckedTerm) -> dict[str, str]:
+    """Return the parameters of what a term calls -> the names that the config writes.
+
+    An alias calls another term, whose parameters have names of their own.
+    """
+    spec = checked.spec
+    if not isinstance(spec, AliasSpec):
+        return checked.names
+    of_target = {key: checked.names.get(name, name) for key, name in spec.names.items()}
+    in_python = {
+        name: of_target[key] for name, key in spec.target.python_names().items() if key in of_target
+    }
+    return {**checked.names, **in_python, **of_target}
+
+
+def _lead_of(source: TermSpec, kind: Kind) -> tuple[str, ...]:
+    """Return which of ``obs``, ``action`` and ``info`` a quantity takes."""
+    if source.lead is not None:
+        return source.lead
+    # A function or class with the signature of its kind.
+    return ("obs",) if kind == "observation" else ("obs", "action", "info")
+
+
+def _axes_of(source: TermSpec, values: Mapping[str, Any]) -> str:
+    """Return the letters of the axes that a quantity reads; empty if it has no such parameter."""
+    default = source.params["axes"].default if "axes" in source.params else ""
+    return str(values.get("axes", default))
+
+
+def _reader(source: TermSpec, values: dict[str, Any], instance: Any) -> Callable[..., Any]:
+    """Return the function that reads a quantity: of the environment, and of what it takes."""
+    if instance is None:
+        return partial(source.func, **source.arguments(values))
+    if source.lead is None:
+        return instance
+    return lambda env: instance()  # it received the environment when it was made
+
+
+def _state_of(parts: list[Any]) -> Any:
+    """Return the parts of a term that have a state, as one object; None if there is none."""
+    stateful = [part for part in parts if hasattr(part, "state_dict")]
+    if not stateful:
+        return None
+    return stateful[0] if len(stateful) == 1 else _Several(stateful)
+
+
+def _in_columns_of_term(params: Mapping[str, Any], columns: TermColumns) -> dict[str, Any]:
+    """Return parameters of a shape in the order of the columns: bounds of each, number of one."""
+    values = dict(params)
+    which = values.get("which")
     if isinstance(which, str):
         if which not in columns.names:
-            known = ", ".join(columns.names) or "none"
+            names = ", ".join(columns.names) or "none"
             message = (
-                f"no column is called {which!r}; names of columns: {known}; or give its number"
+                f"no column is called {which!r}; names of columns: {names}; or give its number"
             )
             hint = did_you_mean(which, columns.names).strip()
             raise ConfigError([Problem("which", message, hint)])
-        found["which"] = columns.names.index(which)
-    bounds = found.get("bounds")
-    by_name = isinstance(bounds, Mapping)
-    by_column = isinstance(bounds, (list, tuple)) and any(isinstance(b, list) for b in bounds)
-    if by_name and not columns.names:
+        values["which"] = columns.names.index(which)
+    bounds = values.get("bounds")
+    is_map = isinstance(bounds, Mapping)
+    has_list_per_end = isinstance(bounds, (list, tuple)) and any(
+        isinstance(bound, list) for bound in bounds
+    )
+    if is_map and not columns.names:
         message = "the columns have no names that a map could give: write [low, high]"
         raise ConfigError([Problem("bounds", message)])
-    if by_name or (by_column and columns.named_by):
+    if is_map or (has_list_per_end and columns.named_by):
         ends = ranges_in_columns(bounds, columns.names, "bounds", columns.named_by, columns.what)
-        found["bounds"] = [end.tolist() for end in ends]
-    return found
+        values["bounds"] = [end.tolist() for end in ends]
+    return values
 
 
-def _plain(
-    name: str,
-    cfg: C,
-    spec: TermSpec,
-    values: dict[str, Any],
-    kind: Kind,
-    instance: Any,
-    columns: TermColumns,
-) -> BuiltTerm[C]:
-    """A function or class with the signature of its kind."""
-    if instance is None:
-        arguments = spec.arguments(values)
-        call = partial(spec.func, **arguments) if values else spec.func
-        return BuiltTerm(name, cfg, spec, call, None, columns)
-    method = {"action": "apply", "command": "resample"}.get(kind, "__call__")
-    return BuiltTerm(name, cfg, spec, getattr(instance, method), instance, columns)
+def _direct_call(
+    spec: TermSpec, values: dict[str, Any], kind: Kind, instance: Any
+) -> Callable[..., Any]:
+    """Return what a manager calls of a function or class with the signature of its kind."""
+    if instance is not None:
+        method = {"action": "apply", "command": "resample"}.get(kind, "__call__")
+        return getattr(instance, method)
+    if not values:
+        return spec.func
+    return partial(spec.func, **spec.arguments(values))
 
 
-def _discarding(instance: Callable[[], Any]) -> Callable[[Any], Any]:
-    return lambda env: instance()
-
-
-def _call(
-    name: str,
+def _shaped_call(
     read: Callable[..., Any],
-    lead: tuple[str, ...],
     shapes: list[Shape],
+    *,
+    name: str,
+    lead: tuple[str, ...],
     kind: Kind,
-    where: str,
+    path: str,
     columns: str | TermColumns,
 ) -> Callable[..., NDArray[Any]]:
     """Return the function that a manager calls: it reads the quantity and applies the shapes.
@@ -203,34 +245,36 @@ def _call(
     For other kinds than an observation, a value of one column is that column, with its sign.
 
     Args:
-        name: The quantity's name, for messages.
         read: The quantity: takes the environment and the arguments in `lead`.
-        lead: Which of ``obs``, ``action`` and ``info`` it takes.
         shapes: Applied in order.
+        name: The quantity's name, for messages.
+        lead: Which of ``obs``, ``action`` and ``info`` it takes.
         kind: The manager; an observation of (N,) becomes (N, 1).
-        where: Key path of the parameters.
+        path: Key path of the term.
         columns: The names of the quantity's columns, or the letters of its axes.
     """
-    at = [("obs", "action", "info").index(name) for name in lead]
-    column = kind == "observation"
-    shape_path = f"{where.removesuffix('.params')}.shape"
+    positions = [("obs", "action", "info").index(argument) for argument in lead]
+    is_observation = kind == "observation"
+    params_path = f"{path}.params"
+    shape_path = f"{path}.shape"
 
     def call(env: TermContext, *passed: Any) -> NDArray[Any]:
         try:
-            value: Any = read(env, *(passed[i] for i in at)) if at else read(env)
+            value: Any = read(env, *(passed[i] for i in positions)) if positions else read(env)
         except ConfigError as error:
-            raise _moved(error, where) from error
+            raise _moved(error, params_path) from error
         if type(value) is not np.ndarray and is_host(value):
             value = env.arrays.of(value)
-            value = value if value.dtype == np.bool_ else value.astype(np.float64)
+            if value.dtype != np.bool_:
+                value = value.astype(np.float64)
         try:
             for shape in shapes:
                 value = shape(value)
         except ConfigError as error:
             raise _moved(error, shape_path) from error
-        if column and value.ndim == 1:
+        if is_observation and value.ndim == 1:
             value = value[:, None]
-        elif value.ndim > 1 and not column:
+        elif value.ndim > 1 and not is_observation:
             if value.shape[1:] != (1,):
                 raise ConfigError([_several_columns(name, value, kind, shape_path, columns)])
             value = value[:, 0]
@@ -242,17 +286,18 @@ def _call(
 def _several_columns(
     name: str, value: Any, kind: Kind, path: str, columns: str | TermColumns
 ) -> Problem:
-    """The mistake that a quantity has several columns where one number is needed."""
+    """Return the mistake that a quantity has several columns where one number is needed."""
     count = value[0].size if is_host(value) else int(np.prod(value.shape[1:]))
-    labels = list(columns) if isinstance(columns, str) else columns.labels(count)
-    named = len(labels) == count and len(set(labels)) > 1
-    which = f"They are {', '.join(labels)}. " if named else ""
-    message = f"{name} has {count} columns; a {kind} is one number"
-    one = "params: {axes: x}, y or z" if isinstance(columns, str) else "shape: {column: 0}"
-    hint = (
-        f"{which}Reduce them by a shape ({', '.join(REDUCERS)}), or take one with its sign: {one}"
-    )
-    return Problem(path, message, hint)
+    if isinstance(columns, str):
+        labels = list(columns)
+        selection = "params: {axes: x}, y or z"
+    else:
+        labels = columns.labels(count)
+        selection = "shape: {column: 0}"
+    hint = f"Reduce them by a shape ({', '.join(REDUCERS)}), or take one with its sign: {selection}"
+    if len(labels) == count and len(set(labels)) > 1:
+        hint = f"They are {', '.join(labels)}. {hint}"
+    return Problem(path, f"{name} has {count} columns; a {kind} is one number", hint)
 
 
 class _Several:
@@ -269,22 +314,23 @@ class _Several:
         return {"parts": [part.state_dict() for part in self._parts]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        for part, kept in zip(self._parts, state["parts"], strict=True):
-            part.load_state_dict(kept)
+        for part, part_state in zip(self._parts, state["parts"], strict=True):
+            part.load_state_dict(part_state)
 
 
 def _values_in_scene(env: TermContext, checked: CheckedTerm, where: str) -> dict[str, Any]:
-    """The parameters, with references replaced by the objects they refer to."""
+    """Return the parameters, with references replaced by the objects they refer to."""
     hints = checked.spec.hints()
     values: dict[str, Any] = {}
     problems: list[Problem] = []
-    for key, given in checked.values.items():
+    for key, declared in checked.values.items():
         path = f"{where}.{checked.names.get(key, key)}"
         try:
-            value = _in_scene(env, given, path)
-            for reference in references(hints.get(key)) if value is not None else ():
-                with _under(path):
-                    value = reference.resolve(env, value)
+            value = _in_scene(env, declared, path)
+            if value is not None:
+                for reference in references(hints.get(key)):
+                    with _under(path):
+                        value = reference.resolve(env, value)
             values[key] = value
         except ConfigError as error:
             problems += error.problems
@@ -298,9 +344,9 @@ def _in_scene(env: TermContext, value: Any, path: str) -> Any:
     if isinstance(value, SceneEntityCfg):
         return resolve_entity(env.sim, value, path)
     if isinstance(value, (list, tuple)):
-        return type(value)(_in_scene(env, v, f"{path}.{i}") for i, v in enumerate(value))
+        return type(value)(_in_scene(env, part, f"{path}.{i}") for i, part in enumerate(value))
     if isinstance(value, dict):
-        return {k: _in_scene(env, v, f"{path}.{k}") for k, v in value.items()}
+        return {key: _in_scene(env, part, f"{path}.{key}") for key, part in value.items()}
     return value
 
 
@@ -319,12 +365,16 @@ def _under(path: str, names: Mapping[str, str] | None = None) -> Iterator[None]:
 
 
 def _moved(error: ConfigError, path: str, names: Mapping[str, str] | None = None) -> ConfigError:
+    """Return the error with key paths below a path; see `_under`."""
+
     def moved(problem: Problem) -> Problem:
         if problem.path.startswith(path):
             return problem
         inner, dot, rest = problem.path.partition(".")
         head = (names or {}).get(inner, inner)
-        hint = problem.hint.replace(f"{inner}: {{", f"{head}: {{") if inner else problem.hint
+        hint = problem.hint
+        if inner:  # a hint may show the parameter as it is written
+            hint = hint.replace(f"{inner}: {{", f"{head}: {{")
         return Problem(f"{path}.{head}{dot}{rest}".rstrip("."), problem.message, hint)
 
     return ConfigError(map(moved, error.problems))
@@ -356,12 +406,12 @@ class Manager(Generic[C]):
         self.revision = 0
         self._declared = dict(cfgs)
         self._changed: dict[str, dict[str, Any]] = {}
-        self._told: dict[str, int] = {}
+        self._warning_counts: dict[str, int] = {}
         problems: list[Problem] = []
         self.terms: dict[str, BuiltTerm[C]] = {}
         for name, cfg in cfgs.items():
             try:
-                self.terms[name] = build_term(env, kind, name, cfg, f"{section}.{name}")
+                self.terms[name] = build_term(env, kind, name, cfg, path=f"{section}.{name}")
             except ConfigError as error:
                 problems += error.problems
             except FAILURES as error:
@@ -373,7 +423,8 @@ class Manager(Generic[C]):
     def _renew(self, name: str) -> None:
         """Build a term anew: without a state, as at the start of an episode."""
         old = self.terms[name]
-        term = build_term(self.env, self._kind, name, old.cfg, f"{self.section}.{name}")
+        path = f"{self.section}.{name}"
+        term = build_term(self.env, self._kind, name, old.cfg, path=path)
         if hasattr(term.instance, "reset"):
             term.instance.reset(None)
         self.terms[name] = term
@@ -381,10 +432,14 @@ class Manager(Generic[C]):
 
     def _collect(self) -> None:
         """Collect the calls and states of the terms; repeated when a term is rebuilt."""
-        instances = {n: t.instance for n, t in self.terms.items() if t.instance is not None}
         self.takes_obs = any(term.takes_obs for term in self.terms.values())
-        self._resets = [(n, i.reset) for n, i in instances.items() if hasattr(i, "reset")]
-        self._stateful = {n: i for n, i in instances.items() if hasattr(i, "state_dict")}
+        self._resets: list[tuple[str, Callable[[EnvIndex | None], None]]] = []
+        self._stateful: dict[str, Any] = {}
+        for name, term in self.terms.items():
+            if hasattr(term.instance, "reset"):
+                self._resets.append((name, term.instance.reset))
+            if hasattr(term.instance, "state_dict"):
+                self._stateful[name] = term.instance
         self._bind()
 
     def _bind(self) -> None:
@@ -406,15 +461,18 @@ class Manager(Generic[C]):
             ConfigError: If they are wrong; the term is then not changed.
         """
         old = self.terms[name]
-        changed = {"params": params} if shape is None else {"params": params, "shape": shape}
+        changes: dict[str, Any] = {"params": params}
+        if shape is not None:
+            changes["shape"] = shape
         cfg = copy.copy(old.cfg)
-        vars(cfg).update(changed)
-        term = build_term(self.env, self._kind, name, cfg, f"{self.section}.{name}")
+        vars(cfg).update(changes)
+        path = f"{self.section}.{name}"
+        term = build_term(self.env, self._kind, name, cfg, path=path)
         if old.instance is not None and hasattr(old.instance, "state_dict"):
             term.instance.load_state_dict(old.instance.state_dict())
         self.terms[name] = term
         self.revision += 1
-        self._changed[name] = copy.deepcopy(self._changed.get(name, {}) | changed)
+        self._changed[name] = copy.deepcopy(self._changed.get(name, {}) | changes)
         self._collect()
 
     @property
@@ -444,15 +502,17 @@ class Manager(Generic[C]):
         raise self.failed(name, error, env_ids) from error
 
     def failed(self, name: str, error: BaseException, env_ids: Any = None) -> Exception:
-        """The error to raise, from this one, where a term raised an exception.
+        """Return the error to raise, from this one, where a term raised an exception.
 
         Args:
             name: The term.
             error: What it raised.
             env_ids: (n,) environments for which it was called, or None for all.
         """
-        built = self.terms.get(name)
-        place = str(self._declared[name].func) if built is None else built.spec.place
+        if name in self.terms:
+            place = self.terms[name].spec.place
+        else:  # it raised while it was built
+            place = str(self._declared[name].func)
         return failed_term(self.env, f"{self.section}.{name}", place, error, env_ids)
 
     def _warn_not_finite(self, name: str, values: Any, what: str) -> None:
@@ -465,8 +525,8 @@ class Manager(Generic[C]):
         path = f"{self.section}.{name}"
         bad = ~np.isfinite(values) & finite_physics(self.env)
         if bad.any():
-            found = {path: (kind_of_values(values[bad]), bad)}
-            warn_not_finite(self.env, found, what, self._told)
+            causes = {path: (kind_of_values(values[bad]), bad)}
+            warn_not_finite(self.env, causes, what, self._warning_counts)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Reset the terms that are classes; (n,) environments, or None for all."""
@@ -492,9 +552,13 @@ class Manager(Generic[C]):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         for name in {*self._changed, *state["params"]}:
-            first = self._declared[name]
-            usual = {"params": first.params, "shape": getattr(first, "shape", None)}
-            self.set_params(name, **copy.deepcopy(usual | state["params"].get(name, {})))
+            declared = self._declared[name]
+            values: dict[str, Any] = {
+                "params": declared.params,
+                "shape": getattr(declared, "shape", None),
+            }
+            values |= state["params"].get(name, {})
+            self.set_params(name, **copy.deepcopy(values))
         self.load_term_states(state["terms"])
 
 
@@ -533,7 +597,7 @@ class CurriculumManager(Manager[CurriculumCfg]):
 
     Attributes:
         values: The last results of the terms, under ``TERM`` or ``TERM/NAME``.
-        held: Whether terms are called no more.
+        held: Whether the curriculum is held, so that terms are not called.
     """
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, CurriculumCfg]) -> None:
@@ -563,38 +627,46 @@ class CurriculumManager(Manager[CurriculumCfg]):
         for name, term in self.terms.items():
             with self._failing(name, env_ids):
                 value = term.call(self.env, env_ids)
+                numbers: dict[str, float] = {}
                 if isinstance(value, Mapping):
-                    found = {f"{name}/{key}": float(v) for key, v in value.items()}
-                else:
-                    found = {} if value is None else {name: float(value)}
-            self.values |= found
-            for key, number in found.items():
-                if not math.isfinite(number) and counted(key, self._told):
-                    place, step = declared_at(self.env, f"curriculum.{key}"), present_step(self.env)
-                    _log.warning("%s: %s is %s", step, place, number)
+                    numbers = {f"{name}/{key}": float(number) for key, number in value.items()}
+                elif value is not None:
+                    numbers[name] = float(value)
+            self.values |= numbers
+            for key, number in numbers.items():
+                if not math.isfinite(number) and counted(key, self._warning_counts):
+                    place = declared_at(self.env, f"curriculum.{key}")
+                    _log.warning("%s: %s is %s", present_step(self.env), place, number)
 
     def stage_dict(self) -> dict[str, Any]:
         """The stage that was reached, for `hold` in any number of environments (copies)."""
-        own = {n: t for n, t in self.terms.items() if hasattr(t.instance, "stage_dict")}
+        staged = {
+            name: term for name, term in self.terms.items() if hasattr(term.instance, "stage_dict")
+        }
         stage: dict[str, Any] = {
             "control_step": self.env.control_step,
             "values": dict(self.values),
             "names": list(self.terms),
-            "terms": {name: term.instance.stage_dict() for name, term in own.items()},
+            "terms": {name: term.instance.stage_dict() for name, term in staged.items()},
         }
-        if len(own) == len(self.terms):
+        if len(staged) == len(self.terms):
             return stage
-        others = [name for name in self._stateful if name not in own]
-        managers = {name: m for name, m in self.env.managers.items() if m is not self}
-        return {
-            **stage,
-            "states": {name: self._stateful[name].state_dict() for name in others},
-            "params": {name: m.state_dict()["params"] for name, m in managers.items()},
-            "weights": dict(self.env.reward_manager.weights),
+        # What the other terms have set is not known: all that a curriculum may set is saved.
+        states = {
+            name: instance.state_dict()
+            for name, instance in self._stateful.items()
+            if name not in staged
         }
+        params = {
+            name: manager.state_dict()["params"]
+            for name, manager in self.env.managers.items()
+            if manager is not self
+        }
+        weights = dict(self.env.reward_manager.weights)
+        return {**stage, "states": states, "params": params, "weights": weights}
 
     def hold(self, stage: Mapping[str, Any] | None = None) -> None:
-        """Stay at a stage: set what it has set, and call no term any more.
+        """Stay at a stage: set what it has set, and do not call terms any more.
 
         Args:
             stage: Of `stage_dict`; None is the present one, in a new environment the first.
@@ -610,6 +682,7 @@ class CurriculumManager(Manager[CurriculumCfg]):
         self.held = False
 
     def _load_stage(self, stage: Mapping[str, Any]) -> None:
+        """Set what a stage has set; entries of terms that are not here are left out."""
         for section, changed in stage.get("params", {}).items():
             manager = self.env.managers[section]
             for name, values in changed.items():
@@ -620,16 +693,21 @@ class CurriculumManager(Manager[CurriculumCfg]):
                 self.env.reward_manager.set_weight(name, weight)
         for name, state in stage.get("states", {}).items():
             term = self._stateful.get(name)
-            if term is not None and _alike(term.state_dict(), state):
+            if term is None:
+                continue
+            if _have_same_shapes(term.state_dict(), state):
                 term.load_state_dict(copy.deepcopy(state))
-            elif term is not None:
+            else:
                 text = "curriculum.%s: its state in training is of other shapes; it begins anew"
                 _log.warning(text, name)
         for name, state in stage["terms"].items():
             if name in self.terms:
                 self.terms[name].instance.load_stage_dict(state)
-        values = stage["values"].items()
-        self.values = {key: v for key, v in values if key.partition("/")[0] in self.terms}
+        self.values = {
+            key: value
+            for key, value in stage["values"].items()
+            if key.partition("/")[0] in self.terms
+        }
         for name in self.terms:
             if name not in stage["names"]:
                 _log.warning("curriculum.%s was not in training: it stays where it begins", name)
@@ -645,8 +723,10 @@ class CurriculumManager(Manager[CurriculumCfg]):
         self.held = state.get("held", False)  # of 0.1, which could not be held
 
 
-def _alike(here: Any, there: Any) -> bool:
+def _have_same_shapes(state: Any, other: Any) -> bool:
     """Whether two states have the same entries, and arrays of the same shapes."""
-    if isinstance(here, Mapping) and isinstance(there, Mapping):
-        return here.keys() == there.keys() and all(_alike(v, there[k]) for k, v in here.items())
-    return bool(np.shape(here) == np.shape(there))
+    if isinstance(state, Mapping) and isinstance(other, Mapping):
+        return state.keys() == other.keys() and all(
+            _have_same_shapes(value, other[key]) for key, value in state.items()
+        )
+    return bool(np.shape(state) == np.shape(other))

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, MutableMapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -91,10 +92,11 @@ class ObservationEntry:
         Raises:
             ValueError: If the term's value is not (N, ...); names the term.
         """
-        found = self.term.call(self._env, obs)
+        value = self.term.call(self._env, obs)
         if not self._checked:
-            self._check(found)
-        value = found if type(found) is np.ndarray else self._env.arrays.of(found)
+            self._prepare(value)
+        if type(value) is not np.ndarray:
+            value = self._env.arrays.of(value)
         if not self._changes:
             return value
         if value.dtype == np.float64:
@@ -107,32 +109,25 @@ class ObservationEntry:
             value = value * self._scale
         if self._delay is not None:
             value = self._delay(value, rows)
-        if self._past is not None:
-            each = value.shape[1:]
-            value = self._past.append(value, rows)
-            if self._flat and self.image:  # along the channels
-                return value.reshape(len(value), -1, *each[1:])
-            return value.reshape(len(value), -1) if self._flat else value
-        return value
+        if self._past is None:
+            return value
+        history = self._past.append(value, rows)
+        if not self._flat:
+            return history
+        if self.image:  # along the channels
+            return history.reshape(len(history), -1, *value.shape[2:])
+        return history.reshape(len(history), -1)
 
     def restart(self, env_ids: EnvIndex | None) -> None:
         """Begin the episode of these environments; (n,), or None for all."""
         if self._delay is not None:
             self._delay.restart(env_ids)
 
-    def _check(self, value: Any) -> None:
-        """Check the shape of the first value, and build the noise that fits it."""
-        count = self._env.num_envs
-        pixels = str(getattr(value, "dtype", "")).endswith("uint8") and len(value.shape) > 3
-        self.image = pixels or getattr(self.term.spec.func, "returns_image", False)
-        wrong = type(value).__name__
-        if hasattr(value, "shape") and hasattr(value, "dtype"):
-            wrong = "" if tuple(value.shape[:1]) == (count,) else str(tuple(value.shape))
-        if wrong:
-            raise ConfigError(
-                f"observation term {self.term.name!r} must return a tensor of shape "
-                f"({count}, ...), got {wrong}"
-            )
+    def _prepare(self, value: Any) -> None:
+        """Check the shape of the first value, and build the scale and the noise that fit it."""
+        self._require_rows(value)
+        has_pixels = str(value.dtype).endswith("uint8") and len(value.shape) > 3
+        self.image = has_pixels or getattr(self.term.spec.func, "returns_image", False)
         shape = tuple(value.shape[1:])
         columns = self.term.columns
         if self._scale is not None:
@@ -144,9 +139,28 @@ class ObservationEntry:
                 self._scale = self._env.arrays.put(rows)
         if self._noise_cfg is not None:
             self._noise = Noise(
-                self._noise_cfg, shape, self.key, self._env.streams, self._env.arrays, columns
+                self._noise_cfg,
+                shape=shape,
+                path=self.key,
+                streams=self._env.streams,
+                arrays=self._env.arrays,
+                columns=columns,
             )
         self._checked = True
+
+    def _require_rows(self, value: Any) -> None:
+        """Refuse a value that does not have a row for each environment."""
+        num_envs = self._env.num_envs
+        if not hasattr(value, "shape") or not hasattr(value, "dtype"):
+            kind = type(value).__name__
+        elif tuple(value.shape[:1]) != (num_envs,):
+            kind = str(tuple(value.shape))
+        else:
+            return
+        raise ConfigError(
+            f"observation term {self.term.name!r} must return a tensor of shape "
+            f"({num_envs}, ...), got {kind}"
+        )
 
     def labels(self, count: int) -> list[str]:
         """The joint, link or other name of each of its columns, flattened; "" if there is none.
@@ -163,8 +177,10 @@ class ObservationEntry:
         labels = columns.labels(count // depth)
         if not any(labels):  # one number of several links
             labels = [", ".join(columns.names)] * len(labels)
-        ages = [f" ({age} before)" if age else "" for age in range(depth - 1, -1, -1)]
-        return [f"{label}{age}".strip() for age in ages for label in labels]
+        all_labels: list[str] = []
+        for age in range(depth - 1, 0, -1):
+            all_labels += [f"{label} ({age} before)".strip() for label in labels]
+        return all_labels + [label.strip() for label in labels]
 
     # -- saving --------------------------------------------------------------------------------
 
@@ -203,6 +219,23 @@ def _copy(values: NDArray[Any] | None) -> NDArray[Any] | None:
     return None if values is None else values.copy()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _EntryPlace:
+    """Where the value of an entry is written.
+
+    Attributes:
+        entry: The entry.
+        columns: Its columns in the rows of the observation, if its value is (N, K); else None.
+        shape: The shape of its value.
+        is_last: Whether no later term modifies it: only then it is written.
+    """
+
+    entry: ObservationEntry
+    columns: Any
+    shape: tuple[int, ...]
+    is_last: bool
+
+
 _NONE: NDArray[np.int64] = np.zeros(0, np.int64)
 _BETWEEN_STEPS = Rows(_NONE, None)
 
@@ -226,21 +259,25 @@ class ObservationManager(Manager[ObservationCfg]):
         self._entries: list[ObservationEntry] = []
         self.layout: ObservationLayout | None = None
         super().__init__(env, "observations", "observation", cfgs)
-        noisy = env.cfg.enable_corruption
+        corruption = env.cfg.enable_corruption  # of all terms, or by group
         for term in self.terms.values():
-            on = noisy if isinstance(noisy, bool) else noisy.get(term.cfg.group, True)
-            self._entries.append(ObservationEntry(env, term, on))
+            if isinstance(corruption, bool):
+                is_corrupted = corruption
+            else:
+                is_corrupted = corruption.get(term.cfg.group, True)
+            self._entries.append(ObservationEntry(env, term, is_corrupted))
         self._groups: dict[str, dict[tuple[str, ...], None]] = {}
         for entry in self._entries:
             # A modifying term has the path of an existing entry; each path is in the vector once.
             self._groups.setdefault(entry.term.cfg.group, {})[entry.path] = None
-        self._modified = {e.path: i for i, e in enumerate(self._entries) if e.modifies}
+        # Path of an entry that is modified -> the index of the last term that does it.
+        self._modified = {
+            entry.path: index for index, entry in enumerate(self._entries) if entry.modifies
+        }
         self._remembers = any(entry.remembers for entry in self._entries)
         self._fresh: NDArray[np.bool_] = env.arrays.full(env.num_envs, True, np.bool_)
         self.stepped: EnvIndex | None = _NONE
-        # Entry, its columns if its value is (N, K), that shape, and whether it is the last of its
-        # path.
-        self._plan: list[tuple[ObservationEntry, Any, tuple[int, ...], bool]] = []
+        self._places: list[_EntryPlace] = []
 
     def _bind(self) -> None:
         for entry in self._entries:
@@ -249,12 +286,16 @@ class ObservationManager(Manager[ObservationCfg]):
     def use(self, layout: ObservationLayout) -> None:
         """Write later observations into this layout, made from the first one."""
         self.layout = layout
-        self._plan = []
+        self._places = []
         for index, entry in enumerate(self._entries):
             shape = layout.shapes.get(entry.path, ())
-            columns = layout.columns[entry.path] if len(shape) == 1 else None
-            finished = self._modified.get(entry.path, index) <= index
-            self._plan.append((entry, columns, (self.num_envs, *shape), finished))
+            place = _EntryPlace(
+                entry=entry,
+                columns=layout.columns[entry.path] if len(shape) == 1 else None,
+                shape=(self.num_envs, *shape),
+                is_last=self._modified.get(entry.path, index) <= index,
+            )
+            self._places.append(place)
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -278,9 +319,9 @@ class ObservationManager(Manager[ObservationCfg]):
         try:
             return self._groups[group]
         except KeyError:
-            known = ", ".join(self._groups) or "none"
+            groups = ", ".join(self._groups) or "none"
             raise ValueError(
-                f"no observation is in group {group!r}; there are: {known}."
+                f"no observation is in group {group!r}; there are: {groups}."
                 f"{did_you_mean(group, self._groups)}"
             ) from None
 
@@ -296,10 +337,12 @@ class ObservationManager(Manager[ObservationCfg]):
         """
         rows = self._rows()
         for entry in self._entries:
-            if entry.modifies and entry.path not in obs:
-                raise _nothing_to_modify(entry, obs)
-            value = self._value(entry, obs[entry.path] if entry.modifies else obs, rows)
-            obs[entry.path] = new_tensor(value)
+            argument: Any = obs
+            if entry.modifies:
+                if entry.path not in obs:
+                    raise _nothing_to_modify(entry, obs)
+                argument = obs[entry.path]
+            obs[entry.path] = new_tensor(self._value(entry, argument, rows))
 
     def write(self, obs: Observation, own: Mapping[tuple[str, ...], Any]) -> None:
         """Write entries into an observation whose layout is known.
@@ -317,14 +360,18 @@ class ObservationManager(Manager[ObservationCfg]):
                 unfinished[path] = value
             else:
                 obs.layout.write(obs, path, value)
-        rows, numbers = self._rows(), obs.rows
-        for entry, columns, shape, finished in self._plan:
-            given = new_tensor(unfinished[entry.path]) if entry.modifies else obs
-            value = self._value(entry, given, rows)
-            if not finished:
+        rows = self._rows()
+        numbers = obs.rows
+        for place in self._places:
+            entry = place.entry
+            argument: Any = obs
+            if entry.modifies:
+                argument = new_tensor(unfinished[entry.path])
+            value = self._value(entry, argument, rows)
+            if not place.is_last:
                 unfinished[entry.path] = value
-            elif columns is not None and value.shape == shape:
-                numbers[:, columns] = value
+            elif place.columns is not None and value.shape == place.shape:
+                numbers[:, place.columns] = value
             else:
                 obs.layout.write(obs, entry.path, value)
 
@@ -337,7 +384,7 @@ class ObservationManager(Manager[ObservationCfg]):
     def not_finite(
         self, obs: Observation, rows: NDArray[np.bool_]
     ) -> dict[str, tuple[str, NDArray[np.bool_]]]:
-        """Entries that are not finite in some environments.
+        """Return the entries that are not finite in some environments.
 
         Args:
             obs: The observation.
@@ -348,20 +395,21 @@ class ObservationManager(Manager[ObservationCfg]):
             its values are, and in which environments, (N,).
         """
         terms = {entry.path: entry.key for entry in self._entries}
-        found = {}
+        causes: dict[str, tuple[str, NDArray[np.bool_]]] = {}
         for path, columns in obs.layout.columns.items():
             values = obs.rows[:, columns]
             bad = rows & ~np.isfinite(values).all(axis=1)
             if bad.any():
                 name = terms.get(path, "the observation " + "/".join(path))
-                found[name] = kind_of_values(values[bad]), bad
-        return found
+                causes[name] = (kind_of_values(values[bad]), bad)
+        return causes
 
     def _rows(self) -> Rows:
         """The environments that stepped or were reset; the next call returns none."""
         if not self._remembers:
             return _BETWEEN_STEPS
-        stepped, self.stepped = self.stepped, _NONE
+        stepped = self.stepped
+        self.stepped = _NONE
         fresh = self._fresh if may_be_set(self._fresh) else None
         if fresh is not None and (stepped is None or len(stepped)):
             self._fresh = fresh.copy()
@@ -384,9 +432,8 @@ class ObservationManager(Manager[ObservationCfg]):
         Raises:
             ValueError: If no term is in the group; lists the groups.
         """
-        paths, layout = self._paths(group), self.layout
-        widths = {} if layout is None else layout.widths
-        return {"/".join(path): widths.get(path, 0) for path in paths}
+        widths = {} if self.layout is None else self.layout.widths
+        return {"/".join(path): widths.get(path, 0) for path in self._paths(group)}
 
     def column_table(self, name: str, count: int) -> list[tuple[str, float]]:
         """What each column of a flattened entry belongs to (a joint, a link), and its factor.
@@ -398,14 +445,18 @@ class ObservationManager(Manager[ObservationCfg]):
             count: Number of its columns.
         """
         path = tuple(name.split("/"))
-        entries = [entry for entry in self._entries if entry.path == path]
-        labels = next((e.labels(count) for e in entries if not e.modifies), [""] * count)
+        labels: list[str] | None = None
         scales = np.ones(count)
-        for entry in entries:
+        for entry in self._entries:
+            if entry.path != path:
+                continue
+            if labels is None and not entry.modifies:
+                labels = entry.labels(count)
             if entry.scales is not None and count % len(entry.scales) == 0:
+                # Each value of a history has the factors of one value.
                 scales *= np.tile(entry.scales.astype(np.float64), count // len(entry.scales))
-        found = zip(labels, (float(f"{scale:.6g}") for scale in scales), strict=True)
-        return list(found)
+        factors = [float(f"{scale:.6g}") for scale in scales]
+        return list(zip(labels or [""] * count, factors, strict=True))
 
     @property
     def images(self) -> set[tuple[str, ...]]:
@@ -447,19 +498,20 @@ class ObservationManager(Manager[ObservationCfg]):
             columns = layout.groups.get(group)
             if columns is not None and obs.packed:
                 return contiguous(obs.rows[:, columns])
-        count, paths = self.num_envs, self._paths(group)
         import torch  # lists of terms are made without it
 
-        entries = [obs[p].reshape(count, -1).to(torch.float32) for p in paths]
+        entries = [
+            obs[path].reshape(self.num_envs, -1).to(torch.float32) for path in self._paths(group)
+        ]
         return self._arrays.of(torch.cat(entries, dim=1))
 
     def memory(self) -> dict[str, Any]:
         """Noise, delays, histories and states of terms (copies): what an observation advances."""
-        found: dict[str, Any] = {"terms": self.term_states()}
+        memory: dict[str, Any] = {"terms": self.term_states()}
         if self._remembers:
-            found["memories"] = {entry.term.name: entry.state_dict() for entry in self._entries}
-            found["fresh"] = self._fresh.copy()
-        return found
+            memory["memories"] = {entry.term.name: entry.state_dict() for entry in self._entries}
+            memory["fresh"] = self._fresh.copy()
+        return memory
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Continue where `memory` was taken, with the same parameters."""
@@ -484,14 +536,18 @@ class ObservationManager(Manager[ObservationCfg]):
 
 def no_vector(group: str, images: Sequence[str]) -> str:
     """Return the message that a group with images has no flat vector."""
+    names = ", ".join(images)
+    are_images = f"{names} is an image" if len(images) == 1 else f"{names} are images"
     return (
-        f"observation group {group!r} is no flat vector: {', '.join(images)} "
-        f"{'is an image' if len(images) == 1 else 'are images'}; read it as a dict of its entries"
+        f"observation group {group!r} is not a flat vector: {are_images}; "
+        "read it as a dict of its entries"
     )
 
 
 def _nothing_to_modify(entry: ObservationEntry, obs: Any) -> ConfigError:
-    known = [k if isinstance(k, str) else "/".join(k) for k in obs.keys(True, True)]
-    wanted = "/".join(entry.path)
-    message = f"nothing to modify is called {wanted!r}; before it: {', '.join(known)}"
-    return ConfigError([Problem(f"{entry.key}.name", message, did_you_mean(wanted, known).strip())])
+    """Return the error that a term modifies an entry that does not exist."""
+    name = "/".join(entry.path)
+    entries = [key if isinstance(key, str) else "/".join(key) for key in obs.keys(True, True)]
+    message = f"nothing to modify is called {name!r}; before it: {', '.join(entries)}"
+    hint = did_you_mean(name, entries).strip()
+    return ConfigError([Problem(f"{entry.key}.name", message, hint)])

@@ -139,8 +139,8 @@ def _named_form(value: Any) -> str:
 
 
 def _axis_form(value: Any) -> str:
-    nested = isinstance(value, Sequence) and any(isinstance(v, Sequence) for v in value)
-    return "by axis" if nested else "for all"
+    is_nested = isinstance(value, Sequence) and any(isinstance(v, Sequence) for v in value)
+    return "by axis" if is_nested else "for all"
 
 
 def _any_form(value: Any) -> str:
@@ -150,8 +150,8 @@ def _any_form(value: Any) -> str:
 def _scale_form(value: Any) -> str:
     if _axis_form(value) == "for all":
         return "for all"
-    alone = all(isinstance(v, Sequence) and len(v) == 1 for v in value)
-    return "for all axes" if alone else "by axis"
+    has_one_axis = all(isinstance(bound, Sequence) and len(bound) == 1 for bound in value)
+    return "for all axes" if has_one_axis else "by axis"
 
 
 Ranges = Annotated[
@@ -210,7 +210,7 @@ class Reference:
 
 
 def references(hint: Any) -> Iterator[Reference]:
-    """The marks within an annotation, also of members of unions and of lists."""
+    """Yield the marks within an annotation, also of members of unions and of lists."""
     for part in getattr(hint, "__metadata__", ()):
         if isinstance(part, Reference):
             yield part
@@ -235,13 +235,14 @@ def _reference(mark: Reference, description: str) -> Any:
 
 
 class _Entity(Reference):
-    """An entity as `resolve` checks it; subclasses say what of it a term uses."""
+    """An entity as `resolve` checks it; subclasses say which part of it a term uses."""
 
 
 class _Whole(_Entity):
     def resolve(self, env: TermContext, value: Any) -> Any:
-        for one in value if isinstance(value, (list, tuple)) else (value,):
-            one.require_whole()
+        entities = value if isinstance(value, (list, tuple)) else [value]
+        for entity in entities:
+            entity.require_whole()
         return value
 
 
@@ -278,25 +279,27 @@ class _Sensor(Reference):
 
     def check(self, task: EnvCfg, value: Any) -> list[Problem]:
         types = {uid: cfg.sensor_type for uid, cfg in task.sensors.items()}
-        kinds = (self.kind, *self.others)
-        if types.get(str(value), self.kind) in kinds:
+        allowed_types = (self.kind, *self.others)
+        if types.get(str(value), self.kind) in allowed_types:
             return []
-        return [self._another(value, [uid for uid, kind in types.items() if kind in kinds])]
+        allowed_uids = [uid for uid, kind in types.items() if kind in allowed_types]
+        return [self._wrong_kind(value, allowed_uids)]
 
     def resolve(self, env: TermContext, value: Any) -> Any:
-        there = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, self.method)]
-        if value in there:
+        allowed_uids = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, self.method)]
+        if value in allowed_uids:
             return env.sensors[value]
         if value in env.sensors:
-            raise ConfigError([self._another(value, there)])
-        message = f"no sensor is called {value!r}; {self._known(there)}"
-        raise ConfigError([Problem("", message, did_you_mean(value, there).strip())])
+            raise ConfigError([self._wrong_kind(value, allowed_uids)])
+        message = f"no sensor is called {value!r}; {self._listed(allowed_uids)}"
+        raise ConfigError([Problem("", message, did_you_mean(value, allowed_uids).strip())])
 
-    def _another(self, value: Any, there: Iterable[str]) -> Problem:
-        return Problem("", f"{value!r} is no {self.kind} sensor; {self._known(there)}")
+    def _wrong_kind(self, value: Any, allowed_uids: Iterable[str]) -> Problem:
+        message = f"{value!r} is not a sensor of type {self.kind}; {self._listed(allowed_uids)}"
+        return Problem("", message)
 
-    def _known(self, there: Iterable[str]) -> str:
-        return f"{self.kind} sensors: {', '.join(there) or 'none'}"
+    def _listed(self, uids: Iterable[str]) -> str:
+        return f"{self.kind} sensors: {', '.join(uids) or 'none'}"
 
 
 class _ContactHistory(_Sensor):
@@ -312,11 +315,11 @@ class _AnySensor(Reference):
     """A sensor of any kind with named readings."""
 
     def resolve(self, env: TermContext, value: Any) -> Any:
-        there = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, "reads")]
-        if value in there:
+        uids = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, "reads")]
+        if value in uids:
             return env.sensors[value]
-        message = f"no sensor is called {value!r}; sensors: {', '.join(there) or 'none'}"
-        raise ConfigError([Problem("", message, did_you_mean(value, there).strip())])
+        message = f"no sensor is called {value!r}; sensors: {', '.join(uids) or 'none'}"
+        raise ConfigError([Problem("", message, did_you_mean(value, uids).strip())])
 
 
 @dataclass(frozen=True)
@@ -328,9 +331,9 @@ class _Command(Reference):
     def resolve(self, env: TermContext, value: Any) -> Any:
         manager = env.command_manager
         manager.require(value, "")
-        found = manager.values(value).shape[1]
-        if found < self.columns:
-            message = f"command {value!r} has {found} columns, at least {self.columns} are needed"
+        count = manager.values(value).shape[1]
+        if count < self.columns:
+            message = f"command {value!r} has {count} columns, at least {self.columns} are needed"
             raise ConfigError([Problem("", message)])
         return lambda: manager.values(value)
 

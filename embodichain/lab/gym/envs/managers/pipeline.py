@@ -79,26 +79,36 @@ class Noise:
         def sized(*names: str) -> Floats:
             return _sized(cfg, names, shape, path, columns)
 
+        # The mean and the deviation of normal noise, the bounds of uniform, the value of constant.
         self._draws = cfg.type != "constant"
         if self._gaussian:
-            self._low, self._high = sized("mean"), sized("std")
+            self._low = sized("mean")
+            self._high = sized("std")
         elif self._draws:
-            self._low, self._high = sized("low", "n_min"), sized("high", "n_max")
-            if (self._low > self._high).any():
-                message = "low exceeds high for " + ", ".join(
-                    name or str(i)
-                    for i, name in enumerate(columns.labels(self._width))
-                    if self._low[i] > self._high[i]
-                )
-                raise ConfigError([Problem(f"{path}.noise", message)])
+            self._low = sized("low", "n_min")
+            self._high = sized("high", "n_max")
+            self._require_order(path, columns)
         else:
-            self._low = self._high = sized("bias")
+            self._low = sized("bias")
+            self._high = self._low
         # Before the first draw the value is unchanged, or the lower bound if noise replaces it.
-        start: Any = {"add": 0.0, "scale": 1.0, "abs": self._low}[cfg.operation]
-        rows = np.broadcast_to(start if self._draws else self._low, (streams.num_envs, self._width))
-        self.last = arrays.put(self._shaped(rows))
+        before_draws: Any = {"add": 0.0, "scale": 1.0, "abs": self._low}[cfg.operation]
+        first = before_draws if self._draws else self._low
+        rows = np.broadcast_to(first, (streams.num_envs, self._width))
+        self.last = arrays.put(self._in_shape(rows))
 
-    def _shaped(self, rows: NDArray[np.float64]) -> F32:
+    def _require_order(self, path: str, columns: TermColumns) -> None:
+        """Refuse lower bounds above upper bounds; names the columns."""
+        is_wrong = self._low > self._high
+        if not is_wrong.any():
+            return
+        labels = columns.labels(self._width)
+        wrong_columns = [labels[i] or str(i) for i in np.flatnonzero(is_wrong)]
+        message = f"low exceeds high for {', '.join(wrong_columns)}"
+        raise ConfigError([Problem(f"{path}.noise", message)])
+
+    def _in_shape(self, rows: NDArray[np.float64]) -> F32:
+        """(n, width) numbers as (n, ...) float32."""
         return rows.astype(np.float32).reshape(-1, *self._shape[1:])
 
     def apply(self, value: NDArray[Any], rows: EnvIndex | None) -> NDArray[Any]:
@@ -109,16 +119,16 @@ class Noise:
             rows: (n,) environments that draw new noise, or None for all.
         """
         if self._draws and (rows is None or len(rows)):
-            drawn = self._shaped(self._draw(rows))
+            drawn = self._in_shape(self._draw(rows))
             if rows is None:
                 self.last = drawn
             else:
                 self.last[rows] = drawn
         if self._operation == "add":
-            found: NDArray[Any] = value + self.last
-        else:
-            found = value * self.last if self._operation == "scale" else self.last.copy()
-        return found
+            return value + self.last
+        if self._operation == "scale":
+            return value * self.last
+        return self.last.copy()
 
     def _draw(self, rows: EnvIndex | None) -> Floats:
         """(n, width) float64."""
@@ -137,9 +147,9 @@ def _sized(
     columns: TermColumns,
 ) -> Floats:
     """(width,) read-only numbers of the first given field; a mean may be absent."""
-    name = next((n for n in names if getattr(cfg, n) is not None), names[0])
-    given = first_given(getattr(cfg, name), 0.0)
-    numbers = columns.numbers(given, shape, f"{path}.noise.{name}")
+    name = next((name for name in names if getattr(cfg, name) is not None), names[0])
+    value = first_given(getattr(cfg, name), 0.0)
+    numbers = columns.numbers(value, shape, f"{path}.noise.{name}")
     array: Floats = np.broadcast_to(numbers, shape or (1,)).reshape(-1).copy()
     array.setflags(write=False)
     return array
@@ -172,7 +182,8 @@ class Past:
     """
 
     def __init__(self, num_envs: int, depth: int, arrays: Arrays) -> None:
-        self._num_envs, self._arrays = num_envs, arrays
+        self._num_envs = num_envs
+        self._arrays = arrays
         self._depth = depth
         self.values: NDArray[Any] | None = None
 
@@ -212,6 +223,7 @@ class Past:
 
 
 def _column(mask: NDArray[np.bool_], like: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return a mask (N,) in the shape that broadcasts to an array (N, ...)."""
     return mask.reshape(-1, *[1] * (like.ndim - 1))
 
 
@@ -232,7 +244,9 @@ class Delay:
     def __init__(
         self, steps: int | list[int], stream: str, streams: RandomStreams, arrays: Arrays
     ) -> None:
-        self._low, self._high = (steps, steps) if isinstance(steps, int) else steps
+        if isinstance(steps, int):
+            steps = [steps, steps]
+        self._low, self._high = steps
         self._stream = stream
         self._streams = streams
         self.past = Past(streams.num_envs, self._high + 1, arrays)
@@ -295,15 +309,23 @@ class ActionPipeline:
         self._fresh: NDArray[np.bool_] = arrays.full(streams.num_envs, True, np.bool_)
         self._noise: Noise | None = None
         if cfg.noise is not None:
-            self._noise = Noise(cfg.noise, (len(columns.names),), path, streams, arrays, columns)
+            self._noise = Noise(
+                cfg.noise,
+                shape=(len(columns.names),),
+                path=path,
+                streams=streams,
+                arrays=arrays,
+                columns=columns,
+            )
 
     def __call__(self, action: torch.Tensor) -> torch.Tensor:
         """(N, A) float32 action that the term receives in this step."""
         values: NDArray[Any] = self._arrays.of(action)
         if self._delay is not None:
-            rows, hold = Rows(None, None), None
+            rows = Rows(stepped=None, fresh=None)
+            hold: NDArray[Any] | None = None
             if may_be_set(self._fresh):
-                rows = Rows(None, self._fresh)
+                rows = Rows(stepped=None, fresh=self._fresh)
                 hold = np.broadcast_to(self.hold(), values.shape)
                 self._fresh = np.zeros_like(self._fresh)
             values = self._delay(values, rows, hold).astype(np.float32)
@@ -322,10 +344,10 @@ class ActionPipeline:
         """Delayed actions, and delays (copies)."""
         if self._delay is None:
             return {}
-        past, lag = self._delay.past.values, self._delay.lag.copy()
+        past = self._delay.past.values
         return {
             "past": None if past is None else past.copy(),
-            "lag": lag,
+            "lag": self._delay.lag.copy(),
             "fresh": self._fresh.copy(),
         }
 

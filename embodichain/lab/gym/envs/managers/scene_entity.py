@@ -1,15 +1,14 @@
 """`ResolvedEntity`: the entity, joints and frames of a `SceneEntityCfg`, and their state.
 
 `compiler.names.pick` picks joints and frames (links, sites or geoms), here and when a config is
-checked. Arrays are the
-engine's float64 arrays. Sums run over columns in a fixed order, because the rounding of a reduction
-may depend on the number of environments.
+checked. Arrays are the engine's float64 arrays. Sums run over columns in a fixed order, because the
+rounding of a reduction may depend on the number of environments.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -38,7 +37,7 @@ __all__ = ["ResolvedEntity", "references_in", "resolve_entity"]
 _HINGE = 3
 """MuJoCo's ``mjJNT_HINGE``; listing terms must not import MuJoCo."""
 UNLIMITED = 1e9
-"""Speeds and efforts at least this large are no limits (EmbodiChain's default is 1e10)."""
+"""Speeds and efforts at least this large are not limits (EmbodiChain's default is 1e10)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,27 +137,34 @@ class ResolvedEntity:
             ConfigError: If several were picked.
         """
         if len(self.frame_names) > 1:
-            message = f"one {self.kind} of {self.uid!r} is wanted, got {self._listed}"
-            raise ConfigError([Problem(f"{self.path}.{self.frame_key}".lstrip("."), message)])
+            message = f"one {self.kind} of {self.uid!r} is wanted, got {self._listed_frames}"
+            raise self._error_at_frames(message)
         return self.frame_names[0] if self.frame_names else None
 
     @property
-    def _listed(self) -> str:
+    def _listed_frames(self) -> str:
         return ", ".join(self.frame_names)
+
+    def _error_at_frames(self, message: str) -> ConfigError:
+        """Return an error with the path of the key that names frames."""
+        return ConfigError([Problem(f"{self.path}.{self.frame_key}".lstrip("."), message)])
 
     def require_links(self) -> None:
         """Raise a ConfigError if sites or geoms were picked, where only links have a meaning."""
-        if self.kind != "link":
-            one = f"the {self.kind} {self._listed}"
-            said = one if len(self.frame_names) == 1 else f"{self.kind}s: {self._listed}"
-            message = f"links are wanted here, got {said}: name the link that carries it"
-            raise ConfigError([Problem(f"{self.path}.{self.frame_key}".lstrip("."), message)])
+        if self.kind == "link":
+            return
+        if len(self.frame_names) == 1:
+            frames = f"the {self.kind} {self._listed_frames}"
+        else:
+            frames = f"{self.kind}s: {self._listed_frames}"
+        message = f"links are wanted here, got {frames}: name the link that carries it"
+        raise self._error_at_frames(message)
 
     def require_whole(self) -> None:
         """Raise a ConfigError if sites or geoms were picked, where only the entity counts."""
         if self.kind != "link":
             message = f"only {self.uid!r} itself counts here, no {self.kind} of it: leave this out"
-            raise ConfigError([Problem(f"{self.path}.{self.frame_key}".lstrip("."), message)])
+            raise self._error_at_frames(message)
 
     @cached_property
     def frame(self) -> BodyFrames:
@@ -274,8 +280,9 @@ class ResolvedEntity:
             self._require_limits(np.isfinite(low) | np.isfinite(high), "position")
         if soft_ratio == 1.0:
             return low, high
-        limited = np.isfinite(low) & np.isfinite(high)
-        width = np.subtract(high, low, where=limited, out=np.zeros_like(low))
+        is_limited = np.isfinite(low) & np.isfinite(high)
+        # Where a side is infinite the range has no middle: it is left as it is.
+        width = np.subtract(high, low, where=is_limited, out=np.zeros_like(low))
         inset = 0.5 * (1.0 - soft_ratio) * width
         return low + inset, high - inset
 
@@ -288,12 +295,12 @@ class ResolvedEntity:
         low, high = self.asset.drives.limits.of(self._columns, None)
         if self._was_checked(low, "ranges"):
             return low, high
-        limited = self.asset.host.arrays.host(np.isfinite(low) & np.isfinite(high))
-        if not limited.all():
-            every = np.asarray(limited.all(axis=0))
-            pairs = zip(self.joint_names, every, strict=True)
-            missing = ", ".join(name for name, fine in pairs if not fine)
-            message = f"joints of {self.uid!r} without position limits: {missing}"
+        is_limited = self.asset.host.arrays.host(np.isfinite(low) & np.isfinite(high))
+        if not is_limited.all():
+            is_limited_everywhere = np.asarray(is_limited.all(axis=0))
+            joints = zip(self.joint_names, is_limited_everywhere, strict=True)
+            unlimited_joints = ", ".join(name for name, limited in joints if not limited)
+            message = f"joints of {self.uid!r} without position limits: {unlimited_joints}"
             raise ConfigError([Problem(self.path, message)])
         return low, high
 
@@ -303,7 +310,7 @@ class ResolvedEntity:
         Raises:
             ConfigError: If no joint has a limit.
         """
-        return self._smaller(self.asset.drives.max_velocity, "qvel_limits", "velocity")
+        return self._smaller_limits(self.asset.drives.max_velocity, "qvel_limits", "velocity")
 
     def effort_limits(self) -> Floats:
         """(N, K) N m or N: the smaller of the drive's maximum and the file's limit.
@@ -312,11 +319,12 @@ class ResolvedEntity:
             ConfigError: If no joint has a limit.
         """
         drives = self.asset.drives
-        return self._smaller(drives.max_effort * drives.strength, "qf_limits", "effort")
+        return self._smaller_limits(drives.max_effort * drives.strength, "qf_limits", "effort")
 
-    def _smaller(self, drive: Floats, of_file: str, what: str) -> Floats:
-        file = np.asarray(getattr(self.asset.parsed, of_file), np.float64)
-        limits = np.minimum(drive[:, self._columns], file[self._columns])
+    def _smaller_limits(self, of_drives: Floats, file_attribute: str, what: str) -> Floats:
+        """(N, K) the smaller of the drives' limits, (N, D), and those of the file."""
+        of_file = np.asarray(getattr(self.asset.parsed, file_attribute), np.float64)
+        limits = np.minimum(of_drives[:, self._columns], of_file[self._columns])
         limits = np.where(limits >= UNLIMITED, np.inf, limits)
         if not self._was_checked(limits, what):
             self._require_limits(np.isfinite(limits), what)
@@ -335,8 +343,8 @@ class ResolvedEntity:
         self._checked.add(what)
         return False
 
-    def _require_limits(self, limited: NDArray[np.bool_], what: str) -> None:
-        if not self.asset.host.arrays.host(limited).any():
+    def _require_limits(self, is_limited: NDArray[np.bool_], what: str) -> None:
+        if not self.asset.host.arrays.host(is_limited).any():
             names = ", ".join(self.joint_names)
             message = f"none of the joints picked of {self.uid!r} has limits of {what}: {names}"
             raise ConfigError([Problem(self.path, message)])
@@ -376,11 +384,13 @@ class ResolvedEntity:
             in_root_frame: Whether they are relative to the root of the entity, in its axes.
         """
         root_position, root_quat = self.asset.read_pose()
-        if not self.frame_names:
-            position, quat = root_position[:, None], root_quat[:, None]
+        if self.frame_names:
+            engine = self.asset.engine
+            position = self.frames.positions(engine)
+            quat = self.frames.orientations(engine)
         else:
-            engine, frames = self.asset.engine, self.frames
-            position, quat = frames.positions(engine), frames.orientations(engine)
+            position = root_position[:, None]
+            quat = root_quat[:, None]
         if not in_root_frame:
             return position, quat
         inverse = _repeated(quat_conjugate(root_quat), position.shape[1])
@@ -396,7 +406,8 @@ class ResolvedEntity:
         if self.frame_names:
             linear, angular = self.frames.velocities(self.asset.engine)
         else:
-            linear, angular = self.linear_velocity()[:, None], self.angular_velocity()[:, None]
+            linear = self.linear_velocity()[:, None]
+            angular = self.angular_velocity()[:, None]
         if not in_root_frame:
             return linear, angular
         inverse = _repeated(quat_conjugate(root.orientation()), linear.shape[1])
@@ -435,15 +446,19 @@ def resolve_entity(
 
     if not isinstance(cfg, SceneEntityCfg):
         cfg = _from_mapping(cfg)
-    known = sim.known
-    picked, problems = pick(path, vars(cfg), known)
+    picked, problems = pick(path, vars(cfg), sim.known)
     if problems:
         raise ConfigError(problems)
-    entity: Any = known[cfg.uid]
+    entity: Any = sim.known[cfg.uid]
     assets: dict[str, Any] = {**sim.robots, **sim.articulations, **sim.rigid_objects}
-    there = (frame_names(entity, cfg.uid, picked.kind) or ()) if picked.frames else ()
-    names = tuple(there[i] for i in picked.frames)
+    names: tuple[str, ...] = ()
+    if picked.frames:
+        all_names = frame_names(entity, cfg.uid, picked.kind) or ()
+        names = tuple(all_names[i] for i in picked.frames)
     joints = getattr(entity, "joint_names", ())
+    picks_all_joints = hasattr(entity, "joint_names") and (
+        picked.joints == tuple(range(len(joints)))
+    )
     return ResolvedEntity(
         uid=cfg.uid,
         asset=assets[cfg.uid],
@@ -458,7 +473,7 @@ def resolve_entity(
         path=path,
         joints_by=picked.joints_by,
         frames_by=picked.frames_by,
-        all_joints=hasattr(entity, "joint_names") and picked.joints == tuple(range(len(joints))),
+        all_joints=picks_all_joints,
     )
 
 
@@ -480,8 +495,12 @@ def references_in(path: str, params: Any) -> Iterator[tuple[str, Mapping[str, An
         path: Key path of the parameters.
         params: Parameters of a term, or a value in them.
     """
-    items: Any = params.items() if isinstance(params, Mapping) else ()
-    for key, value in enumerate(params) if isinstance(params, (list, tuple)) else items:
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(params, Mapping):
+        items = params.items()
+    elif isinstance(params, (list, tuple)):
+        items = enumerate(params)
+    for key, value in items:
         where = f"{path}.{key}"
         if isinstance(value, SceneEntityCfg):
             yield where, vars(value)

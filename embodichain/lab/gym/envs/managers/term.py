@@ -87,8 +87,8 @@ def finite_limits(
         limits: (D, 2) joint limits, infinite where there is none.
         joint_ids: The A joints, in the order of the action.
     """
-    chosen = np.asarray(limits, np.float64)[np.asarray(joint_ids, np.int64)]
-    low, high = np.where(np.isfinite(chosen), chosen, [-_UNLIMITED, _UNLIMITED]).T
+    ranges = np.asarray(limits, np.float64)[np.asarray(joint_ids, np.int64)]
+    low, high = np.where(np.isfinite(ranges), ranges, [-_UNLIMITED, _UNLIMITED]).T
     return low, high
 
 
@@ -112,8 +112,8 @@ class ActionMeaning:
 
     def of(self, part: Literal["quantity", "units"], count: int) -> tuple[str, ...]:
         """A part for each of `count` columns."""
-        given = self.quantity if part == "quantity" else self.units
-        return (given,) * count if isinstance(given, str) else given
+        value = self.quantity if part == "quantity" else self.units
+        return (value,) * count if isinstance(value, str) else value
 
 
 def joint_units(
@@ -121,18 +121,21 @@ def joint_units(
     joint_ids: Iterable[int],
     control: Literal["position", "velocity", "effort"] = "position",
 ) -> tuple[str, ...]:
-    """Units of hinges and slides: rad, rad/s or N m, and m, m/s or N.
+    """Return the units of joints: rad, rad/s or N m of hinges, and m, m/s or N of slides.
 
     Args:
         asset: The articulation.
         joint_ids: Indices of its joints.
         control: The quantity.
     """
-    turns, slides = _UNITS[control]
-    parsed = asset.parsed
-    kinds = parsed.model.jnt_type
-    hinge = {name: int(kinds[parsed.model.joint(name).id]) == _HINGE for name in parsed.joint_names}
-    return tuple(turns if hinge[parsed.joint_names[i]] else slides for i in joint_ids)
+    unit_of_hinge, unit_of_slide = _UNITS[control]
+    model = asset.parsed.model
+    units: list[str] = []
+    for joint_id in joint_ids:
+        name = asset.parsed.joint_names[joint_id]
+        is_hinge = int(model.jnt_type[model.joint(name).id]) == _HINGE
+        units.append(unit_of_hinge if is_hinge else unit_of_slide)
+    return tuple(units)
 
 
 _HINGE = 3
@@ -177,7 +180,7 @@ class ActionTerm(Term):
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """Centre and scale of each column, for tables: the value is centre + scale x action.
 
-        Words stand for what is no number; the default is empty words.
+        Words stand for what is not a number; the default is empty words.
         """
         return [""] * self.action_dim, [""] * self.action_dim
 
@@ -261,7 +264,8 @@ class Uniform:
 
     def __init__(self, name: str, low: Any, high: Any) -> None:
         self.name = name
-        self.low, self.high = constant(low), constant(high)
+        self.low = constant(low)
+        self.high = constant(high)
 
     @classmethod
     def within(
@@ -277,7 +281,10 @@ class Uniform:
         if bounds is None:
             return None
         low, high = (np.atleast_1d(np.asarray(bound, np.float64)) for bound in bounds)
-        return cls(name, *(np.deg2rad(low), np.deg2rad(high)) if degrees else (low, high))
+        if degrees:
+            low = np.deg2rad(low)
+            high = np.deg2rad(high)
+        return cls(name, low, high)
 
     def __call__(self, draws: Draws, env_ids: EnvIndex | None) -> Floats:
         """(n, ...) numbers for the environments given, or for all. Do not write into it."""

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
@@ -50,28 +51,28 @@ class TermRows(Mapping[str, "torch.Tensor"]):
     __slots__ = ("_tensors", "names", "rows")
 
     def __init__(self, names: Sequence[str], rows: Any = ()) -> None:
-        self.names, self.rows = names, rows
+        self.names = names
+        self.rows = rows
         self._tensors: dict[str, torch.Tensor] = {}
 
     def __getitem__(self, name: str) -> torch.Tensor:
         """Return a term's values; the same tensor at every call, on a device a new one."""
-        found = self._tensors.get(name)
-        if found is None:
-            try:
-                row = self.rows[self.names.index(name)]
-            except ValueError:
-                raise KeyError(name) from None
-            found = tensor_of(row.copy())
-            if is_host(row):  # a recorded step (`StepGraph`) writes new values into its rows
-                self._tensors[name] = found
-        return found
+        if name in self._tensors:
+            return self._tensors[name]
+        try:
+            row = self.rows[self.names.index(name)]
+        except ValueError:
+            raise KeyError(name) from None
+        tensor = tensor_of(row.copy())
+        if is_host(row):  # a recorded step (`StepGraph`) writes new values into its rows
+            self._tensors[name] = tensor
+        return tensor
 
     def zeroed(self, rows: NDArray[np.bool_]) -> TermRows:
         """Return the values with those of some environments, (N,) bool, set to 0."""
         if isinstance(self.rows, (list, tuple)):
-            return TermRows(
-                self.names, [np.where(rows, row.dtype.type(0), row) for row in self.rows]
-            )
+            zeroed_rows = [np.where(rows, row.dtype.type(0), row) for row in self.rows]
+            return TermRows(self.names, zeroed_rows)
         return TermRows(self.names, np.where(rows, np.float32(0.0), self.rows))
 
     def __iter__(self) -> Iterator[str]:
@@ -108,7 +109,7 @@ class TerminationManager(Manager[TerminationCfg]):
 
     def _bind(self) -> None:
         self._checked = False
-        self._calls = [(name, t.call, t.cfg.ends_by) for name, t in self.terms.items()]
+        self._calls = [(name, term.call, term.cfg.ends_by) for name, term in self.terms.items()]
 
     @property
     def has_success(self) -> bool:
@@ -139,12 +140,13 @@ class TerminationManager(Manager[TerminationCfg]):
                 value = call(self.env, obs, action, info)
                 if not self._checked:
                     checked_rows(value, self.num_envs, "termination", name)
-                flags = value if type(value) is np.ndarray else self._arrays.of(value)
+                if type(value) is not np.ndarray:
+                    value = self._arrays.of(value)
             except FAILURES as error:
                 self.fail(name, error)
-            if flags.dtype != np.bool_:
-                self._warn_not_finite(name, flags, "which counts as true")
-            flags = flags.astype(np.bool_)  # a copy: the term may reuse its array
+            if value.dtype != np.bool_:
+                self._warn_not_finite(name, value, "which counts as true")
+            flags = value.astype(np.bool_)  # a copy: the term may reuse its array
             values.append(flags)
             masks[kind] = masks[kind] | flags if kind in masks else flags
         self._checked = True
@@ -152,16 +154,50 @@ class TerminationManager(Manager[TerminationCfg]):
         return masks
 
 
-_REDUCE: dict[str, tuple[Callable[[Any, Any], Any], bool | float]] = {
-    "last": (lambda so_far, value: value, 0.0),
-    "any": (np.logical_or, False),
-    "all": (np.logical_and, True),
-    "sum": (np.add, 0.0),
-    "mean": (np.add, 0.0),
-    "max": (np.maximum, float("-inf")),
-    "min": (np.minimum, float("inf")),
+@dataclass(frozen=True, slots=True)
+class _Reduction:
+    """How a metric reduces the values of an episode.
+
+    Attributes:
+        join: The function of the value so far and the next one.
+        start: The value before the first one.
+    """
+
+    join: Callable[[Any, Any], Any]
+    start: bool | float
+
+
+_REDUCTIONS = {
+    "last": _Reduction(join=lambda so_far, value: value, start=0.0),
+    "any": _Reduction(join=np.logical_or, start=False),
+    "all": _Reduction(join=np.logical_and, start=True),
+    "sum": _Reduction(join=np.add, start=0.0),
+    "mean": _Reduction(join=np.add, start=0.0),  # divided by the count where it is read
+    "max": _Reduction(join=np.maximum, start=float("-inf")),
+    "min": _Reduction(join=np.minimum, start=float("inf")),
 }
-"""`reduce` -> the function of the value so far and the next one, and the first value."""
+"""The reductions, by the name that `reduce` gives."""
+
+
+@dataclass(frozen=True, slots=True)
+class _MetricCall:
+    """A metric as it is evaluated in a step.
+
+    Attributes:
+        name: Its name.
+        call: The term.
+        join: As of `_Reduction`, with `start`.
+        start: The value before the first one.
+        dtype: The type of its values.
+        is_mean: Whether the sum so far is divided by the number of steps.
+    """
+
+    name: str
+    call: Callable[..., Any]
+    join: Callable[[Any, Any], Any]
+    start: bool | float
+    dtype: type[np.bool_] | type[np.float32]
+    is_mean: bool
 
 
 class MetricManager(Manager[MetricCfg]):
@@ -179,8 +215,8 @@ class MetricManager(Manager[MetricCfg]):
         super().__init__(env, "metrics", "metric", cfgs)
         # Arrays (N,), replaced and never written to: returned ones must not change.
         self._so_far: dict[str, NDArray[Any]] = {
-            name: env.arrays.full(self.num_envs, start, dtype)
-            for name, _, dtype, _, start, _ in self._calls
+            metric.name: env.arrays.full(self.num_envs, metric.start, metric.dtype)
+            for metric in self._calls
         }
         self._count: NDArray[np.float32] = env.arrays.full(self.num_envs, 0.0, np.float32)
 
@@ -188,12 +224,18 @@ class MetricManager(Manager[MetricCfg]):
         self._checked = False
         # `success` first: other metrics may read it.
         ordered = sorted(self.terms.items(), key=lambda item: item[0] != "success")
-        self._calls = []
+        self._calls: list[_MetricCall] = []
         for name, term in ordered:
-            join, start = _REDUCE[term.cfg.reduce]
-            dtype = np.bool_ if isinstance(start, bool) else np.float32
-            mean = term.cfg.reduce == "mean"
-            self._calls.append((name, term.call, dtype, join, start, mean))
+            reduction = _REDUCTIONS[term.cfg.reduce]
+            metric = _MetricCall(
+                name=name,
+                call=term.call,
+                join=reduction.join,
+                start=reduction.start,
+                dtype=np.bool_ if isinstance(reduction.start, bool) else np.float32,
+                is_mean=term.cfg.reduce == "mean",
+            )
+            self._calls.append(metric)
 
     @property
     def has_success(self) -> bool:
@@ -220,21 +262,24 @@ class MetricManager(Manager[MetricCfg]):
         if not self._calls:
             return
         self._count = self._count + np.float32(1.0)
-        for name, call, dtype, join, _, mean in self._calls:
+        for metric in self._calls:
+            name = metric.name
             try:
-                value = call(self.env, obs, action, info)
+                value = metric.call(self.env, obs, action, info)
                 if not self._checked:
                     checked_rows(value, self.num_envs, "metric", name)
-                array = value if type(value) is np.ndarray else self._arrays.of(value)
+                if type(value) is not np.ndarray:
+                    value = self._arrays.of(value)
             except FAILURES as error:
                 self.fail(name, error)
-            if array.dtype != np.bool_:
-                self._warn_not_finite(name, array, "the metric keeps it")
-            so_far = self._so_far[name] = join(self._so_far[name], array.astype(dtype))
-            shown = so_far / self._count if mean else so_far.copy()
-            metrics[name] = tensor_of(shown)
+            if value.dtype != np.bool_:
+                self._warn_not_finite(name, value, "the metric keeps it")
+            so_far = metric.join(self._so_far[name], value.astype(metric.dtype))
+            self._so_far[name] = so_far
+            reduced = so_far / self._count if metric.is_mean else so_far.copy()
+            metrics[name] = tensor_of(reduced)
             if name == "success":  # before the other metrics, which may read it
-                info["success"] = tensor_of(shown > 0)
+                info["success"] = tensor_of(reduced > 0)
         self._checked = True
 
     def reset(self, env_ids: EnvIndex | None) -> None:
@@ -243,9 +288,10 @@ class MetricManager(Manager[MetricCfg]):
         where: Any = slice(None) if env_ids is None else env_ids
         self._count = self._count.copy()
         self._count[where] = 0.0
-        for name, _, _, _, start, _ in self._calls:
-            so_far = self._so_far[name] = self._so_far[name].copy()
-            so_far[where] = start
+        for metric in self._calls:
+            so_far = self._so_far[metric.name].copy()
+            so_far[where] = metric.start
+            self._so_far[metric.name] = so_far
 
     def state_dict(self) -> dict[str, Any]:
         """Values so far, and the state of terms that are classes (copies)."""
@@ -291,10 +337,15 @@ class RewardManager(Manager[RewardCfg]):
 
     def _bind(self) -> None:
         self._checked = False
-        terms = enumerate(self.terms.items())
-        self._calls = [(i, name, t.call) for i, (name, t) in terms if self.weights[name] != 0.0]
-        replacing = [i for i, t in enumerate(self.terms.values()) if t.cfg.mode == "replace"]
-        self._first = replacing[-1] + 1 if replacing else 0
+        # Row in the arrays of values, name and call of each term that counts.
+        self._calls: list[tuple[int, str, Callable[..., Any]]] = []
+        # The first row of the sum, in which row 0 is the reward of the hooks.
+        self._first_summand = 0
+        for row, (name, term) in enumerate(self.terms.items()):
+            if self.weights[name] != 0.0:
+                self._calls.append((row, name, term.call))
+            if term.cfg.mode == "replace":
+                self._first_summand = row + 1
         weights = [self.weights[name] for name in self.terms]
         self._factors: F32 = np.array(weights, np.float32)[:, None]
 
@@ -313,12 +364,13 @@ class RewardManager(Manager[RewardCfg]):
         if problems:
             raise ConfigError(problems)
         before = self.weights[name]
-        if before != weight:
-            self.weights = MappingProxyType({**self.weights, name: float(weight)})
-            self.revision += 1
-            if before == 0.0:
-                self._renew(name)
-            self._bind()
+        if before == weight:
+            return
+        self.weights = MappingProxyType({**self.weights, name: float(weight)})
+        self.revision += 1
+        if before == 0.0:
+            self._renew(name)
+        self._bind()
 
     def compute(self, rewards: F32 | None, obs: Any, action: Any, info: dict[str, Any]) -> F32:
         """Evaluate every term of this step.
@@ -338,11 +390,15 @@ class RewardManager(Manager[RewardCfg]):
             ValueError: If a term's value has another shape than (N,); names the term.
         """
         if not self.terms:
-            info["rewards"], info["episode_sums"] = {}, {}
-            none: F32 = self._arrays.full(self.num_envs, 0.0, np.float32)
-            return none if rewards is None else rewards
-        every = len(self._calls) == len(self.terms)
-        values = np.empty_like(self._sums) if every else np.zeros_like(self._sums)
+            info["rewards"] = {}
+            info["episode_sums"] = {}
+            if rewards is not None:
+                return rewards
+            return self._arrays.full(self.num_envs, 0.0, np.float32)
+        if len(self._calls) == len(self.terms):
+            values = np.empty_like(self._sums)
+        else:
+            values = np.zeros_like(self._sums)
         for row, name, call in self._calls:
             try:
                 value = call(self.env, obs, action, info)
@@ -352,13 +408,14 @@ class RewardManager(Manager[RewardCfg]):
             except FAILURES as error:
                 self.fail(name, error)
         self._checked = True
-        parts: F32 = self._arrays.full((len(values) + 1, self.num_envs), 0.0, np.float32)
+        summands: F32 = self._arrays.full((len(values) + 1, self.num_envs), 0.0, np.float32)
         if rewards is not None:
-            parts[0] = rewards
-        weighted = np.multiply(values, self._factors, out=parts[1:])
-        self._sums_before, self._sums = self._sums, self._sums + weighted
+            summands[0] = rewards
+        weighted = np.multiply(values, self._factors, out=summands[1:])
+        self._sums_before = self._sums
+        self._sums = self._sums + weighted
         # Row by row: the rounding does not depend on the number of environments.
-        total: F32 = np.add.accumulate(parts[self._first :], axis=0)[-1]
+        total: F32 = np.add.accumulate(summands[self._first_summand :], axis=0)[-1]
         info["rewards"] = TermRows(self._names, values)
         info["episode_sums"] = self.episode_sums
         if self._floor is None:
@@ -369,7 +426,7 @@ class RewardManager(Manager[RewardCfg]):
     def not_finite(
         self, info: Mapping[str, Any], rows: NDArray[np.bool_]
     ) -> dict[str, tuple[str, NDArray[np.bool_]]]:
-        """Terms whose value, or value x weight, is not finite, in some environments.
+        """Return the terms whose value, or value x weight, is not finite in some environments.
 
         Args:
             info: That of `compute`.
@@ -379,13 +436,13 @@ class RewardManager(Manager[RewardCfg]):
             ``rewards.NAME`` -> what its values are, and in which environments, (N,).
         """
         values: Any = getattr(info["rewards"], "rows", ())
-        found = {}
+        causes: dict[str, tuple[str, NDArray[np.bool_]]] = {}
         for name, row, factor in zip(self._names, values, self._factors, strict=True):
             weighted = row * factor
             bad = rows & ~np.isfinite(weighted)
             if bad.any():
-                found[f"{self.section}.{name}"] = kind_of_values(weighted[bad]), bad
-        return found
+                causes[f"{self.section}.{name}"] = (kind_of_values(weighted[bad]), bad)
+        return causes
 
     def take_back(self, rows: NDArray[np.bool_]) -> None:
         """Undo the last step in the sums of environments, (N,) bool."""
@@ -436,19 +493,18 @@ def check_shapes(env: TermContext, obs: EnvObs) -> None:
     managers = (terminations, metrics, rewards)
     if not any(len(manager) for manager in managers):
         return
-    count = env.num_envs
-    none = tensor_of(env.arrays.full(count, False, np.bool_))
+    no_flags = tensor_of(env.arrays.full(env.num_envs, False, np.bool_))
     info: dict[str, Any] = {
         "elapsed_steps": env.elapsed_steps,
-        "success": none,
-        "success_terminated": none.clone(),
-        "fail": none.clone(),
+        "success": no_flags,
+        "success_terminated": no_flags.clone(),
+        "fail": no_flags.clone(),
     }
     action = env.last_action
-    saved = env.streams.state_dict()
+    streams = env.streams.state_dict()
     terminations.compute(obs, action, info)
     metrics.compute(obs, action, info)
     rewards.compute(None, obs, action, info)
-    env.streams.load_state_dict(saved)
+    env.streams.load_state_dict(streams)
     for manager in managers:
         manager.reset(None)

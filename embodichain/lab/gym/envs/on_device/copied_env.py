@@ -22,23 +22,23 @@ __all__ = ["CopiedEnv"]
 Arrays = Mapping[str, NDArray[Any]]
 
 
-class _Changed:
-    """An object of which some attributes are others.
+class _StandIn:
+    """Stands for an object: it has some attributes of its own, and passes on all others.
 
     Args:
         owner: The object.
-        **own: The attributes.
+        **attributes: Those of its own.
     """
 
-    def __init__(self, owner: Any, **own: Any) -> None:
-        self.__dict__.update(own, _owner=owner)
+    def __init__(self, owner: Any, **attributes: Any) -> None:
+        self.__dict__.update(attributes, _owner=owner)
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute of the object."""
         return getattr(self.__dict__["_owner"], name)
 
 
-class CopiedEnv(_Changed):
+class CopiedEnv(_StandIn):
     """What observers use of an environment (`ObservedEnv`), with arrays of the host.
 
     Its arrays are those of the last copy, one or two control steps late. It has no sensors, and its
@@ -62,22 +62,24 @@ class CopiedEnv(_Changed):
     def __init__(self, env: Any, catch_up: Callable[[], None]) -> None:
         self.engine = CopiedEngine(env.sim.engine)
         self._commands: dict[str, NDArray[np.float64]] = {}
-        terms = {}
+        terms: dict[str, Any] = {}
         for name, term in env.command_manager.terms.items():
-            values = self._commands[name] = term.instance.values.host().astype(np.float64)
-            terms[name] = _Changed(term, instance=_Changed(term.instance, values=values))
+            values = term.instance.values.host().astype(np.float64)
+            self._commands[name] = values
+            terms[name] = _StandIn(term, instance=_StandIn(term.instance, values=values))
         super().__init__(
             env,
-            sim=_Changed(env.sim, engine=self.engine, sensors={}),
-            command_manager=_Changed(env.command_manager, terms=terms),
-            reward_manager=_Changed(env.reward_manager),
-            termination_manager=_Changed(env.termination_manager, values={}),
+            sim=_StandIn(env.sim, engine=self.engine, sensors={}),
+            command_manager=_StandIn(env.command_manager, terms=terms),
+            reward_manager=_StandIn(env.reward_manager),
+            termination_manager=_StandIn(env.termination_manager, values={}),
             control_step=int(env.control_step),
             catch_up=catch_up,
             observers=list[StepObserver](),
         )
-        self._seen: Any = self  # an `ObservedEnv`
-        self.engine.listeners.append(EngineRelay(self._seen))
+        # With the attributes of the environment it is an `ObservedEnv`; a type checker sees none.
+        self._as_observed: Any = self
+        self.engine.listeners.append(EngineRelay(self._as_observed))
 
     def put_commands(self, values: Arrays) -> None:
         """Set the commands in force, name -> (N, K)."""
@@ -96,16 +98,17 @@ class CopiedEnv(_Changed):
         ids = None if mask is None or mask.all() else np.flatnonzero(mask)
         if ids is not None and not len(ids):
             return
-        here: Any = slice(None) if ids is None else ids
-        values = {name: array[here].astype(np.float64) for name, array in drawn.items()}
+        rows: Any = slice(None) if ids is None else ids
+        values = {name: array[rows].astype(np.float64) for name, array in drawn.items()}
+        record = EventRecord(term=term, mode=mode, env_ids=ids, drawn=values)
         for observer in self.observers:
-            observer.on_event(self._seen, EventRecord(term, mode, ids, values))
+            observer.on_event(self._as_observed, record)
 
     def reset(self, env_ids: EnvIndex) -> None:
         """Report that environments (n,) were reset."""
         if len(env_ids):
             for observer in self.observers:
-                observer.on_reset(self._seen, env_ids)
+                observer.on_reset(self._as_observed, env_ids)
 
     def step(
         self,
@@ -125,23 +128,25 @@ class CopiedEnv(_Changed):
         """
         self.control_step += 1
         self.reward_manager.weights = weights
-        named = {key: TermRows(*group) if group[0] else {} for key, group in groups.items()}
-        self.termination_manager.values = named.pop("terminations")
+        values: dict[str, Any] = {}
+        for key, (names, rows) in groups.items():
+            values[key] = TermRows(names, rows) if names else {}
+        self.termination_manager.values = values.pop("terminations")
         record = StepRecord(
-            self.control_step,
-            results["action"].astype(np.float64),
-            results["reward"],
-            results["terminated"],
-            results["truncated"],
-            {**info, **named},
-            TensorMapping({}),
-            results["episode_ids"],
+            control_step=self.control_step,
+            action=results["action"].astype(np.float64),
+            reward=results["reward"],
+            terminated=results["terminated"],
+            truncated=results["truncated"],
+            info={**info, **values},
+            obs=TensorMapping({}),
+            episode_ids=results["episode_ids"],
         )
         for observer in self.observers:
-            observer.on_step(self._seen, record)
+            observer.on_step(self._as_observed, record)
 
     def close(self) -> None:
         """Report that the environment closes, even if an observer raises."""
         with ExitStack() as stack:  # the last callback first
             for observer in reversed(self.observers):
-                stack.callback(observer.on_close, self._seen)
+                stack.callback(observer.on_close, self._as_observed)

@@ -1,4 +1,4 @@
-"""`kept_arrays`: every place in an environment that holds an array of the device between steps."""
+"""`kept_arrays`: every place in an environment that has an array of the device between steps."""
 
 from __future__ import annotations
 
@@ -18,12 +18,31 @@ Path = tuple[Any, ...]
 HostValue = int | float | bool | bytes
 
 _LEAVES = (
-    str, bytes, complex, type(None), np.generic, type, types.ModuleType, types.BuiltinFunctionType,
-    torch.dtype, torch.device, torch.nn.Module, torch.Generator,
-)  # fmt: skip
+    str,
+    bytes,
+    complex,
+    type(None),
+    np.generic,
+    type,
+    types.ModuleType,
+    types.BuiltinFunctionType,
+    torch.dtype,
+    torch.device,
+    torch.nn.Module,
+    torch.Generator,
+)
+"""Classes whose objects are not looked into."""
 _FOREIGN = (
-    "mujoco", "warp", "gymnasium", "logging", "threading", "pathlib", "omegaconf", "numpy.random",
-)  # fmt: skip
+    "mujoco",
+    "warp",
+    "gymnasium",
+    "logging",
+    "threading",
+    "pathlib",
+    "omegaconf",
+    "numpy.random",
+)
+"""Packages whose objects are not looked into."""
 _LARGEST = 1 << 20
 """Bytes: larger arrays of the host are not compared."""
 
@@ -40,14 +59,14 @@ class Place(NamedTuple):
     key: Any
 
     def get(self) -> Any:
-        """Return what it holds."""
+        """Return its value."""
         owner = self.owner.get() if isinstance(self.owner, Place) else self.owner
-        return (
-            owner[self.key] if isinstance(owner, (dict, list, tuple)) else getattr(owner, self.key)
-        )
+        if isinstance(owner, (dict, list, tuple)):
+            return owner[self.key]
+        return getattr(owner, self.key)
 
     def set(self, value: Any) -> None:
-        """Make it hold something else."""
+        """Replace its value."""
         if isinstance(self.owner, Place):
             parts = list(self.owner.get())
             parts[self.key] = value
@@ -80,23 +99,23 @@ def kept_arrays(
         if id(owner) in seen or isinstance(owner, skipped):
             continue
         seen.add(id(owner))
-        for key, value, held in _parts(owner, place):
-            there = (*path, key)
+        for key, value, part_place in _parts(owner, place):
+            part_path = (*path, key)
             if isinstance(value, (DeviceArray, torch.Tensor)):
-                if held is not None:
-                    arrays[there] = held
+                if part_place is not None:
+                    arrays[part_path] = part_place
             elif isinstance(value, (int, float)):
-                numbers[there] = value
+                numbers[part_path] = value
             elif isinstance(value, np.ndarray):
                 if value.nbytes <= _LARGEST:
-                    numbers[there] = value.tobytes()
+                    numbers[part_path] = value.tobytes()
             elif not isinstance(value, _LEAVES):
-                waiting.append((there, value, held))
+                waiting.append((part_path, value, part_place))
     return arrays, numbers
 
 
 def _parts(owner: Any, place: Place | None) -> Iterator[tuple[Any, Any, Place | None]]:
-    """Key, value and place (None if it cannot be changed) of all that an object holds."""
+    """Yield key, value and place (None if it cannot be changed) of everything in an object."""
     if isinstance(owner, dict):
         yield from ((key, value, Place(owner, key)) for key, value in owner.items())
     elif isinstance(owner, list):

@@ -41,7 +41,7 @@ Values = dict[str, Any]
 
 @dataclass(frozen=True)
 class _Call:
-    """Something that observers are told.
+    """One call of observers, with the arrays that it passes on.
 
     Attributes:
         kind: ``states``, ``fields``, ``commands``, ``reset begins``, ``reset``, ``physics``,
@@ -70,8 +70,9 @@ class StepCopies(StepObserver):
 
     def __init__(self, env: Any) -> None:
         self.host = CopiedEnv(env, self.flush)
-        self._env, engine = env, env.sim.engine
-        self._engine: DeviceEngine = engine
+        engine: DeviceEngine = env.sim.engine
+        self._env = env
+        self._engine = engine
         layout = {name: engine.component(name) for name in engine.state_names}
         self._names = tuple(name for name, part in layout.items() if part.stop > part.start)
         self._buffers: HostBuffers[tuple[list[_Call], Mapping[str, float]]] = HostBuffers(
@@ -103,7 +104,8 @@ class StepCopies(StepObserver):
         if error is not None or self._packed is None:
             self.restart()
             return
-        self._send(*self._packed)
+        packed, calls = self._packed
+        self._send(packed, calls)
         self._receive(wait=False)
 
     def restart(self) -> None:
@@ -122,11 +124,14 @@ class StepCopies(StepObserver):
         """Copy what was gathered outside of steps."""
         self._gather_written()
         if self._calls:
-            self._send(*self._taken())
+            packed, calls = self._pack()
+            self._send(packed, calls)
             self._receive(wait=True)
 
-    def _taken(self) -> tuple[torch.Tensor, list[_Call]]:
-        calls, self._calls = self._calls, []
+    def _pack(self) -> tuple[torch.Tensor, list[_Call]]:
+        """Pack what was gathered; return it, and the calls that it belongs to."""
+        calls = self._calls
+        self._calls = []
         return self._packer.pack(), calls
 
     def _send(self, packed: torch.Tensor, calls: list[_Call]) -> None:
@@ -148,20 +153,20 @@ class StepCopies(StepObserver):
         arrays = self._buffers.receive(slots, wait=wait)
         if arrays is None:
             return False
-        left = iter(arrays)
-        values = [dict(zip(call.slots, left, strict=False)) for call in calls]
+        # Each call takes as many of the arrays as it has slots.
+        remaining = iter(arrays)
+        values = [dict(zip(call.slots, remaining, strict=False)) for call in calls]
         self._report(calls, values, weights)
         return True
 
     # -- on the device -----------------------------------------------------------------------------
 
     def _add(self, kind: str, arrays: Mapping[str, Any], live: bool = False, **about: Any) -> None:
-        slots = {
-            name: self._packer.add(
-                array.tensor if isinstance(array, TensorHolder) else array, live=live
-            )
-            for name, array in arrays.items()
-        }
+        """Gather arrays for a call; `live` ones may change within the step: they are copied now."""
+        slots: dict[str, Slot] = {}
+        for name, array in arrays.items():
+            tensor = array.tensor if isinstance(array, TensorHolder) else array
+            slots[name] = self._packer.add(tensor, live=live)
         self._calls.append(_Call(kind, about, slots))
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
@@ -174,8 +179,8 @@ class StepCopies(StepObserver):
             self._written.update(dict.fromkeys(self._names))
             self._calls.append(self._masked("reset begins", write.env_ids))
         elif write.op == "state":
-            row = write.field == "row"
-            self._written.update(dict.fromkeys(self._names if row else (write.field,)))
+            components = self._names if write.field == "row" else (write.field,)
+            self._written.update(dict.fromkeys(components))
 
     def _masked(self, kind: str, env_ids: Any, **about: Any) -> _Call:
         """A call for environments: a mask of the device, indices of the host, or all (None)."""
@@ -185,15 +190,19 @@ class StepCopies(StepObserver):
 
     def _gather_written(self) -> None:
         """Add state components and model fields that may have been written."""
-        fields = {name: self._engine.fields.written(name) for name in self._fields}
-        known = {name: values for name, values in fields.items() if values is not None}
-        if known:
+        fields: dict[str, Any] = {}
+        for name in self._fields:
+            values = self._engine.fields.written(name)
+            if values is not None:
+                fields[name] = values
+        if fields:
             constants = self._constants or self._engine.constants_late
-            self._add("fields", known, True, constants=constants)
+            self._add("fields", fields, live=True, constants=constants)
             self._constants = False
         self._fields = {}
         if self._written:
-            self._add("states", {n: self._engine.state(n) for n in self._written}, True)
+            states = {name: self._engine.state(name) for name in self._written}
+            self._add("states", states, live=True)
             self._written = {}
 
     def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
@@ -201,8 +210,8 @@ class StepCopies(StepObserver):
         if event.phase == "before":
             self._gather_written()
             return
-        moved = {n: self._engine.state(n) for n in self._names if n not in _INPUTS}
-        self._add("physics", moved, True, nstep=event.nstep)
+        moved = {name: self._engine.state(name) for name in self._names if name not in _INPUTS}
+        self._add("physics", moved, live=True, nstep=event.nstep)
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """Gather what a term drew."""
@@ -210,8 +219,14 @@ class StepCopies(StepObserver):
         arrays = {} if mask is None else {"": mask.mask}
         drawn = {name: values for name, values in event.drawn.items() if not is_host(values)}
         fixed = {name: values for name, values in event.drawn.items() if is_host(values)}
-        about = {"term": event.term, "mode": event.mode, "fixed": fixed}
-        self._add("event", {**arrays, **drawn}, True, **about)
+        self._add(
+            "event",
+            {**arrays, **drawn},
+            live=True,
+            term=event.term,
+            mode=event.mode,
+            fixed=fixed,
+        )
 
     def on_reset(self, env: ObservedEnv, env_ids: Any) -> None:
         """Gather states after a reset; outside of steps, report it."""
@@ -244,7 +259,7 @@ class StepCopies(StepObserver):
             arrays |= {f"{key}/{name}": values for name, values in _arrays_of(group).items()}
         arrays |= {f"info/{name}": step.info[name] for name in _INFO if name in step.info}
         self._add("step", arrays, groups={key: tuple(group) for key, group in groups.items()})
-        self._packed = self._taken()
+        self._packed = self._pack()
 
     # -- on the host -------------------------------------------------------------------------------
 
@@ -253,42 +268,48 @@ class StepCopies(StepObserver):
     ) -> None:
         """Tell the observers, in the order of the calls."""
         host = self.host
-        for at, (call, found) in enumerate(zip(calls, values, strict=True)):
+        for i, (call, arrays) in enumerate(zip(calls, values, strict=True)):
             if call.kind == "states":
-                host.engine.put_states(found)
+                host.engine.put_states(arrays)
             elif call.kind == "fields":
-                host.engine.put_fields(found, call.about["constants"])
+                host.engine.put_fields(arrays, call.about["constants"])
             elif call.kind == "physics":
-                host.engine.put_physics(call.about["nstep"], found)
+                host.engine.put_physics(call.about["nstep"], arrays)
             elif call.kind == "commands":
-                host.put_commands(found)
+                host.put_commands(arrays)
             elif call.kind == "event":
-                drawn = call.about["fixed"] | found
+                drawn = call.about["fixed"] | arrays
                 mask = drawn.pop("", None)
                 host.event(call.about["term"], call.about["mode"], mask, drawn)
             elif call.kind == "reset begins":
-                later = zip(calls[at:], values[at:], strict=True)
-                after = next(states for other, states in later if other.kind == "states")
-                host.engine.put_reset(self._ids(call, found), after)
+                # A reset is reported with the states after it, which are gathered later.
+                later = zip(calls[i:], values[i:], strict=True)
+                states = next(states for other, states in later if other.kind == "states")
+                host.engine.put_reset(self._ids(call, arrays), states)
             elif call.kind == "reset":
-                host.reset(self._ids(call, found))
+                host.reset(self._ids(call, arrays))
             else:
-                self._report_step(call, found, weights)
+                self._report_step(call, arrays, weights)
 
-    def _ids(self, call: _Call, found: Values) -> NDArray[np.int64]:
-        if found:
-            return np.flatnonzero(found["mask"])
+    def _ids(self, call: _Call, arrays: Values) -> NDArray[np.int64]:
+        """(n,) environments of a call of `_masked`."""
+        if arrays:
+            return np.flatnonzero(arrays["mask"])
         ids: NDArray[np.int64] | None = call.about["ids"]
         return np.arange(self.host.num_envs) if ids is None else ids
 
-    def _report_step(self, call: _Call, found: Values, weights: Mapping[str, float]) -> None:
-        groups = {
-            key: (names, _stacked({n: found.get(f"{key}/{n}") for n in ("", *names)}))
-            for key, names in call.about["groups"].items()
-        }
+    def _report_step(self, call: _Call, arrays: Values, weights: Mapping[str, float]) -> None:
+        groups: dict[str, tuple[tuple[str, ...], NDArray[Any]]] = {}
+        for key, names in call.about["groups"].items():
+            of_group = {name: arrays.get(f"{key}/{name}") for name in ("", *names)}
+            groups[key] = (names, _stacked(of_group))
         prefix = "info/"
-        info = {k.removeprefix(prefix): v for k, v in found.items() if k.startswith(prefix)}
-        self.host.step(found, info, groups, weights)
+        info = {
+            key.removeprefix(prefix): array
+            for key, array in arrays.items()
+            if key.startswith(prefix)
+        }
+        self.host.step(arrays, info, groups, weights)
 
     def on_close(self, env: ObservedEnv) -> None:
         """Report what is left, then that the environment closes, even if that fails."""
@@ -306,7 +327,9 @@ def _arrays_of(group: Mapping[str, Any]) -> dict[str, Any]:
     return dict(zip(group, rows, strict=True))
 
 
-def _stacked(found: Mapping[str, NDArray[Any] | None]) -> NDArray[Any]:
+def _stacked(arrays: Mapping[str, NDArray[Any] | None]) -> NDArray[Any]:
     """(K, N) of a group of values, from what `_arrays_of` gave."""
-    whole = found[""]
-    return np.array([v for v in found.values() if v is not None]) if whole is None else whole
+    in_one_array = arrays[""]
+    if in_one_array is not None:
+        return in_one_array
+    return np.array([array for array in arrays.values() if array is not None])

@@ -125,7 +125,7 @@ class StepGraph:
         self._revision = ()
         result = run(action)
         after, numbers_after = self._places()
-        changing = []
+        changing: list[Path] = []
         for path, (value, stand_in) in watched.items():
             # Of a tensor that is not in a `DeviceArray` it is not known: it counts as read.
             was_read = stand_in.was_read if isinstance(stand_in, _Watched) else True
@@ -208,7 +208,7 @@ class StepGraph:
         """Copy the arrays that replaced kept ones into these, and put the kept ones back."""
         places = self._places()[0]
         addresses = {_tensor(value).data_ptr() for value in self._kept.values()}
-        moved = []
+        moved: list[tuple[Place, Any, torch.Tensor]] = []
         for path, kept in self._kept.items():
             place = places.get(path)
             if place is None:
@@ -272,7 +272,7 @@ def _tensor(value: Any) -> torch.Tensor:
 
 
 def _decisive(numbers: dict[Path, HostValue]) -> dict[Path, HostValue]:
-    """The numbers of the host that may decide what a step computes."""
+    """Return the numbers of the host that may decide what a step computes."""
     return {path: value for path, value in numbers.items() if path[-1] not in _COUNTERS}
 
 

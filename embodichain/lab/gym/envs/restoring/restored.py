@@ -72,7 +72,8 @@ def put(
     Raises:
         ConfigError: If it is of another scene or another action space.
     """
-    _check(snapshot, sim.engine.model, episodes.last_action.shape[1])
+    _require_same_scene(snapshot, sim.engine.model)
+    _require_same_actions(snapshot, episodes.last_action.shape[1])
     where = None if len(ids) == sim.num_envs else ids
     for manager in managers.values():
         manager.reset(where)
@@ -94,7 +95,7 @@ def put(
 
 def _replay_draw(managers: Mapping[str, Manager[Any]], drawn: Drawn, where: EnvIds | None) -> None:
     """Call a term with its recorded draws, to set what it stores outside the simulation state."""
-    manager: Any = managers["commands" if drawn.mode == "command" else "events"]
+    manager: Any = managers[_section_of(drawn)]
     term = manager.terms.get(drawn.term)
     if term is None:
         return
@@ -118,80 +119,103 @@ def _put_model(engine: Engine, fields: Mapping[str, NDArray[Any]], where: EnvIds
             engine.write_model(name, values, where)
 
 
-def _check(snapshot: Snapshot, model: mujoco.MjModel, width: int) -> None:
-    for what, here, there in zip(
-        ("bodies", "joints", "actuators"), _names(model), _names(snapshot.model), strict=True
-    ):
-        if here != there:
-            missing = [name for name in there if name not in here] or list(there)
+def _require_same_scene(snapshot: Snapshot, model: mujoco.MjModel) -> None:
+    """Refuse a snapshot of a scene with other names, or with other components of a row."""
+    for kind, names in _names(model).items():
+        recorded = _names(snapshot.model)[kind]
+        if names != recorded:
+            missing = [name for name in recorded if name not in names] or recorded
             raise ConfigError(
-                f"{snapshot.origin}: it is of another scene: {what} here are "
-                f"{', '.join(here) or 'none'}; recorded were {', '.join(missing)}"
+                f"{snapshot.origin}: it is of another scene: {kind} here are "
+                f"{', '.join(names) or 'none'}; recorded were {', '.join(missing)}"
             )
-    layout = {name: (s.start, s.stop) for name, s in row_layout(model).items()}
+    layout = {name: (part.start, part.stop) for name, part in row_layout(model).items()}
     if layout != dict(snapshot.layout):
         raise ConfigError(f"{snapshot.origin}: its rows have other components than this scene's")
+
+
+def _require_same_actions(snapshot: Snapshot, width: int) -> None:
+    """Refuse a snapshot whose actions have another number of columns."""
     if snapshot.last_action.shape != (width,):
         raise ConfigError(
             f"{snapshot.origin}: its actions have {len(snapshot.last_action)} columns, here {width}"
         )
 
 
-def _names(model: mujoco.MjModel) -> tuple[list[str], ...]:
-    kinds = (model.nbody, model.body), (model.njnt, model.joint), (model.nactuator, model.actuator)
-    return tuple([named(i).name for i in range(count)] for count, named in kinds)
+def _names(model: mujoco.MjModel) -> dict[str, list[str]]:
+    """Return the names of bodies, joints and actuators, in order."""
+    return {
+        "bodies": [model.body(i).name for i in range(model.nbody)],
+        "joints": [model.joint(i).name for i in range(model.njnt)],
+        "actuators": [model.actuator(i).name for i in range(model.nactuator)],
+    }
 
 
 def not_restored(
     snapshot: Snapshot, sim: SimulationManager, managers: Mapping[str, Manager[Any]]
 ) -> list[str]:
-    """What differs from the recorded moment, one line each."""
+    """Return what differs from the recorded moment, one line each."""
     missing = [*snapshot.notes, *_ALWAYS]
     for uid, sensor in sim.sensors.items():
         if sensor.cfg.rate is not None:
             missing.append(f"sensors.{uid}: readings between measurements")
-    redrawn = {("commands" if d.mode == "command" else "events", d.term) for d in snapshot.drawn}
+    redrawn = {(_section_of(drawn), drawn.term) for drawn in snapshot.drawn}
     for section, manager in managers.items():
-        for name, why in _kept(manager):
-            if why or (section, name) not in redrawn:
-                missing.append(f"{section}.{name}{why}")
+        for name, part in _states(manager):
+            if part or (section, name) not in redrawn:
+                missing.append(f"{section}.{name}{part}")
     other_fields = _differing(sim.engine.model, snapshot.model)
     if other_fields:
         missing.insert(0, f"the scene is another one: its {', '.join(other_fields)} differ")
     return missing
 
 
-def _kept(manager: Manager[Any]) -> Iterator[tuple[str, str]]:
-    """Names of terms with a state, and which part of it where that is not the term's own."""
+def _section_of(drawn: Drawn) -> str:
+    """Return the section of the term that drew."""
+    return "commands" if drawn.mode == "command" else "events"
+
+
+def _states(manager: Manager[Any]) -> Iterator[tuple[str, str]]:
+    """Yield names of terms with a state, and which part of it where it is not the term's own."""
     if not len(manager):
         return
     state = manager.state_dict()
     for name in manager.terms:
-        if _any(state["terms"].get(name)):
+        if _has_values(state["terms"].get(name)):
             yield name, ""
-        always = getattr(manager.terms[name].cfg, "interval_step", None) == 1
-        for key, what in _EXTRAS.items():
-            if _any(state.get(key, {}).get(name)) and not (always and key == "timers"):
-                yield name, f": {what}"
+        fires_in_every_step = getattr(manager.terms[name].cfg, "interval_step", None) == 1
+        for key, description in _EXTRAS.items():
+            if key == "timers" and fires_in_every_step:
+                continue
+            if _has_values(state.get(key, {}).get(name)):
+                yield name, f": {description}"
 
 
-def _any(value: Any) -> bool:
-    return bool(len(value)) if hasattr(value, "__len__") else value is not None
+def _has_values(state: Any) -> bool:
+    if hasattr(state, "__len__"):
+        return len(state) > 0
+    return state is not None
 
 
 def _differing(here: mujoco.MjModel, there: mujoco.MjModel) -> list[str]:
-    """Arrays of the model, and numbers of its options, that are not the same."""
-    differing = []
-    for a, b, prefix in ((here, there, ""), (here.opt, there.opt, "opt.")):
-        for name in dir(a):
-            # The signature differs for each compilation.
-            if name.startswith("_") or name == "signature":
-                continue
-            value = getattr(a, name)
-            if isinstance(value, (np.ndarray, int, float)) and not _same(value, getattr(b, name)):
-                differing.append(prefix + name)
+    """Return arrays of the model, and numbers of its options, that are not the same."""
+    return [
+        *_differing_attributes(here, there),
+        *(f"opt.{name}" for name in _differing_attributes(here.opt, there.opt)),
+    ]
+
+
+def _differing_attributes(here: Any, there: Any) -> list[str]:
+    """Return the names of arrays and numbers that two objects do not have in common."""
+    differing: list[str] = []
+    for name in dir(here):
+        # The signature differs for each compilation.
+        if name.startswith("_") or name == "signature":
+            continue
+        value = getattr(here, name)
+        if not isinstance(value, (np.ndarray, int, float)):
+            continue
+        may_be_nan = np.asarray(value).dtype.kind == "f"
+        if not np.array_equal(value, getattr(there, name), equal_nan=may_be_nan):
+            differing.append(name)
     return differing
-
-
-def _same(a: Any, b: Any) -> bool:
-    return np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")

@@ -41,10 +41,11 @@ class StartupChanges:
         return self._sim.arrays.saved({"model": state["engine"]["model"], **parts})
 
     def note(self) -> None:
-        """Keep what differs now from what was before."""
-        before, after = self._before, self._state()
+        """Store the earlier values of everything that has changed since."""
+        before = self._before
         if before is None:
             return
+        after = self._state()
         for name, values in after["model"].items():
             if name not in before["model"]:
                 self._fields[name] = None  # as compiled
@@ -52,15 +53,19 @@ class StartupChanges:
                 self._fields[name] = before["model"][name]
         for part in _PARTS:
             for uid, values in after[part].items():
-                was = before[part][uid]
-                changed = {key: was[key] for key in was if not _same(was[key], values[key])}
+                changed = {
+                    key: value
+                    for key, value in before[part][uid].items()
+                    if not _same(value, values[key])
+                }
                 if changed:
                     self._properties[part][uid] = changed
         self._before = None
 
     def undo(self) -> None:
         """Write all of it back, through the engine, so that logs have it."""
-        sim, engine = self._sim, self._sim.engine
+        sim = self._sim
+        engine = sim.engine
         fields = sim.arrays.loaded(self._fields)
         for again in range(2 if DERIVED_FIELDS & fields.keys() else 1):
             if again:
@@ -71,8 +76,9 @@ class StartupChanges:
                     engine.write_model(name, compiled_field(engine.model, name).ravel()[:width])
                 else:
                     engine.write_model(name, values.reshape(sim.num_envs, -1))
+        articulations = {**sim.robots, **sim.articulations}
         owners: dict[str, Mapping[str, Any]] = {
-            "drives": {uid: h.drives for uid, h in {**sim.robots, **sim.articulations}.items()},
+            "drives": {uid: handle.drives for uid, handle in articulations.items()},
             "objects": sim.rigid_objects,
             "lights": sim.lights,
         }
@@ -86,5 +92,6 @@ def _same(a: Any, b: Any) -> bool:
     """Whether two parts of a state are equal to the bit; those of a device are maps of arrays."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
-    first, second = np.asarray(a), np.asarray(b)
+    first = np.asarray(a)
+    second = np.asarray(b)
     return first.shape == second.shape and first.tobytes() == second.tobytes()

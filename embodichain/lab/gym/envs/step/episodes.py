@@ -77,7 +77,9 @@ class Episodes:
     @property
     def count(self) -> NDArray[np.int32]:
         """(N,) int32 control steps, with or without the present one (see `counting`); a copy."""
-        return self.elapsed - np.int32(1) if self._uncounted else self.elapsed.copy()
+        if self._uncounted:
+            return self.elapsed - np.int32(1)
+        return self.elapsed.copy()
 
     @contextmanager
     def counting(self, present: bool) -> Iterator[None]:
@@ -155,8 +157,12 @@ class Episodes:
         self.success = saved["success"].copy()
         self.last_action = saved["last_action"].copy()
         self.pending = None if saved["pending"] is None else saved["pending"].copy()
-        none = np.zeros_like(self.success) if self._on_device else None
-        self.cut = none if saved["cut"] is None else saved["cut"].copy()
+        if saved["cut"] is not None:
+            self.cut = saved["cut"].copy()
+        elif self._on_device:
+            self.cut = np.zeros_like(self.success)
+        else:
+            self.cut = None
 
 
 FINAL_KEYS = ("final_obs", "final_info", "_final_obs", "_final_info", "final_observation")
@@ -197,5 +203,7 @@ def add_finals(info: dict[str, Any], obs: Any, done: NDArray[np.bool_]) -> None:
     """
     mask = tensor_of(done)
     info["final_info"] = {key: value for key, value in info.items() if key not in FINAL_KEYS}
-    info["final_obs"] = info["final_observation"] = obs
-    info["_final_obs"] = info["_final_info"] = mask
+    info["final_obs"] = obs
+    info["final_observation"] = obs
+    info["_final_obs"] = mask
+    info["_final_info"] = mask

@@ -71,7 +71,7 @@ _ID_KEYS = ("reset_ids", "env_ids", "env_idx", "reset_mask")
 
 @dataclass(slots=True)
 class Outcome:
-    """Why episodes end in a step; each is (N,) bool, None where it cannot be."""
+    """Why episodes end in a step: (N,) bool each; `time_out` is None without such a term."""
 
     success: Mask
     fail: Mask
@@ -234,8 +234,8 @@ class JudgingHooks:
     def take_obs(self) -> bool:
         """Whether the observation is made before judging, for these hooks.
 
-        So it is too where a class has own hooks that observe and such that judge: the latter may
-        read what the former keep, as in EmbodiChain.
+        It is made before judging too where a class has both hooks that observe and hooks that
+        judge: the latter may read what the former have stored, as in EmbodiChain.
         """
         if not self.overridden.isdisjoint(_TAKE_OBS):
             return True
@@ -284,8 +284,7 @@ class StepJudge:
         self._curriculum = curriculum
         # Environments whose physics diverged in the last step.
         self._physics: Mask | None = None
-        # How often each warning was given.
-        self._told: dict[str, int] = {}
+        self._warning_counts: dict[str, int] = {}
         self._hooks_take_obs = hooks.take_obs
 
     @property
@@ -397,11 +396,11 @@ class StepJudge:
         env = self._env
         if not is_host(mask):
             return
-        sound = finite_physics(env)
+        is_physics_finite = finite_physics(env)
         if self._physics is not None:
-            sound = sound & ~self._physics
-        diverged_physics = mask & ~sound
-        rest = mask & sound
+            is_physics_finite = is_physics_finite & ~self._physics
+        diverged_physics = mask & ~is_physics_finite
+        rest = mask & is_physics_finite
         if diverged_physics.any():
             ids = np.flatnonzero(diverged_physics)
             text = "%s: %d of %d environments diverged (%s); they end and are reset"
@@ -416,7 +415,8 @@ class StepJudge:
             rest = rest & ~rows
         if rest.any():
             causes["the sum of the rewards"] = (kind_of_values(reward[rest]), rest)
-        warn_not_finite(env, causes, "their physics is finite; they end and are reset", self._told)
+        what = "their physics is finite; they end and are reset"
+        warn_not_finite(env, causes, what, self._warning_counts)
 
     def exclude(self, mask: Mask, info: Info) -> Info:
         """Remove environments (N,) that diverged from ``info`` and sums."""

@@ -67,13 +67,16 @@ class ObservationBuffer:
         sensors: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         self._robot = robot
-        every = robot is None or list(joint_ids) == list(range(robot.dof))
-        self._joints: Any = slice(None) if every else np.asarray(joint_ids, np.int64)
+        self._joints: Any = slice(None)
+        if robot is not None and list(joint_ids) != list(range(robot.dof)):
+            self._joints = np.asarray(joint_ids, np.int64)
         self._manager = manager
         self._plain = plain
         self._episodes = episodes
-        self._cameras = {u for u, s in sensors.items() if getattr(s, "reads_images", False)}
-        self._told: dict[str, int] = {}
+        self._cameras = {
+            uid for uid, sensor in sensors.items() if getattr(sensor, "reads_images", False)
+        }
+        self._warning_counts: dict[str, int] = {}
         self._built = False
         self._has_terms = False
 
@@ -81,10 +84,17 @@ class ObservationBuffer:
         """Make the layout from the first observation; return that observation in it."""
         first = self._with_terms(obs)
         manager = self._manager
-        images = {path for path, _ in leaves_of(first) if path[0] == "sensor"}
-        images = {path for path in images if path[1] in self._cameras} | manager.images
-        count, arrays = manager.num_envs, manager.env.arrays
-        self.layout = ObservationLayout(first, manager.paths, count, images, arrays)
+        images = set(manager.images)
+        for path, _ in leaves_of(first):
+            if path[0] == "sensor" and path[1] in self._cameras:
+                images.add(path)
+        self.layout = ObservationLayout(
+            first,
+            manager.paths,
+            manager.num_envs,
+            images=images,
+            arrays=manager.env.arrays,
+        )
         manager.use(self.layout)
         self._built = True
         return self.layout.pack(first)
@@ -105,32 +115,36 @@ class ObservationBuffer:
         if self._built and self._plain:
             obs = Observation(self.layout, self.layout.empty())
             with self._episodes.counting(present=True):
-                self._manager.write(obs, self._own(sensors))
+                self._manager.write(obs, self._entries(sensors))
             return obs
         entries = TensorMapping(batch_size=(self._manager.num_envs,))
-        for path, value in self._own(sensors).items():
+        for path, value in self._entries(sensors).items():
             entries[path] = value if isinstance(value, torch.Tensor) else to_tensor(value)
         extended = entries if extend is None else extend(entries)
         if extended is None:
             raise TypeError("_extend_obs must return the observation, got None")
-        found = self._nested(extended)
-        self._compute(found)
-        return found
+        nested = self._nested(extended)
+        self._compute_terms(nested)
+        return nested
 
-    def _compute(self, obs: TensorMapping) -> None:
+    def _compute_terms(self, obs: TensorMapping) -> None:
+        """Add the entries of terms to those of robot and sensors."""
         with self._episodes.counting(present=True):
             self._manager.compute(obs)
 
-    def _own(self, sensors: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
-        own: dict[tuple[str, ...], Any] = {}
-        robot, joints = self._robot, self._joints
+    def _entries(self, sensors: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
+        """Return the entries that are not of terms: those of the robot and of sensors."""
+        entries: dict[tuple[str, ...], Any] = {}
+        robot = self._robot
+        joints = self._joints
         if robot is not None:
-            own["robot", "qpos"] = robot.read_qpos()[:, joints]
-            own["robot", "qvel"] = robot.read_qvel()[:, joints]
-            own["robot", "qf"] = robot.read_efforts()[:, joints]
+            entries["robot", "qpos"] = robot.read_qpos()[:, joints]
+            entries["robot", "qvel"] = robot.read_qvel()[:, joints]
+            entries["robot", "qf"] = robot.read_efforts()[:, joints]
         if sensors:
-            own.update({("sensor", *path): leaf for path, leaf in leaves_of(sensors)})
-        return own
+            for path, leaf in leaves_of(sensors):
+                entries["sensor", *path] = leaf
+        return entries
 
     def _nested(self, obs: Mapping[str, Any]) -> TensorMapping:
         if isinstance(obs, TensorMapping):
@@ -138,12 +152,12 @@ class ObservationBuffer:
         return TensorMapping(obs, (self._manager.num_envs,))
 
     def _with_terms(self, obs: Mapping[str, Any]) -> TensorMapping:
-        """An observation with its terms, even if an override of `get_obs` omits them."""
-        found = self._nested(obs)
+        """Return an observation with its terms, even if an override of `get_obs` omits them."""
+        nested = self._nested(obs)
         if not self._has_terms:
-            self._compute(found)
+            self._compute_terms(nested)
         self._has_terms = False
-        return found
+        return nested
 
     def complete(self, obs: Mapping[str, Any]) -> Observation:
         """Return the result of `get_obs` as an observation of this layout, terms included."""
@@ -186,17 +200,22 @@ class ObservationBuffer:
         """Log why the observation of environments (N,) is not finite after a reset."""
         env = self._manager.env
         managers: Any = env.managers
-        sound = finite_physics(env)
-        sick, rest = bad & ~sound, bad & sound
-        if sick.any():
-            events = managers["events"].terms.values()
-            before = [f"events.{event.name}" for event in events if event.cfg.mode == "reset"]
+        is_physics_finite = finite_physics(env)
+        diverged = bad & ~is_physics_finite
+        rest = bad & is_physics_finite
+        if diverged.any():
+            events = [
+                declared_at(env, f"events.{event.name}")
+                for event in managers["events"].terms.values()
+                if event.cfg.mode == "reset"
+            ]
             logger.error(
                 "not finite after a reset: environments %s, nor is their state; events before: %s",
-                listed(np.flatnonzero(sick)),
-                ", ".join(declared_at(env, name) for name in before) or "none",
+                listed(np.flatnonzero(diverged)),
+                ", ".join(events) or "none",
             )
         if rest.any():
-            found = managers["commands"].not_finite(rest) | self._manager.not_finite(obs, rest)
+            causes = managers["commands"].not_finite(rest)
+            causes |= self._manager.not_finite(obs, rest)
             what = "not finite after a reset, zeros are observed"
-            warn_not_finite(env, found, what, self._told)
+            warn_not_finite(env, causes, what, self._warning_counts)

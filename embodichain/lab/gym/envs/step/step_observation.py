@@ -7,6 +7,7 @@ first observation had not been made: noise, delays and histories advance once in
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +28,21 @@ if TYPE_CHECKING:
 __all__ = ["StepObservation"]
 
 Changed = Sequence["EnvIndex | None"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _BeforeJudging:
+    """What an observation before judging advances, from which it can be made once more.
+
+    Attributes:
+        memory: Noise, delays, histories and states of terms before it.
+        counters: Counters of the random streams before it.
+        counters_after: Those after it.
+    """
+
+    memory: Any
+    counters: Any
+    counters_after: Any
 
 
 class StepObservation:
@@ -60,7 +76,7 @@ class StepObservation:
         self._observations = observations
         self._events = events
         self._commands = commands
-        self._before: tuple[Any, Any, Any] | None = None
+        self._before: _BeforeJudging | None = None
 
     def after_reset(self, options: dict[str, Any], were_reset: EnvIndex | None) -> Observation:
         """Observe all environments after a reset.
@@ -85,9 +101,9 @@ class StepObservation:
         streams = self._env.streams
         memory = self._observations.memory()
         counters = streams.save_counters()
-        seen = self._observe_step(kwargs, stepped)
-        self._before = (memory, counters, streams.save_counters())
-        return seen
+        judged_obs = self._observe_step(kwargs, stepped)
+        self._before = _BeforeJudging(memory, counters, streams.save_counters())
+        return judged_obs
 
     def to_return(
         self,
@@ -112,9 +128,9 @@ class StepObservation:
         if before is None or not changed:
             return seen
         env = self._env
-        memory, counters_before, counters_after = before
-        self._observations.recall(memory)
-        env.streams.take_back(counters_before, counters_after)
+        # So that it is made with the same noise, and delays and histories advance once.
+        self._observations.recall(before.memory)
+        env.streams.take_back(before.counters, before.counters_after)
         again = self._observe_step(kwargs, stepped)
         rows: NDArray[np.bool_] = env.arrays.full(env.num_envs, False, np.bool_)
         for ids in changed:

@@ -111,7 +111,8 @@ def test_no_image_is_in_a_flat_vector(make):
     obs, _ = env.reset()
     manager = env.observation_manager
     assert manager.image_terms() == ("picture", "range")
-    with pytest.raises(ValueError, match=r"'policy' is no flat vector: picture, range are images"):
+    message = "'policy' is not a flat vector: picture, range are images"
+    with pytest.raises(ValueError, match=message):
         manager.flatten(obs)
     assert env.observation_buffer.last.shape == (2, 18 + 6)  # the robot's and the group's numbers
     with pytest.raises(ValueError, match="there are: policy"):

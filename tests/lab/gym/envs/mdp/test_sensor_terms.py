@@ -285,12 +285,12 @@ def test_feet_slide_by_their_speed_in_the_plane_while_they_touch(make) -> None:
         (
             "observations",
             ObservationCfg(func="imu_acceleration", params={"sensor": "contacts"}),
-            "'contacts' is no imu sensor; imu sensors: imu",
+            "'contacts' is not a sensor of type imu; imu sensors: imu",
         ),
         (
             "terminations",
             TerminationCfg(func="illegal_contact", params={"sensor": "imu"}),
-            "'imu' is no contact sensor; contact sensors: contacts",
+            "'imu' is not a sensor of type contact; contact sensors: contacts",
         ),
         (
             "metrics",
@@ -352,7 +352,7 @@ def test_a_reading_is_a_reward(make) -> None:
         ("sensor_reading", {"sensor": "rays", "reading": "normal"}, "reading", "has: distance"),
         ("sensor_reading", {"sensor": "frame", "reading": "positon"}, "reading", "'position'"),
         ("sensor_reading", {"sensor": "eye"}, "sensor", "'eye' is a camera"),
-        ("height_scan", {"sensor": "rays"}, "sensor", "is no height_scan sensor"),
+        ("height_scan", {"sensor": "rays"}, "sensor", "is not a sensor of type height_scan"),
     ],
 )
 def test_a_wrong_reading_is_refused(make, func, params, path, match) -> None:

@@ -84,10 +84,19 @@ def alias(
         **params: Parameters of the target (``from_`` for ``from``): a fixed value, a `P`, or a
             function that takes the environment and parameters of the alias and returns the value.
     """
-    steps = shape if isinstance(shape, list) else [] if shape is None else [shape]
-    pairs = [(s, None) if isinstance(s, str) else next(iter(s.items())) for s in steps]
+    steps: list[Any] = []
+    if isinstance(shape, list):
+        steps = shape
+    elif shape is not None:
+        steps = [shape]
+    shapes = tuple((step, None) if isinstance(step, str) else _single_item(step) for step in steps)
     values = {config_word(name): value for name, value in params.items()}
-    return Alias(target, tuple(pairs), values, only, example)
+    return Alias(target, shapes, params=values, only=only, example=example)
+
+
+def _single_item(step: Mapping[str, Any]) -> tuple[str, Any]:
+    """Return name and parameters of a shape ``{name: parameters}``."""
+    return next(iter(step.items()))
 
 
 @dataclass(frozen=True)
@@ -131,29 +140,33 @@ class AliasSpec(TermSpec):
 
     def hints(self) -> dict[str, Any]:
         """Types of the parameters, from the target or a shape."""
-        hints = {n: self.parts[i].hints()[key] for n, (i, key) in self.exposed.items()}
+        parts = self.parts
+        hints = {name: parts[part].hints()[key] for name, (part, key) in self.exposed.items()}
         return {**hints, **self.narrower}
 
     def meaning(
         self, values: Mapping[str, Any], env: TermContext | None = None
     ) -> list[tuple[TermSpec, dict[str, Any]]]:
-        """The target and its parameters, then each shape and its parameters.
+        """Return the target and its parameters, then each shape and its parameters.
 
         Args:
             values: Parameters of the alias.
             env: The environment, for `makers`.
         """
-        given = [dict(fixed) for fixed in self.fixed]
+        # The parameters of each of `parts`.
+        params = [dict(fixed) for fixed in self.fixed]
         for name, (part, key) in self.exposed.items():
             default = self.params[name].default
             if name in values:
-                given[part][key] = values[name]
+                params[part][key] = values[name]
             elif default is not _EMPTY:
-                given[part][key] = default
-        shaped = 1 + len(self.steps)
-        for (key, maker), own in zip(self.makers.items(), given[shaped:], strict=True):
-            given[0][key] = maker.func(env, **maker.arguments(own))
-        return list(zip((self.target, *self.steps), given[:shaped], strict=True))
+                params[part][key] = default
+        count = 1 + len(self.steps)
+        of_target = params[0]
+        of_makers = params[count:]
+        for (key, maker), of_maker in zip(self.makers.items(), of_makers, strict=True):
+            of_target[key] = maker.func(env, **maker.arguments(of_maker))
+        return list(zip((self.target, *self.steps), params[:count], strict=True))
 
 
 def register_aliases(table: Mapping[str, Alias], *kinds: Kind) -> None:
@@ -165,96 +178,141 @@ def register_aliases(table: Mapping[str, Alias], *kinds: Kind) -> None:
             and metric, and termination if it returns bool.
     """
     TERMS["reward"]  # targets are registered first
-    for name, meant in table.items():
-        last = meant.shapes[-1][0] if meant.shapes else ""
-        for kind in kinds or (VALUE_KINDS[1:] if last in _TRUTHS else ("reward", "metric")):
-            add_term(_spec(name, kind, meant))
+    for name, described in table.items():
+        last_shape = described.shapes[-1][0] if described.shapes else ""
+        allowed: Sequence[Kind] = ("reward", "metric")
+        if last_shape in _TRUTHS:
+            allowed = VALUE_KINDS[1:]
+        for kind in kinds or allowed:
+            add_term(_spec(name, kind, described))
 
 
-def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
-    tables = [TERMS.registered[k] for k in (kind, *VALUE_KINDS)]
-    target = next(table[meant.target] for table in tables if meant.target in table)
-    steps = tuple(SHAPES[shape] for shape, _ in meant.shapes)
-    functions = {key: value for key, value in meant.params.items() if callable(value)}
-    makers = {key: describe_term("shape", function) for key, function in functions.items()}
+def _spec(name: str, kind: Kind, described: Alias) -> AliasSpec:
+    """Return the term that an alias describes, of one kind."""
+    tables = [TERMS.registered[of_kind] for of_kind in (kind, *VALUE_KINDS)]
+    target = next(table[described.target] for table in tables if described.target in table)
+    steps = tuple(SHAPES[shape] for shape, _ in described.shapes)
+    makers = {
+        key: describe_term("shape", value)
+        for key, value in described.params.items()
+        if callable(value)
+    }
     parts = (target, *steps, *makers.values())
-    kept = target.params if meant.only is None else meant.only
-    usual = {key: P(key) for key in target.params if key in kept}
-    given = [
-        {
-            k: meant.params.get(k, usual.get(k))
-            for k in target.params
-            if k not in makers and (k in meant.params or k in usual)
-        },
-        *(_of_shape(step, one) for step, (_, one) in zip(steps, meant.shapes, strict=True)),
-        *({key: P(key) for key in maker.params} for maker in makers.values()),
-    ]
+    # The values of each part's parameters: fixed ones, and a `P` for each that a config may set.
+    values: list[dict[str, Any]] = [_params_of_target(described, target, makers)]
+    for step, (_, params) in zip(steps, described.shapes, strict=True):
+        values.append(_params_of_shape(step, params))
+    for maker in makers.values():
+        values.append({key: P(key) for key in maker.params})
+
     exposed: dict[str, tuple[int, str]] = {}
-    params: dict[str, inspect.Parameter] = {}
+    params_by_name: dict[str, inspect.Parameter] = {}
     narrower: dict[str, Any] = {}
     texts: dict[str, str] = {}
+    # Where two parts expose the same name, it is the target's.
     for part in (*range(1, len(parts)), 0):
-        for key, value in given[part].items():
-            if isinstance(value, P):
-                source = parts[part].params[key]
-                default = source.default if value.default is _EMPTY else value.default
-                exposed[value.name] = part, key
-                params[value.name] = source.replace(default=_EMPTY if value.needed else default)
-                if value.hint is not None:
-                    narrower[value.name] = value.hint
-                if value.text:
-                    texts[value.name] = value.text
-    needed = [n for n, p in params.items() if p.default is _EMPTY]
-    words = set(REFERENCE_WORDS.values())
-    entities = [name for name in needed if words & {name, exposed[name][1]}]
-    order = dict.fromkeys([*entities, *needed, *params])
-    fixed = tuple({k: v for k, v in one.items() if not isinstance(v, P)} for one in given)
+        for key, value in values[part].items():
+            if not isinstance(value, P):
+                continue
+            exposed[value.name] = (part, key)
+            params_by_name[value.name] = _parameter(parts[part].params[key], value)
+            if value.hint is not None:
+                narrower[value.name] = value.hint
+            if value.text:
+                texts[value.name] = value.text
     return AliasSpec(
         name=name,
         kind=kind,
         func=target.func,
-        params={n: params[n] for n in order},
-        doc=_doc(meant, target),
+        params=_in_order(params_by_name, exposed),
+        doc=_doc(described, target),
         lead=target.lead,
         target=target,
         steps=steps,
         makers=makers,
-        fixed=fixed,
+        fixed=tuple(
+            {key: value for key, value in of_part.items() if not isinstance(value, P)}
+            for of_part in values
+        ),
         exposed=exposed,
         narrower=narrower,
         texts=texts,
-        example=meant.example,
+        example=described.example,
     )
 
 
-def _of_shape(shape: TermSpec, given: Any) -> dict[str, Any]:
-    """Parameters of a shape, as given in an alias."""
-    if given is None:
+def _params_of_target(
+    described: Alias, target: TermSpec, makers: Mapping[str, TermSpec]
+) -> dict[str, Any]:
+    """Return the target's parameters, as the alias gives them; without those that are made."""
+    passed_on = target.params if described.only is None else described.only
+    values: dict[str, Any] = {}
+    for key in target.params:
+        if key in makers:
+            continue
+        if key in described.params:
+            values[key] = described.params[key]
+        elif key in passed_on:
+            values[key] = P(key)
+    return values
+
+
+def _parameter(source: inspect.Parameter, value: P) -> inspect.Parameter:
+    """Return a parameter of the alias, from that of the target or of a shape."""
+    if value.needed:
+        return source.replace(default=_EMPTY)
+    return source.replace(default=source.default if value.default is _EMPTY else value.default)
+
+
+def _in_order(
+    params: Mapping[str, inspect.Parameter], exposed: Mapping[str, tuple[int, str]]
+) -> dict[str, inspect.Parameter]:
+    """Return parameters in the order of pages: needed references, other needed ones, the rest."""
+    needed = [name for name, parameter in params.items() if parameter.default is _EMPTY]
+    words = set(REFERENCE_WORDS.values())
+    entities = [name for name in needed if words & {name, exposed[name][1]}]
+    return {name: params[name] for name in dict.fromkeys([*entities, *needed, *params])}
+
+
+def _params_of_shape(shape: TermSpec, params: Any) -> dict[str, Any]:
+    """Return the parameters of a shape, as an alias gives them."""
+    if params is None:
         return {}
-    if isinstance(given, P) and given.name == "*":
+    if isinstance(params, P) and params.name == "*":
         return {key: P(key) for key in shape.params}
-    return dict(given) if isinstance(given, Mapping) else {next(iter(shape.params)): given}
+    if isinstance(params, Mapping):
+        return dict(params)
+    return {next(iter(shape.params)): params}
 
 
-def _doc(meant: Alias, target: TermSpec) -> str:
+def _doc(described: Alias, target: TermSpec) -> str:
     """Describe the meaning of a name."""
-    shapes = ", ".join(_written(name, given) for name, given in meant.shapes)
-    shape = f", shape: {f'[{shapes}]' if len(meant.shapes) > 1 else shapes}" if shapes else ""
-    shown = {
-        k: v.default if isinstance(v, P) and v.name == k else v for k, v in meant.params.items()
-    }
-    shown = {k: v for k, v in shown.items() if v not in (_EMPTY, target.params[k].default)}
-    values = ", ".join(f"{k}: {_yaml(v)}" for k, v in shown.items())
-    params = f", params: {{{values}}}" if values else ""
+    shapes = [_written(name, params) for name, params in described.shapes]
+    listed_shapes = ", ".join(shapes)
+    shape = ""
+    if len(shapes) > 1:
+        shape = f", shape: [{listed_shapes}]"
+    elif shapes:
+        shape = f", shape: {listed_shapes}"
+    shown: dict[str, Any] = {}
+    for key, value in described.params.items():
+        if isinstance(value, P) and value.name == key:
+            value = value.default
+        if value not in (_EMPTY, target.params[key].default):
+            shown[key] = value
+    params = ""
+    if shown:
+        params = f", params: {{{', '.join(f'{k}: {_yaml(v)}' for k, v in shown.items())}}}"
     return f"Alias of ``{{func: {target.name}{shape}{params}}}``."
 
 
-def _written(name: str, given: Any) -> str:
-    if given is None:
+def _written(name: str, params: Any) -> str:
+    """Return a shape as YAML."""
+    if params is None:
         return name
-    if isinstance(given, P) and given.name == "*":
+    if isinstance(params, P) and params.name == "*":
         return f"{{{name}: ...}}"
-    return f"{{{name}: {_yaml(given)}}}"
+    return f"{{{name}: {_yaml(params)}}}"
 
 
 def _yaml(value: Any) -> str:

@@ -1,6 +1,6 @@
 """Checks of terms: their parameters against signatures, and their keys besides `func` and `params`.
 
-For a whole task, and for one term when it is built. `scene_setup.py` checks that the entities in
+For a whole task, and for one term when it is built. `scene_setup` checks that the entities in
 parameters exist. Imports no torch.
 """
 
@@ -61,8 +61,13 @@ __all__ = [
 ]
 
 _ENTITIES = (
-    *("entity_cfg", "source_entity_cfg", "target_entity_cfg", "end_effector_cfg", "object_cfg"),
-    *("goal_cfg", "reference_entity_cfg"),
+    "entity_cfg",
+    "source_entity_cfg",
+    "target_entity_cfg",
+    "end_effector_cfg",
+    "object_cfg",
+    "goal_cfg",
+    "reference_entity_cfg",
 )
 """Parameters that EmbodiChain reads as references to entities because of their names;
 `entity_cfgs` is a list of them."""
@@ -86,11 +91,13 @@ def check_terms(cfg: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
     for section, kind in SECTIONS.items():
         for name, term in getattr(cfg, section).items():
             path = f"{section}.{name}"
-            checked, found = check_term(kind, term, path, allow_import=allow_import)
-            problems += found
+            checked, mistakes = check_term(kind, term, path, allow_import=allow_import)
+            problems += mistakes
             if checked is not None:
                 problems += check_in_task(checked, cfg, f"{path}.params", allow_import)
-    return problems + check_corruption(cfg) + _check_modifiers(cfg)
+    problems += check_corruption(cfg)
+    problems += _check_modifiers(cfg)
+    return problems
 
 
 @dataclass(frozen=True)
@@ -124,24 +131,31 @@ def check_in_task(
         path: Key path of the parameters.
         allow_import: See `check_terms`.
     """
-    found: list[Problem] = []
-    spec, values = term.spec, term.values
+    spec = term.spec
+    problems: list[Problem] = []
     for name, section in _REFERENCES.items():
-        there, value = getattr(cfg, section), values.get(name)
-        if isinstance(value, str) and value not in there and name in spec.params:
-            if section == "sensors" and cfg.id is not None:
-                continue  # Python code may add sensors
-            what, known = section.removesuffix("s"), listing(there, value)
-            message = f"no {what} is called {value!r}; there are: {known}"
-            found.append(Problem(name, message, did_you_mean(value, there).strip()))
+        if name in spec.params:
+            problems += _check_entry(name, term.values.get(name), section, cfg)
     hints = spec.hints()
-    for name, value in values.items():
+    for name, value in term.values.items():
         for reference in references(hints.get(name)):
-            found += [Problem(name, p.message, p.hint) for p in reference.check(cfg, value)]
-    check = getattr(spec.func, "check_task", None)
-    if check is not None:
-        found += check(cfg, values, allow_import)
-    return [Problem(f"{path}.{p.path}", p.message, p.hint) for p in found]
+            problems += [Problem(name, p.message, p.hint) for p in reference.check(cfg, value)]
+    check_task = getattr(spec.func, "check_task", None)
+    if check_task is not None:
+        problems += check_task(cfg, term.values, allow_import)
+    return [Problem(f"{path}.{p.path}", p.message, p.hint) for p in problems]
+
+
+def _check_entry(name: str, value: Any, section: str, cfg: EnvCfg) -> list[Problem]:
+    """Return the mistake that a parameter names an entry of a section that does not exist."""
+    entries = getattr(cfg, section)
+    if not isinstance(value, str) or value in entries:
+        return []
+    if section == "sensors" and cfg.id is not None:
+        return []  # Python code may add sensors
+    kind = section.removesuffix("s")
+    message = f"no {kind} is called {value!r}; there are: {listing(entries, value)}"
+    return [Problem(name, message, did_you_mean(value, entries).strip())]
 
 
 def check_term(
@@ -159,21 +173,22 @@ def check_term(
         The term (None if it has a mistake), and every mistake.
     """
     problems = check_fields(path, term)
-    shapes, found = check_shape(getattr(term, "shape", None), f"{path}.shape")
-    problems += found
+    shapes, mistakes = check_shape(getattr(term, "shape", None), f"{path}.shape")
+    problems += mistakes
     try:
         spec = resolve_term(kind, term.func, allow_import=allow_import)
     except ConfigError as error:
-        found = [Problem(f"{path}.func", p.message, p.hint) for p in error.problems]
-        return None, problems + found
+        problems += [Problem(f"{path}.func", p.message, p.hint) for p in error.problems]
+        return None, problems
     problems += _check_class(f"{path}.func", spec)
-    values, found = check_params(spec, term.params, f"{path}.params")
-    problems += found
+    values, mistakes = check_params(spec, term.params, f"{path}.params")
+    problems += mistakes
     if problems:
         return None, problems
-    written = {meant: name for name, meant in spec.written(term.params).items()}
-    python = {name: written.get(word, word) for name, word in spec.python_names().items()}
-    return CheckedTerm(spec, values, {**python, **written}, shapes), []
+    written = {parameter: name for name, parameter in spec.written(term.params).items()}
+    in_python = {name: written.get(word, word) for name, word in spec.python_names().items()}
+    names = {**in_python, **written}
+    return CheckedTerm(spec=spec, values=values, names=names, shapes=shapes), []
 
 
 def check_shape(
@@ -190,30 +205,41 @@ def check_shape(
         The shapes with their parameters, and every mistake.
     """
     TERMS["reward"]  # shapes are registered with the terms
+    if shape is None:
+        return (), []
+    if not isinstance(shape, (list, tuple)):
+        step, problems = _check_shape_step(shape, path)
+        return (() if step is None else (step,)), problems
     steps: list[tuple[TermSpec, dict[str, Any]]] = []
-    problems: list[Problem] = []
-    several = isinstance(shape, (list, tuple))
-    for i, step in enumerate(shape if several else [] if shape is None else [shape]):
-        where = f"{path}.{i}" if several else path
-        if isinstance(step, Mapping) and len(step) == 1:
-            ((name, given),) = step.items()
-        elif isinstance(step, str):
-            name, given = step, {}
-        else:
-            message = f"expected a name or one `name: parameters`, got {step!r}"
-            problems.append(Problem(where, message))
-            continue
-        spec = SHAPES.get(name)
-        if spec is None:
-            message = f"unknown shape {name!r}; allowed: {', '.join(SHAPES)}"
-            problems.append(Problem(where, message, did_you_mean(str(name), SHAPES).strip()))
-            continue
-        if not isinstance(given, Mapping):
-            given = {next(iter(spec.params), ""): given}
-        values, found = check_params(spec, given, f"{where}.{name}")
-        problems += found
-        steps.append((spec, values))
+    problems = []
+    for i, value in enumerate(shape):
+        step, mistakes = _check_shape_step(value, f"{path}.{i}")
+        problems += mistakes
+        if step is not None:
+            steps.append(step)
     return tuple(steps), problems
+
+
+def _check_shape_step(
+    step: Any, path: str
+) -> tuple[tuple[TermSpec, dict[str, Any]] | None, list[Problem]]:
+    """Check one shape; return it with its parameters (None if it is unknown), and every mistake."""
+    params: Any = {}
+    if isinstance(step, str):
+        name: Any = step
+    elif isinstance(step, Mapping) and len(step) == 1:
+        ((name, params),) = step.items()
+    else:
+        message = f"expected a name or one `name: parameters`, got {step!r}"
+        return None, [Problem(path, message)]
+    spec = SHAPES.get(name)
+    if spec is None:
+        message = f"unknown shape {name!r}; allowed: {', '.join(SHAPES)}"
+        return None, [Problem(path, message, did_you_mean(str(name), SHAPES).strip())]
+    if not isinstance(params, Mapping):  # the value of the first parameter
+        params = {next(iter(spec.params), ""): params}
+    values, problems = check_params(spec, params, f"{path}.{name}")
+    return (spec, values), problems
 
 
 def _check_class(path: str, spec: TermSpec) -> list[Problem]:
@@ -230,21 +256,21 @@ def _check_class(path: str, spec: TermSpec) -> list[Problem]:
 
 def _check_modifiers(cfg: EnvCfg) -> list[Problem]:
     """Check that modified entries were added before, or are the robot's or a sensor's."""
-    known: list[str] = ["robot/qpos", "robot/qvel", "robot/qf"]
+    entries: list[str] = ["robot/qpos", "robot/qvel", "robot/qf"]
     for uid, sensor in cfg.sensors.items():
-        known += [f"sensor/{uid}/{name}" for name in sensor.readings() if sensor.observe]
-    found: list[Problem] = []
+        if sensor.observe:
+            entries += [f"sensor/{uid}/{name}" for name in sensor.readings()]
+    problems: list[Problem] = []
     for key, term in cfg.observations.items():
         name = term.name or key
         path = f"observations.{key}.name"
-        if term.mode == "add" and name in known:
-            found.append(Problem(path, f"the observation {name!r} exists already"))
-        if term.mode == "modify" and name not in known and not cfg.id:
-            hint = did_you_mean(name, known).strip()
-            message = f"nothing to modify is called {name!r}; before it: {', '.join(known)}"
-            found.append(Problem(path, message, hint))
-        known.append(name)
-    return found
+        if term.mode == "add" and name in entries:
+            problems.append(Problem(path, f"the observation {name!r} exists already"))
+        if term.mode == "modify" and name not in entries and not cfg.id:
+            message = f"nothing to modify is called {name!r}; before it: {', '.join(entries)}"
+            problems.append(Problem(path, message, did_you_mean(name, entries).strip()))
+        entries.append(name)
+    return problems
 
 
 def check_params(
@@ -263,42 +289,47 @@ def check_params(
     """
     values: dict[str, Any] = {}
     problems: list[Problem] = []
-    hints, meant = spec.hints(), spec.written(params)
+    hints = spec.hints()
+    parameters = spec.written(params)
     for name, value in params.items():
-        key = meant.get(name)
+        key = parameters.get(name)
         if key is None:
             allowed = ", ".join(spec.params) or "no parameters"
             message = f"unknown parameter of {spec.label}; it takes {allowed}"
-            hint = did_you_mean(name, spec.params).strip()
-            problems.append(Problem(f"{path}.{name}", message, hint))
+            advice = did_you_mean(name, spec.params).strip()
+            problems.append(Problem(f"{path}.{name}", message, advice))
         elif key != name and key in params:
             problems.append(Problem(f"{path}.{name}", said_twice(key)))
         else:
             hint = hints.get(key, Any)
+            name_in_python = spec.params[key].name if key in spec.params else key
             try:
-                name_in_python = spec.params[key].name if key in spec.params else key
-                values[key] = _convert(_meant(name_in_python, hint, value), value)
+                values[key] = _convert(_type_of(name_in_python, hint, value), value)
             except ValidationError as error:
                 problems += _problems_of(error, f"{path}.{name}", hint, value)
     for name, parameter in spec.params.items():
-        if parameter.default is inspect.Parameter.empty and name not in meant.values():
+        if parameter.default is inspect.Parameter.empty and name not in parameters.values():
             message = f"missing; {spec.label} needs it"
             problems.append(Problem(f"{path}.{name}", message))
     return values, problems
 
 
-def _meant(name: str, hint: Any, value: Any) -> Any:
-    """Read a parameter; without an annotation, its name says whether it refers to an entity."""
+def _type_of(name: str, hint: Any, value: Any) -> Any:
+    """Return a parameter's type; without an annotation, its name says whether it is an entity."""
     if hint is not Any or not isinstance(value, (Mapping, list)):
         return hint
     if name in _ENTITIES:
         return SceneEntityCfg
-    return list[SceneEntityCfg] if name == "entity_cfgs" else hint
+    if name == "entity_cfgs":
+        return list[SceneEntityCfg]
+    return hint
 
 
 def _convert(hint: Any, value: Any) -> Any:
+    """Return a value in a type; raises pydantic's error if it does not fit."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
+    # A type that cannot be hashed cannot be a key of the cache.
     adapter = _adapter(hint) if isinstance(hint, Hashable) else _adapter.__wrapped__(hint)
     return value if adapter is None else adapter.validate_python(value)
 
@@ -313,23 +344,25 @@ def _adapter(hint: Any) -> TypeAdapter[Any] | None:
 
 
 def _problems_of(error: ValidationError, path: str, hint: Any, value: Any) -> list[Problem]:
-    """Pydantic's errors as problems, one for each key path; members of a union all report."""
+    """Return pydantic's errors as problems, one a key path; members of a union all report."""
     places: dict[str, list[Any]] = {}
     for details in error.errors(include_url=False):
-        tail = "".join(f".{part}" for part in _keys_of(details, value))
+        tail = "".join(f".{key}" for key in _keys_of(details, value))
         places.setdefault(path + tail, []).append(details)
     problems: list[Problem] = []
-    for place, found in places.items():
+    for place, errors in places.items():
         if any(other.startswith(f"{place}.") for other in places):
             continue  # of a member of a union that fits less
-        key = str(found[0]["loc"][-1]) if found[0]["loc"] else ""
-        if found[0]["type"] == "unexpected_keyword_argument":
-            message, advice = unknown_key(key, _fields(hint))
-            if key == "weight" and _config_class(hint) is ValueCfg:
-                message, advice = _NO_WEIGHT, ""
+        first = errors[0]
+        key = str(first["loc"][-1]) if first["loc"] else ""
+        if first["type"] != "unexpected_keyword_argument":
+            message, advice = what_is_wrong(errors)
+        elif key == "weight" and _config_class(hint) is ValueCfg:
+            message = _NO_WEIGHT
+            advice = ""
         else:
-            message, advice = what_is_wrong(found)
-        problems.append(Problem(place, message, advice, expected=expected_kind(found)))
+            message, advice = unknown_key(key, _fields(hint))
+        problems.append(Problem(place, message, advice, expected=expected_kind(errors)))
     return problems
 
 
@@ -340,31 +373,34 @@ _NO_WEIGHT = (
 
 
 def _keys_of(details: Any, value: Any) -> Iterator[str | int]:
-    """The location of an error without the tags of unions that pydantic puts between the keys."""
-    for i, part in enumerate(details["loc"]):
-        last = i == len(details["loc"]) - 1
-        in_map = isinstance(value, Mapping) and part in value
-        in_list = isinstance(value, (list, tuple)) and isinstance(part, int) and part < len(value)
-        if in_map or in_list:
+    """Yield the location of an error, without pydantic's tags of unions between the keys."""
+    location = details["loc"]
+    for i, part in enumerate(location):
+        is_key = isinstance(value, Mapping) and part in value
+        is_index = isinstance(value, (list, tuple)) and isinstance(part, int) and part < len(value)
+        if is_key or is_index:
             value = value[part]
-        elif not (last and details["type"] == "missing"):
-            continue
-        yield part
+            yield part
+        elif i == len(location) - 1 and details["type"] == "missing":
+            yield part
 
 
 def _fields(hint: Any) -> list[str]:
-    """Keys of the config class that an annotation names; of an entity if it names none."""
+    """Return the keys of the config class that an annotation names; of an entity without one."""
     cls = _config_class(hint) or SceneEntityCfg
     return [field.name for field in dataclasses.fields(cls)]
 
 
 def _config_class(hint: Any) -> type[Any] | None:
-    """The first config class in an annotation, within lists, maps and unions too."""
-    own_schema = hasattr(hint, "__get_pydantic_core_schema__")
-    if isinstance(hint, type) and dataclasses.is_dataclass(hint) and not own_schema:
+    """Return the first config class in an annotation, within lists, maps and unions too."""
+    has_own_schema = hasattr(hint, "__get_pydantic_core_schema__")
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint) and not has_own_schema:
         return hint
-    found = map(_config_class, typing.get_args(hint))
-    return next((cls for cls in found if cls is not None), None)
+    for argument in typing.get_args(hint):
+        cls = _config_class(argument)
+        if cls is not None:
+            return cls
+    return None
 
 
 _NOISE = {
@@ -372,7 +408,11 @@ _NOISE = {
     "uniform": ("low", "high", "n_min", "n_max"),
     "constant": ("bias",),
 }
-_ALIASES = (("low", "n_min"), ("high", "n_max"))
+"""Type of noise -> the keys that it takes."""
+_NEEDED = {"gaussian": ("std",), "uniform": ("low", "high"), "constant": ("bias",)}
+"""Type of noise -> those of them that have no default."""
+_ALIASES = {"low": "n_min", "high": "n_max"}
+"""Key -> EmbodiChain's name of it."""
 
 
 def check_fields(path: str, term: TermCfg) -> list[Problem]:
@@ -390,7 +430,9 @@ def check_fields(path: str, term: TermCfg) -> list[Problem]:
         return _check_observation(path, term)
     if isinstance(term, (RewardCfg, SummandCfg)):
         return check_weight(f"{path}.weight", term.weight)
-    return _check_disturbance(path, term) if isinstance(term, ActionTermCfg) else []
+    if isinstance(term, ActionTermCfg):
+        return _check_disturbance(path, term)
+    return []
 
 
 def check_weight(path: str, weight: float) -> list[Problem]:
@@ -412,22 +454,24 @@ def _check_times(path: str, seconds: Sequence[float] | None) -> list[Problem]:
 
 
 def _check_observation(path: str, term: ObservationCfg) -> list[Problem]:
-    found = _check_disturbance(path, term)
+    problems = _check_disturbance(path, term)
     if term.clip is not None and not term.clip[0] <= term.clip[1]:
-        found.append(Problem(f"{path}.clip", f"low exceeds high in {list(term.clip)}"))
+        problems.append(Problem(f"{path}.clip", f"low exceeds high in {list(term.clip)}"))
     if term.name is not None and not all(term.name.split("/")):
-        found.append(Problem(f"{path}.name", f"has an empty part: {term.name!r}"))
-    return found
+        problems.append(Problem(f"{path}.name", f"has an empty part: {term.name!r}"))
+    return problems
 
 
 def _check_disturbance(path: str, term: ActionTermCfg | ObservationCfg) -> list[Problem]:
     """Check noise and delay, which actions and observations have."""
-    found = [] if term.noise is None else _check_noise(f"{path}.noise", term.noise)
+    problems: list[Problem] = []
+    if term.noise is not None:
+        problems += _check_noise(f"{path}.noise", term.noise)
     delay: Any = term.delay
-    low, high = (delay, delay) if isinstance(delay, int) else delay
+    low, high = [delay, delay] if isinstance(delay, int) else delay
     if not 0 <= low <= high:
-        found.append(Problem(f"{path}.delay", f"needs 0 <= low <= high, got {delay}"))
-    return found
+        problems.append(Problem(f"{path}.delay", f"needs 0 <= low <= high, got {delay}"))
+    return problems
 
 
 def _check_noise(path: str, noise: Any) -> list[Problem]:
@@ -439,31 +483,32 @@ def _check_noise(path: str, noise: Any) -> list[Problem]:
         message = f"unknown type {noise.type!r}; one of: {', '.join(_NOISE)}"
         return [Problem(f"{path}.type", message, hint)]
     allowed = _NOISE[noise.type]
-    given = [n for names in _NOISE.values() for n in names if getattr(noise, n) is not None]
-    strange = [name for name in given if name not in allowed]
-    found = [
-        Problem(f"{path}.{n}", f"noise of type {noise.type!r} takes {', '.join(allowed)}")
-        for n in strange
-    ]
-    for name, alias in _ALIASES:
-        if name in given and alias in given:
-            found.append(Problem(f"{path}.{alias}", said_twice(name)))
-    needed = {"gaussian": ("std",), "uniform": ("low", "high"), "constant": ("bias",)}[noise.type]
-    aliases = dict(_ALIASES)
-    missing = [n for n in needed if n not in given and aliases.get(n) not in given]
-    found += [
-        Problem(f"{path}.{n}", f"missing; noise of type {noise.type!r} needs it")
-        for n in missing
-        if not strange
-    ]
-    wild = [n for n in given if not np.isfinite(_numbers_in(getattr(noise, n))).all()]
-    found += [Problem(f"{path}.{name}", "must be finite") for name in wild]
-    return found or _check_noise_order(path, noise)
+    keys = [key for names in _NOISE.values() for key in names if getattr(noise, key) is not None]
+    problems: list[Problem] = []
+    for key in keys:
+        if key not in allowed:
+            message = f"noise of type {noise.type!r} takes {', '.join(allowed)}"
+            problems.append(Problem(f"{path}.{key}", message))
+    takes_all_keys = not problems
+    for key, alias in _ALIASES.items():
+        if key in keys and alias in keys:
+            problems.append(Problem(f"{path}.{alias}", said_twice(key)))
+    if takes_all_keys:  # else a key may be missing because it has the name of another type's
+        for key in _NEEDED[noise.type]:
+            if key not in keys and _ALIASES.get(key) not in keys:
+                message = f"missing; noise of type {noise.type!r} needs it"
+                problems.append(Problem(f"{path}.{key}", message))
+    for key in keys:
+        if not np.isfinite(_numbers_in(getattr(noise, key))).all():
+            problems.append(Problem(f"{path}.{key}", "must be finite"))
+    return problems or _check_noise_order(path, noise)
 
 
 def _numbers_in(value: Any) -> NDArray[np.float64]:
-    """The numbers of a number, a list or a map."""
-    return np.asarray(list(value.values()) if isinstance(value, Mapping) else value, np.float64)
+    """Return the numbers of a number, a list or a map."""
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    return np.asarray(value, np.float64)
 
 
 def _check_noise_order(path: str, noise: NoiseCfg) -> list[Problem]:
@@ -475,9 +520,8 @@ def _check_noise_order(path: str, noise: NoiseCfg) -> list[Problem]:
     high = noise.n_max if noise.high is None else noise.high
     if isinstance(low, Mapping) or isinstance(high, Mapping):
         return []  # compared when they are spread over columns
-    lists = [bound for bound in (low, high) if isinstance(bound, list)]
-    if len({len(bound) for bound in lists}) > 1:
-        return [Problem(path, f"low has {len(lists[0])} values, high {len(lists[1])}")]
+    if isinstance(low, list) and isinstance(high, list) and len(low) != len(high):
+        return [Problem(path, f"low has {len(low)} values, high {len(high)}")]
     if (np.asarray(low) > np.asarray(high)).any():
         return [Problem(path, f"low {low} exceeds high {high}")]
     return []
@@ -488,12 +532,11 @@ def check_corruption(cfg: EnvCfg) -> list[Problem]:
     if isinstance(cfg.enable_corruption, bool):
         return []
     groups = list(dict.fromkeys(term.group for term in cfg.observations.values()))
-    return [
-        Problem(
-            f"enable_corruption.{name}",
-            f"no observation is in group {name!r}; there are: {', '.join(groups) or 'none'}",
-            did_you_mean(name, groups).strip(),
-        )
-        for name in cfg.enable_corruption
-        if name not in groups
-    ]
+    problems: list[Problem] = []
+    for name in cfg.enable_corruption:
+        if name not in groups:
+            there_are = ", ".join(groups) or "none"
+            message = f"no observation is in group {name!r}; there are: {there_are}"
+            hint = did_you_mean(name, groups).strip()
+            problems.append(Problem(f"enable_corruption.{name}", message, hint))
+    return problems

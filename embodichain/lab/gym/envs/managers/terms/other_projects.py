@@ -1,4 +1,4 @@
-"""Names of other projects' functions that are no terms here, and what to write instead.
+"""Names of other projects' functions that are not terms here, and what to write instead.
 
 `register_translations` adds tables; `translation_of` answers an unknown name.
 """

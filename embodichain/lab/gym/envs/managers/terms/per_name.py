@@ -68,10 +68,11 @@ def _interval(value: Any) -> tuple[float, float]:
 
 
 def _intervals(value: Any) -> Any:
+    """An interval for all, a list of them, or a map from regexes."""
     if isinstance(value, Mapping):
-        return {pattern: _interval(one) for pattern, one in value.items()}
-    if isinstance(value, (list, tuple)) and any(isinstance(v, (list, tuple)) for v in value):
-        return [_interval(one) for one in value]
+        return {pattern: _interval(bounds) for pattern, bounds in value.items()}
+    if isinstance(value, (list, tuple)) and any(isinstance(part, (list, tuple)) for part in value):
+        return [_interval(bounds) for bounds in value]
     return _interval(value)
 
 
@@ -106,7 +107,7 @@ def in_columns(
         ConfigError: If there is not one value a name, a regex matches several names, or a name has
             no column. Shows the map to write instead.
     """
-    problem = _wrong_list(values, names, named_by, path, what)
+    problem = _check_list(values, names, named_by, path=path, what=what)
     if problem is not None:
         raise ConfigError([problem])
     if not named_by or any(entry.is_part for entry in named_by):
@@ -115,38 +116,53 @@ def in_columns(
     return [by_name[name] for name in names]
 
 
-def _wrong_list(
-    values: Sequence[Any], names: Sequence[str], named_by: Sequence[NamedBy], path: str, what: str
+def _check_list(
+    values: Sequence[Any],
+    names: Sequence[str],
+    named_by: Sequence[NamedBy],
+    *,
+    path: str,
+    what: str,
 ) -> Problem | None:
-    """What is wrong with a list beside a reference."""
-    write = f"Write {map_to_write(path, names, values)}"
-    written = [name for entry in named_by for name in entry.names]
+    """Return what is wrong with a list beside a reference, or None."""
+    hint = f"Write {map_to_write(path, names, values)}"
     for entry in named_by:
         if len(entry.names) != 1 and not entry.is_part:
             message = (
                 f"a list has one number for each plain name in {entry.key}, but "
                 f"{entry.text!r} matches several: {', '.join(entry.names)}"
             )
-            return Problem(path, message, write)
+            return Problem(path, message, hint)
+    written = [name for entry in named_by for name in entry.names]
     if any(entry.is_part for entry in named_by):
         if [name for name in written if name in names] != list(names):
             parts = ", ".join(entry.text for entry in named_by)
-            message = f"the order of a list is not clear: {parts} name the {what}s as "
-            message += f"{', '.join(written)}; the columns are {', '.join(names)}"
-            return Problem(path, message, write)
+            message = (
+                f"the order of a list is not clear: {parts} name the {what}s as "
+                f"{', '.join(written)}; the columns are {', '.join(names)}"
+            )
+            return Problem(path, message, hint)
+        # Names of a part that this term does not use have no value.
         written = list(names)
-    counted = written or list(names)
-    if len(values) != len(counted):
-        message = f"needs one value or {len(counted)}, one a {what}: {', '.join(counted)}; "
-        return Problem(path, f"{message}got {len(values)}", write)
-    twice = sorted({name for name in written if written.count(name) > 1})
-    if twice:
-        key, both = named_by[0].key, ", ".join(twice)
-        return Problem(path, f"has several numbers for {both}, which {key} names twice", write)
-    strange = [name for name in written if name not in names]
-    if strange:
-        message = f"has numbers for {', '.join(strange)}, which this term does not use; its {what}s"
-        return Problem(path, f"{message} are {', '.join(names)}", write)
+    expected = written or list(names)
+    if len(values) != len(expected):
+        message = (
+            f"needs one value or {len(expected)}, one a {what}: {', '.join(expected)}; "
+            f"got {len(values)}"
+        )
+        return Problem(path, message, hint)
+    repeated = sorted({name for name in written if written.count(name) > 1})
+    if repeated:
+        key = named_by[0].key
+        message = f"has several numbers for {', '.join(repeated)}, which {key} names twice"
+        return Problem(path, message, hint)
+    unused = [name for name in written if name not in names]
+    if unused:
+        message = (
+            f"has numbers for {', '.join(unused)}, which this term does not use; its {what}s "
+            f"are {', '.join(names)}"
+        )
+        return Problem(path, message, hint)
     return None
 
 
@@ -159,11 +175,12 @@ def map_to_write(path: str, names: Sequence[str], values: Sequence[Any]) -> str:
         values: The values.
     """
     names = list(dict.fromkeys(names))
-    fits = len(values) == len(names)
-    shown = [_in_yaml(value) for value in values] if fits else ["..."] * len(names)
-    pairs = zip(map(exact_pattern, names), shown, strict=True)
-    written = ", ".join(f"{name}: {value}" for name, value in pairs)
-    return f"{path.rpartition('.')[2]}: {{{written}}}"
+    shown = ["..."] * len(names)
+    if len(values) == len(names):
+        shown = [_in_yaml(value) for value in values]
+    entries = [f"{exact_pattern(name)}: {value}" for name, value in zip(names, shown, strict=True)]
+    key = path.rpartition(".")[2]
+    return f"{key}: {{{', '.join(entries)}}}"
 
 
 def _in_yaml(value: Any) -> str:
@@ -196,11 +213,11 @@ def per_joint(
             one that another regex matches; or if a joint has no value. Lists the joints.
     """
     if isinstance(value, Mapping):
-        rows = _matched(value, names, path, what, match_every)
+        rows = _matched(value, names, path=path, what=what, matching=match_every)
         _require_all(rows, names, path, what)
         value = [rows[name] for name in names]
     elif isinstance(value, (list, tuple)):
-        value = in_columns(value, names, named_by, path, what)
+        value = in_columns(value, names, named_by, path=path, what=what)
     else:
         value = [value] * len(names)
     return np.asarray(value, np.float64)
@@ -226,15 +243,16 @@ def joint_clip(
     """
     value = _intervals(value)
     if isinstance(value, Mapping):
-        rows = _matched(value, names, path, what, match)
+        rows = _matched(value, names, path=path, what=what, matching=match)
         if rest is None:
             _require_all(rows, names, path, what)
         else:
-            pairs = zip(names, *rest, strict=True)
-            rows = {name: (low, high) for name, low, high in pairs} | rows
+            low_rest, high_rest = rest
+            of_rest = zip(names, low_rest, high_rest, strict=True)
+            rows = {name: (low, high) for name, low, high in of_rest} | rows
         value = [rows[name] for name in names]
     elif isinstance(value, list):
-        value = in_columns(value, names, named_by, path, what)
+        value = in_columns(value, names, named_by, path=path, what=what)
     else:
         value = [value] * len(names)
     low, high = np.asarray(value, np.float64).reshape(len(names), 2).T.copy()
@@ -262,7 +280,7 @@ def ranges_in_columns(
     """
     count = len(names)
     if isinstance(value, Mapping):
-        rows = _matched(value, names, path, what, match_every)
+        rows = _matched(value, names, path=path, what=what, matching=match_every)
         _require_all(rows, names, path, what)
         pairs = [rows[name] for name in names]
     elif isinstance(value[0], (list, tuple)):
@@ -290,21 +308,23 @@ def _matched(
     what: str,
     matching: Callable[..., tuple[tuple[int, ...], list[Problem]]],
 ) -> dict[str, Any]:
-    """Name -> value of the one regex that matches it in full, else that of the default."""
-    found: dict[str, Any] = {}
-    source: dict[str, str] = {}
-    for pattern, one in value.items():
+    """Return name -> value of the one regex that matches it in full, else of the default."""
+    values: dict[str, Any] = {}
+    pattern_of: dict[str, str] = {}
+    for pattern, pattern_value in value.items():
         if pattern == _DEFAULT:
             continue
         where = f"{path}.{pattern}"
         hits, problems = matching(pattern, names, f"{what} of this term", where)
         if problems:
             raise ConfigError(problems)
-        for name in (names[i] for i in hits):
-            if name in source and source[name] != pattern:
-                message = f"{what} {name!r} is matched by {source[name]!r} as well"
+        for i in hits:
+            name = names[i]
+            if pattern_of.get(name, pattern) != pattern:
+                message = f"{what} {name!r} is matched by {pattern_of[name]!r} as well"
                 raise ConfigError([Problem(where, message)])
-            source[name], found[name] = pattern, one
+            pattern_of[name] = pattern
+            values[name] = pattern_value
     if _DEFAULT in value:
-        found = dict.fromkeys(names, value[_DEFAULT]) | found
-    return found
+        values = dict.fromkeys(names, value[_DEFAULT]) | values
+    return values

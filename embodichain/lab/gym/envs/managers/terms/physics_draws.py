@@ -67,7 +67,8 @@ def physics_draws(
 
 
 def _draws_of(term: CheckedTerm) -> Sequence[PhysicsDraw]:
-    spec, values = term.spec, term.values
+    spec = term.spec
+    values = term.values
     target = spec.target if isinstance(spec, AliasSpec) else spec
     if target.draws is None:
         return ()

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import itertools
 import pkgutil
 import re
 import typing
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -166,16 +168,16 @@ class TermSpec:
 
         EmbodiChain's names of references are other names of ours, see `REFERENCE_WORDS`.
         """
-        meant = {}
+        parameters: dict[str, str] = {}
         for name in given:
             word = REFERENCE_WORDS.get(name, name)
             if name in self.params:
-                meant[name] = name
+                parameters[name] = name
             elif word in self.params:
-                meant[name] = word
+                parameters[name] = word
             elif self.open_params:
-                meant[name] = name
-        return meant
+                parameters[name] = name
+        return parameters
 
     def python_names(self) -> dict[str, str]:
         """Names of parameters in Python -> the names that a config writes."""
@@ -183,7 +185,11 @@ class TermSpec:
 
     def arguments(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return values by parameter name as keyword arguments of the function."""
-        return {self.params[k].name if k in self.params else k: v for k, v in values.items()}
+        arguments: dict[str, Any] = {}
+        for key, value in values.items():
+            name = self.params[key].name if key in self.params else key
+            arguments[name] = value
+        return arguments
 
 
 def config_word(name: str) -> str:
@@ -195,11 +201,12 @@ def config_word(name: str) -> str:
 
 
 def _evaluated(annotation: Any, scope: dict[str, Any]) -> Any:
+    """Return the type of an annotation that may be text, evaluated where it is written."""
     if annotation is inspect.Parameter.empty:
         return Any
-    holder: Any = SimpleNamespace(__annotations__={"it": annotation})
+    holder: Any = SimpleNamespace(__annotations__={"parameter": annotation})
     try:
-        return typing.get_type_hints(holder, scope, {}, include_extras=True)["it"]
+        return typing.get_type_hints(holder, scope, {}, include_extras=True)["parameter"]
     except NameError:  # a name imported for type checkers only: its type cannot be checked
         return Any
 
@@ -218,7 +225,9 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
             try:
                 for package in _PACKAGES:
                     _import_modules(f"{_BUILTIN}.{package}")
-                for module in (*(f"{_BUILTIN}.{name}" for name in _MODULES), *TERM_MODULES):
+                for name in _MODULES:
+                    importlib.import_module(f"{_BUILTIN}.{name}")
+                for module in TERM_MODULES:
                     importlib.import_module(module)
             except BaseException:
                 self._loaded = False
@@ -235,8 +244,8 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
 
 def _import_modules(package: str) -> None:
     """Import every public module of a package: their decorators register the terms."""
-    found = importlib.import_module(package)
-    for module in pkgutil.iter_modules(found.__path__):
+    folder = importlib.import_module(package).__path__
+    for module in pkgutil.iter_modules(folder):
         if not module.name.startswith("_"):
             importlib.import_module(f"{package}.{module.name}")
 
@@ -286,9 +295,9 @@ def add_term(spec: TermSpec) -> None:
         ValueError: If its name is taken by another object.
     """
     table = SHAPES if spec.kind == "shape" else TERMS.registered[cast("Kind", spec.kind)]
-    known = table.get(spec.name)
-    if known is not None and known.place != spec.place:
-        raise ValueError(f"{spec.label} is registered already, by {known.place}")
+    registered = table.get(spec.name)
+    if registered is not None and registered.place != spec.place:
+        raise ValueError(f"{spec.label} is registered already, by {registered.place}")
     table[spec.name] = spec
 
 
@@ -312,8 +321,8 @@ def quantity(*kinds: Kind, name: str | None = None) -> Callable[[T], T]:
     def decorate(func: T) -> T:
         lead = _lead_of(func)
         _LEADS[func] = lead
-        chosen = kinds or (VALUE_KINDS[1:] if lead else VALUE_KINDS)
-        for kind in chosen:
+        allowed = VALUE_KINDS[1:] if lead else VALUE_KINDS
+        for kind in kinds or allowed:
             add_term(describe_term(kind, func, name))
         return func
 
@@ -334,11 +343,11 @@ def register_shape(func: T) -> T:
 
 
 def _lead_of(func: Callable[..., Any]) -> tuple[str, ...]:
+    """Return which of ``obs``, ``action`` and ``info`` a quantity takes after ``env``."""
     if inspect.isclass(func):
         return ()
     names = list(inspect.signature(func).parameters)[1:]
-    count = next((i for i, n in enumerate(names) if n not in _LEAD_OF_QUANTITIES), len(names))
-    return tuple(names[:count])
+    return tuple(itertools.takewhile(lambda name: name in _LEAD_OF_QUANTITIES, names))
 
 
 _LEADS: dict[Callable[..., Any], tuple[str, ...]] = {}
@@ -348,8 +357,17 @@ _DRAWS: dict[Callable[..., Any], Draws] = {}
 SHAPES: dict[str, TermSpec] = {}
 """Every registered shape by name; filled with the terms."""
 REDUCERS = (
-    *("column", "l1", "l2", "norm", "tanh", "gaussian", "tolerance"),
-    *("above", "below", "within", "outside"),
+    "column",
+    "l1",
+    "l2",
+    "norm",
+    "tanh",
+    "gaussian",
+    "tolerance",
+    "above",
+    "below",
+    "within",
+    "outside",
 )
 """The shapes that make one number of several columns."""
 
@@ -367,9 +385,12 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
     """
     title = name or str(getattr(func, "__name__", type(func).__name__))
     of_quantity = _LEADS.get(func)
-    lead = LEADING[kind] if of_quantity is None else ("env", *of_quantity)
     if inspect.isclass(func):
-        lead = () if kind == "policy" else ("env",)
+        lead: tuple[str, ...] = () if kind == "policy" else ("env",)
+    elif of_quantity is not None:
+        lead = ("env", *of_quantity)
+    else:
+        lead = LEADING[kind]
     params = list(inspect.signature(func).parameters.values())
     positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     if len(params) < len(lead) or any(p.kind not in positional for p in params[: len(lead)]):
@@ -394,16 +415,17 @@ def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = N
 
 
 def _by_config_word(parameters: Iterable[inspect.Parameter]) -> dict[str, inspect.Parameter]:
-    """Parameters by the names that configs write.
+    """Return parameters by the names that configs write.
 
     A function that has both `of` and `entity_cfg` keeps the two names.
     """
     parameters = list(parameters)
-    words = [config_word(parameter.name) for parameter in parameters]
-    return {
-        word if words.count(word) == 1 else parameter.name: parameter
-        for word, parameter in zip(words, parameters, strict=True)
-    }
+    counts = Counter(config_word(parameter.name) for parameter in parameters)
+    by_word: dict[str, inspect.Parameter] = {}
+    for parameter in parameters:
+        word = config_word(parameter.name)
+        by_word[word if counts[word] == 1 else parameter.name] = parameter
+    return by_word
 
 
 def resolve_term(
@@ -420,26 +442,27 @@ def resolve_term(
         ConfigError: If there is no such term; names the closest one.
     """
     if not isinstance(func, str):
-        known = next((s for s in TERMS[kind].values() if s.func is func), None)
-        return known or _described(kind, func, None)
-    known = TERMS[kind].get(func)
-    if known is not None:
-        return known
+        for spec in TERMS[kind].values():
+            if spec.func is func:
+                return spec
+        return _described(kind, func, None)
+    if func in TERMS[kind]:
+        return TERMS[kind][func]
     if ":" in func:
         if not allow_import:
             raise ConfigError(f"{func!r} would be imported, which is not done for this config")
         return _described(kind, import_object(func), func)
-    elsewhere = [other for other in KINDS if func in TERMS[other]]
-    if elsewhere:
-        raise ConfigError(f"{func!r} is a term of kind {', '.join(elsewhere)}, not {kind}")
+    other_kinds = [other for other in KINDS if func in TERMS[other]]
+    if other_kinds:
+        raise ConfigError(f"{func!r} is a term of kind {', '.join(other_kinds)}, not {kind}")
     translation = translation_of(func)
     if translation:
         raise ConfigError(f"unknown {kind} term {func!r}.{translation}")
     names = listing(sorted(TERMS[kind]), func, "embodichain list terms")
-    missing = "".join(f" Besides, {reason}." for reason in TERMS.broken)
+    broken_packages = "".join(f" Besides, {reason}." for reason in TERMS.broken)
     raise ConfigError(
         f"unknown {kind} term {func!r}; allowed: {names}, or package.module:function."
-        f"{did_you_mean(func, TERMS[kind])}{missing}"
+        f"{did_you_mean(func, TERMS[kind])}{broken_packages}"
     )
 
 
@@ -462,12 +485,12 @@ def import_object(path: str) -> Any:
         raise ConfigError(f"{path!r} is not of the form package.module:function")
     module_name, _, attribute = path.partition(":")
     try:
-        found: Any = importlib.import_module(module_name)
+        value: Any = importlib.import_module(module_name)
     except ImportError as error:
         raise ConfigError(f"cannot import {module_name!r}: {error}") from error
     for part in attribute.split("."):
-        if not hasattr(found, part):
-            public = [n for n in dir(found) if not n.startswith("_")]
+        if not hasattr(value, part):
+            public = [name for name in dir(value) if not name.startswith("_")]
             raise ConfigError(f"{module_name!r} has no {part!r}.{did_you_mean(part, public)}")
-        found = getattr(found, part)
-    return found
+        value = getattr(value, part)
+    return value

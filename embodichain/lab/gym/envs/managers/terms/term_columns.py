@@ -64,19 +64,22 @@ class TermColumns:
         """
         width = shape[-1] if shape else 1
         labels = self.labels(width) if len(shape) == 1 else [""] * width
-        named = all(labels)
+        has_names = all(labels)
         if isinstance(value, Mapping):
-            if not named:
-                message = "the columns have no names that a map could give: write a number, or a "
-                message += f"list of {width}"
+            if not has_names:
+                message = (
+                    "the columns have no names that a map could give: write a number, or a "
+                    f"list of {width}"
+                )
                 raise ConfigError([Problem(path, message)])
             return per_joint(dict(value), labels, path, self.what)
         if not isinstance(value, list):
             return float(value)
-        if named and self.named_by and len(self.names) == width:
-            value = in_columns(value, labels, self.named_by, path, self.what)
-        elif named and self.named_by:
-            self._require_plain_order(value, path)
+        if has_names and self.named_by:
+            if len(self.names) == width:
+                value = in_columns(value, labels, self.named_by, path=path, what=self.what)
+            else:
+                self._require_plain_order(value, path)
         if len(value) != width:
             message = f"has {len(value)} values; the last dimension of the value is {width}"
             raise ConfigError([Problem(path, message)])
@@ -84,9 +87,11 @@ class TermColumns:
 
     def _require_plain_order(self, value: Sequence[Any], path: str) -> None:
         """Refuse a list of several numbers a name if names are not written in their order."""
-        written = tuple(name for entry in self.named_by for name in entry.names)
-        plain = all(len(entry.names) == 1 or entry.is_part for entry in self.named_by)
-        if plain and written == self.names:
+        written: list[str] = []
+        for entry in self.named_by:
+            written += entry.names
+        are_plain = all(len(entry.names) == 1 or entry.is_part for entry in self.named_by)
+        if are_plain and tuple(written) == self.names:
             return
         order = ", ".join(self.names)
         message = f"a list needs plain names in the order of the columns, which is {order}"
@@ -97,7 +102,7 @@ class TermColumns:
 def columns_of_term(
     env: TermContext, given: Mapping[str, Any], values: Mapping[str, Any], hints: Mapping[str, Any]
 ) -> TermColumns:
-    """The names of a term's columns, by what its parameters refer to.
+    """Return the names of a term's columns, by what its parameters refer to.
 
     Args:
         env: The environment.
@@ -105,25 +110,32 @@ def columns_of_term(
         values: The parameters with references resolved.
         hints: Parameter -> type.
     """
-    found = []
+    columns: list[TermColumns] = []
     for key, value in values.items():
         marks = list(references(hints.get(key)))
         if isinstance(value, ResolvedEntity):
-            found.append(_of_entity(value, of_bodies(marks)))
+            columns.append(_of_entity(value, of_bodies(marks)))
         elif hasattr(value, "plan") and hasattr(value, "reads"):
             plan = value.plan
-            what = "joint" if plan.joints else plan.kind
-            found.append(TermColumns(plan.names or (value.uid,), plan.named_by, what))
+            columns.append(
+                TermColumns(
+                    names=plan.names or (value.uid,),
+                    named_by=plan.named_by,
+                    what="joint" if plan.joints else plan.kind,
+                )
+            )
         elif of_command(marks) and value is not None:
-            found.append(TermColumns(tuple(env.command_manager.names(given[key]))))
-    if len(found) < 2:
-        return found[0] if found else TermColumns()
-    if all(len(one.names) == 1 for one in found):
-        return TermColumns((" to ".join(one.names[0] for one in found),))
+            columns.append(TermColumns(tuple(env.command_manager.names(given[key]))))
+    if len(columns) == 1:
+        return columns[0]
+    # One thing to another, as a distance: its columns belong to both.
+    if columns and all(len(of_one.names) == 1 for of_one in columns):
+        return TermColumns((" to ".join(of_one.names[0] for of_one in columns),))
     return TermColumns()
 
 
-def _of_entity(entity: ResolvedEntity, bodies: bool) -> TermColumns:
-    if entity.joint_ids and not bodies and not entity.frame_names:
+def _of_entity(entity: ResolvedEntity, picks_bodies: bool) -> TermColumns:
+    """Return the names of an entity's joints, or of its links, sites or geoms."""
+    if entity.joint_ids and not picks_bodies and not entity.frame_names:
         return TermColumns(entity.joint_names, entity.joints_by, "joint", in_turn=True)
     return TermColumns(entity.frame_names or (entity.uid,), entity.frames_by, entity.kind)

@@ -58,7 +58,8 @@ class KeySources:
     """
 
     def __init__(self, find: Callable[[str], str], section: str = "task") -> None:
-        self._find, self._section = find, section
+        self._find = find
+        self._section = section
 
     def __deepcopy__(self, memo: Any) -> KeySources:
         """Return itself: it has no values of the config."""
@@ -66,12 +67,12 @@ class KeySources:
 
     def of(self, path: str) -> tuple[str, str]:
         """Return the source of a key of the task, and its path from the root."""
-        whole = f"{self._section}.{path}"
-        return self._find(whole), whole
+        full_path = f"{self._section}.{path}"
+        return self._find(full_path), full_path
 
 
 def declared_at(env: TermContext, path: str) -> str:
-    """A term as messages name it: ``FILE:LINE: task.SECTION.NAME``, or its path alone.
+    """Return a term as messages name it: ``FILE:LINE: task.SECTION.NAME``, or its path alone.
 
     Args:
         env: The environment.
@@ -80,18 +81,18 @@ def declared_at(env: TermContext, path: str) -> str:
     sources: KeySources | None = env.cfg.key_sources
     if sources is None:
         return path
-    source, whole = sources.of(path)
-    return f"{source}: {whole}" if source else whole
+    source, full_path = sources.of(path)
+    return f"{source}: {full_path}" if source else full_path
 
 
 def present_step(env: TermContext) -> str:
-    """The control step as logs number it, from 0."""
+    """Return the control step as logs number it, from 0."""
     count = env.control_step
     return f"control step {count - 1}" if count else "before the first control step"
 
 
 def listed(ids: NDArray[np.int64]) -> str:
-    """Numbers of environments, the first few."""
+    """Return numbers of environments, the first few."""
     shown = ", ".join(map(str, ids[:_SHOWN].tolist()))
     return f"{shown}, ..." if len(ids) > _SHOWN else shown
 
@@ -123,7 +124,7 @@ def failed_term(
 
 
 def _located(env: TermContext, path: str, problem: Problem) -> Problem:
-    """A mistake with the key path of its term, its file and its line."""
+    """Return a mistake with the key path of its term, its file and its line."""
     sources: KeySources | None = env.cfg.key_sources
     if problem.source:
         return problem
@@ -142,7 +143,7 @@ def finite_physics(env: TermContext) -> NDArray[np.bool_]:
 
 
 def kind_of_values(values: NDArray[Any]) -> str:
-    """What numbers that are not finite are: NaN, infinite or both."""
+    """Return what numbers that are not finite are: NaN, infinite or both."""
     has_nan = bool(np.isnan(values).any())
     has_infinity = bool(np.isinf(values).any())
     if has_nan and has_infinity:
@@ -150,32 +151,35 @@ def kind_of_values(values: NDArray[Any]) -> str:
     return "NaN" if has_nan else "infinite"
 
 
-def counted(path: str, told: dict[str, int]) -> int:
+def counted(path: str, counts: dict[str, int]) -> int:
     """Count a step of a term; return the count if it is 1, 10, 100..., and else 0."""
-    told[path] = count = told.get(path, 0) + 1
-    return count if count == 10 ** (len(str(count)) - 1) else 0
+    count = counts.get(path, 0) + 1
+    counts[path] = count
+    is_power_of_ten = count == 10 ** (len(str(count)) - 1)
+    return count if is_power_of_ten else 0
 
 
 def warn_not_finite(
     env: TermContext,
-    found: Mapping[str, tuple[str, NDArray[np.bool_]]],
+    causes: Mapping[str, tuple[str, NDArray[np.bool_]]],
     what: str,
-    told: dict[str, int],
+    counts: dict[str, int],
 ) -> None:
     """Log which terms gave values that are not finite, and in which environments.
 
     Args:
         env: The environment.
-        found: ``SECTION.NAME`` -> what its values are (`kind_of_values`), and in which
+        causes: ``SECTION.NAME`` -> what its values are (`kind_of_values`), and in which
             environments, (N,).
         what: What happens to these environments.
-        told: Counts the steps of each term; it is named in the first, the tenth, the hundredth...
+        counts: Counts the steps of each term; it is named in the first, the tenth, the hundredth...
     """
-    for path, (kind, rows) in found.items():
-        count = counted(path, told)
+    for path, (kind, rows) in causes.items():
+        count = counted(path, counts)
         if not count:
             continue
         ids = np.flatnonzero(rows)
+        so_far = f"; such steps so far: {count}" if count > 1 else ""
         logger.warning(
             "%s: %s is %s in %d of %d environments (%s); %s%s",
             present_step(env),
@@ -185,5 +189,5 @@ def warn_not_finite(
             len(rows),
             listed(ids),
             what,
-            f"; such steps so far: {count}" if count > 1 else "",
+            so_far,
         )
