@@ -274,7 +274,7 @@ class _Opening:
     tool: int
 
     def moved_bodies(self) -> frozenset[int]:
-        """Bodies that move relative to the tool, as joints at or above them do; not its carriers."""
+        """Bodies that their joints, or those above, move relative to the tool; not its carriers."""
         is_driven = np.abs(self.qvel) > 0.0
         if not is_driven.any():
             return frozenset()
