@@ -126,7 +126,9 @@ def _read_plain_step(name: str, value: Any, path: str, number: str, lane: str | 
     """Read a step that contains no others: check its parameters, and make its instructions."""
     spec = _describe(name)
     params = _named_params(value, next(iter(spec.params), ""), path)
-    shared_params = {key: params.pop(key) for key in ("arm", "speed") if key in params}
+    shared_params: dict[str, Any] = {
+        key: params.pop(key) for key in ("arm", "speed") if key in params
+    }
     values, problems = check_params(spec, params, path)
     shared, shared_problems = check_params(_shared_spec(), shared_params, path)
     if problems or shared_problems:

@@ -102,7 +102,7 @@ class ParallelGripper(JointTerm):
         self._is_binary = command_mode == "binary"
         if self._is_binary:
             commands = state_commands
-            unused = {
+            unused: dict[str, Any] = {
                 **limit_commands,
                 "use_joint_limits": use_joint_limits or None,
                 "width": width,
