@@ -124,15 +124,15 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         self._parts = lerobot_parts(task, vectors)
         self.features: dict[str, tuple[str, tuple[int, ...]]] = {}
         for feature, part in self._parts.items():
-            width = sum(_size(entries[name]) for name in part)
+            width = sum(_size(entries[entry]) for entry in part)
             self.features[feature] = ("float32", (width,))
-        for name in self._images:
-            shape = _picture_shape(name, entries[name])
-            self.features[f"observation.images.{image_key(name)}"] = ("uint8", shape)
-        for name, path in self._sensors.items():
+        for image in self._images:
+            shape = _picture_shape(image, entries[image])
+            self.features[f"observation.images.{image_key(image)}"] = ("uint8", shape)
+        for image, path in self._sensors.items():
             (space,) = entry_spaces(env.single_observation_space, [path]).values()
             height, width = (space.shape or ())[:2]
-            self.features[f"observation.images.{image_key(name)}"] = ("uint8", (height, width, 3))
+            self.features[f"observation.images.{image_key(image)}"] = ("uint8", (height, width, 3))
         self.single_observation_space = self._space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         sentence = str(task.get("description") or name)
