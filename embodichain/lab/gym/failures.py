@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -42,12 +42,15 @@ def known_failure(
     """
     if diverged:
         return "diverged"
-    failures = () if planned is None else planned.failures
-    if failures and (failure := failures[row]) is not None:
-        return " ".join(failure.split())
+    failures: Sequence[str | None] = ()
+    if planned is not None:
+        failures = planned.failures  # empty before the first action
+    if failures and failures[row] is not None:
+        return " ".join(str(failures[row]).split())
     if terminated:
-        fired = [n for n, value in env.termination_manager.values.items() if value[row]]
-        return _TERMINATED + (", ".join(fired) or "fail")
+        values = env.termination_manager.values
+        terms = [name for name, has_fired in values.items() if has_fired[row]]
+        return _TERMINATED + (", ".join(terms) or "fail")
     return None
 
 
@@ -69,13 +72,22 @@ def failures_of(
         terminated: (N,) whether it terminated.
         values: `diverged`, (N,), and `success` if the task judges it.
     """
-    found = np.full(len(ended), "", object)
-    judged = "success" in values
-    failed = ended & ~(values["success"] > 0) if judged else ended
+    reasons = np.full(len(ended), "", object)
+    is_judged = "success" in values
+    has_failed = ended
+    if is_judged:
+        has_failed = ended & ~(values["success"] > 0)
     done = planned.done
-    for row in np.flatnonzero(failed).tolist():
-        diverged, fails = bool(values["diverged"][row]), judged and bool(terminated[row])
-        known = known_failure(env, row, planned, fails, diverged)
-        rest = (DONE if len(done) and done[row] else LATE) if judged else ""
-        found[row] = known or rest
-    return found
+    for row in np.flatnonzero(has_failed).tolist():
+        reason = known_failure(
+            env,
+            row,
+            planned,
+            terminated=is_judged and bool(terminated[row]),
+            diverged=bool(values["diverged"][row]),
+        )
+        if not reason and is_judged:
+            is_done = len(done) and done[row]
+            reason = DONE if is_done else LATE
+        reasons[row] = reason or ""
+    return reasons

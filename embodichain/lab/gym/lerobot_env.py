@@ -25,8 +25,10 @@ from embodichain.utils.errors import ConfigError
 
 __all__ = ["KEYS", "SCENE", "STATE", "LeRobotVectorEnv", "image_key", "lerobot_parts"]
 
-STATE, SCENE = "observation.state", "observation.environment_state"
-"""Features of LeRobot: numbers about the robot, and about the rest of the scene."""
+STATE = "observation.state"
+"""Feature of LeRobot: numbers about the robot."""
+SCENE = "observation.environment_state"
+"""Feature of LeRobot: numbers about the rest of the scene."""
 _SECTIONS = ("objects", "articulations", "commands")
 """Sections of a task with what observations of the scene are of."""
 KEYS = {STATE: "agent_pos", SCENE: "environment_state"}
@@ -45,19 +47,21 @@ def lerobot_parts(task: Mapping[str, Any], names: Sequence[str]) -> dict[str, li
 
     Args:
         task: The task's config.
-        names: Entries of the group that are no images, in order.
+        names: Entries of the group that are not images, in order.
 
     Returns:
         `STATE` and `SCENE` to their entries; without a feature that has none.
     """
-    others = {uid for section in _SECTIONS for uid in task.get(section) or {}}
+    scene_names: set[str] = set()
+    for section in _SECTIONS:
+        scene_names.update(task.get(section) or {})
     terms: Mapping[str, Any] = task.get("observations") or {}
-    named = {term.get("name") or key: term for key, term in terms.items()}
+    term_of_entry = {term.get("name") or key: term for key, term in terms.items()}
     parts: dict[str, list[str]] = {STATE: [], SCENE: []}
     for name in names:
-        scene = _mentions(named.get(name, {}).get("params"), others)
-        parts[SCENE if scene else STATE].append(name)
-    return {key: found for key, found in parts.items() if found}
+        params = term_of_entry.get(name, {}).get("params")
+        parts[SCENE if _mentions(params, scene_names) else STATE].append(name)
+    return {feature: entries for feature, entries in parts.items() if entries}
 
 
 def image_key(name: str) -> str:
@@ -105,8 +109,8 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
             raise ConfigError(f"{name}: LeRobot needs observations in the group policy")
         self._batch = NumpyVectorEnv(env, AutoresetMode.SAME_STEP, flatten=False)
         rate = float(self._batch.metadata["render_fps"])
-        whole = round(rate)  # PyAV, with which LeRobot 0.6 writes films, takes no float
-        fps = whole if math.isclose(rate, whole) else rate
+        # PyAV, with which LeRobot 0.6 writes films, takes no float.
+        fps = round(rate) if math.isclose(rate, round(rate)) else rate
         self.metadata = {**self._batch.metadata, "render_fps": fps}
         self.render_mode = self._batch.render_mode
         self.num_envs = self._batch.num_envs
@@ -114,27 +118,27 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         self.action_space = self._batch.action_space
         names = manager.group_terms("policy")
         entries = entry_spaces(env.single_observation_space, names)
-        self._images = [key for key in names if len(entries[key].shape or ()) >= _IMAGE_SHAPE]
-        vectors = [key for key in names if key not in self._images]
-        self._sensors = _observed(env, task, names)
+        self._images = [name for name in names if len(entries[name].shape or ()) >= _IMAGE_SHAPE]
+        vectors = [name for name in names if name not in self._images]
+        self._sensors = _sensor_colors(env, task, names)
         self._parts = lerobot_parts(task, vectors)
-        self.features: dict[str, tuple[str, tuple[int, ...]]] = {
-            key: ("float32", (sum(_size(entries[n]) for n in found),))
-            for key, found in self._parts.items()
-        }
-        for key in self._images:
-            shape = _picture_shape(key, entries[key])
-            self.features[f"observation.images.{image_key(key)}"] = ("uint8", shape)
-        for key, path in self._sensors.items():
+        self.features: dict[str, tuple[str, tuple[int, ...]]] = {}
+        for feature, part in self._parts.items():
+            width = sum(_size(entries[entry]) for entry in part)
+            self.features[feature] = ("float32", (width,))
+        for image in self._images:
+            shape = _picture_shape(image, entries[image])
+            self.features[f"observation.images.{image_key(image)}"] = ("uint8", shape)
+        for image, path in self._sensors.items():
             (space,) = entry_spaces(env.single_observation_space, [path]).values()
             height, width = (space.shape or ())[:2]
-            feature = "uint8", (height, width, 3)
-            self.features[f"observation.images.{image_key(key)}"] = feature
+            self.features[f"observation.images.{image_key(image)}"] = ("uint8", (height, width, 3))
         self.single_observation_space = self._space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         sentence = str(task.get("description") or name)
         self.envs: Any = [
-            _Member(self, i, name, sentence, int(limit)) for i in range(self.num_envs)
+            _Member(self, i, task=name, description=sentence, limit=int(limit))
+            for i in range(self.num_envs)
         ]
 
     def _space(self) -> spaces.Dict:
@@ -161,9 +165,9 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
         """
         if isinstance(seed, Sequence):
             seed = seed[0] if seed else None
-        given = {k: v for k, v in (options or {}).items() if k != _NEW_ROLLOUT}
-        obs, info = self._batch.reset(seed=seed, options=given or None)
-        return self._observed(obs), info
+        own_options = {k: v for k, v in (options or {}).items() if k != _NEW_ROLLOUT}
+        obs, info = self._batch.reset(seed=seed, options=own_options or None)
+        return self._convert(obs), info
 
     def step(
         self, actions: Any
@@ -178,26 +182,27 @@ class LeRobotVectorEnv(SyncVectorEnv):  # LeRobot films a `SyncVectorEnv` only
             final = info["final_info"]
             final["is_success"] = final["success"] & info["_final_info"]
             del info["final_obs"], info["_final_obs"]  # LeRobot reads none
-        return self._observed(obs), reward, terminated, truncated, info
+        return self._convert(obs), reward, terminated, truncated, info
 
-    def _observed(self, obs: Mapping[str, Any]) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for key, names in self._parts.items():
+    def _convert(self, obs: Mapping[str, Any]) -> dict[str, Any]:
+        """The observation as LeRobot has it, from that of the batch."""
+        converted: dict[str, Any] = {}
+        for feature, names in self._parts.items():
             columns = [_entry(obs, name).reshape(self.num_envs, -1) for name in names]
-            found[KEYS[key]] = np.concatenate(columns, axis=1, dtype=np.float32)
+            converted[KEYS[feature]] = np.concatenate(columns, axis=1, dtype=np.float32)
         pictures = {image_key(name): _pictures(obs, name) for name in self._images}
         for name, path in self._sensors.items():
             pictures[image_key(name)] = np.ascontiguousarray(rgb(_entry(obs, path)))
         if pictures:
-            found[_PIXELS] = pictures
-        return found
+            converted[_PIXELS] = pictures
+        return converted
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Return an attribute of each environment's entry in `envs`, called if it is a method."""
         if name == "render":
             return self.render() or ()
-        found = (getattr(env, name) for env in self.envs)
-        return tuple(value(*args, **kwargs) if callable(value) else value for value in found)
+        values = [getattr(env, name) for env in self.envs]
+        return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """Return an attribute of each environment's entry in `envs`."""
@@ -226,32 +231,42 @@ class _Member:
         task_description: The sentence that a policy with language receives.
     """
 
-    def __init__(self, batch: LeRobotVectorEnv, i: int, task: str, said: str, limit: int) -> None:
-        self.task, self.task_description = task, said
-        self._max_episode_steps = limit
-        self._batch, self._index = batch, i
+    def __init__(
+        self, batch: LeRobotVectorEnv, index: int, task: str, description: str, limit: int
+    ) -> None:
+        self.task = task
+        self.task_description = description
+        self._max_episode_steps = limit  # LeRobot reads it by this name
+        self._batch = batch
+        self._index = index
 
     def render(self) -> NDArray[np.uint8] | None:
         return self._batch.render_one(self._index)
 
 
-def _observed(env: BaseEnv, task: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
+def _sensor_colors(env: BaseEnv, task: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
     """Names and paths of the colours of sensors with ``observe: true`` that no term has."""
     space: Any = env.single_observation_space
-    sensors = space["sensor"] if "sensor" in getattr(space, "spaces", {}) else {}
-    paths = [f"sensor/{uid}/{output}" for uid, of in sensors.items() for output in of]
-    free = [path for path in paths if path not in names]
-    found = observed_images(free, camera_uids(task), names)
-    colours = ("color", "color_right")
-    return {name: path for name, path in found.items() if path.rpartition("/")[2] in colours}
+    if "sensor" not in getattr(space, "spaces", {}):
+        return {}
+    paths: list[str] = []
+    for uid, outputs in space["sensor"].items():
+        paths += [f"sensor/{uid}/{output}" for output in outputs]
+    paths_without_term = [path for path in paths if path not in names]
+    images = observed_images(paths_without_term, camera_uids(task), names)
+    return {
+        name: path
+        for name, path in images.items()
+        if path.rpartition("/")[2] in ("color", "color_right")
+    }
 
 
 def _entry(obs: Mapping[str, Any], name: str) -> NDArray[Any]:
     """(N, ...) an entry, by its name; "/" nests."""
-    found: Any = obs
+    entry: Any = obs
     for part in name.split("/"):
-        found = found[part]
-    return found
+        entry = entry[part]
+    return entry
 
 
 def _size(space: spaces.Space[Any]) -> int:
@@ -262,8 +277,8 @@ def _picture_shape(name: str, space: spaces.Space[Any]) -> tuple[int, int, int]:
     """(H, W, 3) of an image entry (C, H, W)."""
     channels, height, width = (space.shape or ())[-3:]
     if space.dtype != np.uint8 or channels not in (1, 3):
-        what = f"{channels} channels of {space.dtype}"
-        raise ConfigError(f"{name}: LeRobot's images have 1 or 3 channels of uint8, not {what}")
+        actual = f"{channels} channels of {space.dtype}"
+        raise ConfigError(f"{name}: LeRobot's images have 1 or 3 channels of uint8, not {actual}")
     return height, width, 3
 
 

@@ -13,22 +13,23 @@ from embodichain.lab.sim.configs.sensor_cfg import SensorCfg
 __all__ = ["camera_uids", "observed_images", "rgb"]
 
 _SENSOR = "sensor/"
-_COLOR, _RIGHT = "color", "_right"
+_COLOR = "color"
+_RIGHT = "_right"
 
 
 def camera_uids(task: Mapping[str, Any]) -> set[str]:
     """Uids of the camera sensors of a task's config."""
-    declared: Mapping[str, Any] = task.get("sensors") or {}
-    made = {uid: SensorCfg.from_dict(_thawed(values)) for uid, values in declared.items()}
-    return {uid for uid, cfg in made.items() if cfg.reads_images}
+    sensors: Mapping[str, Any] = task.get("sensors") or {}
+    configs = {uid: SensorCfg.from_dict(_copy(values)) for uid, values in sensors.items()}
+    return {uid for uid, cfg in configs.items() if cfg.reads_images}
 
 
-def _thawed(value: Any) -> Any:
-    """A config that cannot be changed, as maps and lists that can."""
+def _copy(value: Any) -> Any:
+    """A frozen config as maps and lists that can be changed."""
     if isinstance(value, Mapping):
-        return {key: _thawed(item) for key, item in value.items()}
+        return {key: _copy(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_thawed(item) for item in value]
+        return [_copy(item) for item in value]
     return value
 
 
@@ -48,7 +49,7 @@ def observed_images(
     Returns:
         Name -> path.
     """
-    found: dict[str, str] = {}
+    path_of_name: dict[str, str] = {}
     for path in paths:
         uid, _, output = path.removeprefix(_SENSOR).rpartition("/")
         if not path.startswith(_SENSOR) or uid not in cameras:
@@ -56,8 +57,8 @@ def observed_images(
         eye = f"{uid}/right" if output.endswith(_RIGHT) else uid
         kind = output.removesuffix(_RIGHT)
         name = eye if kind == _COLOR else f"{eye}/{kind}"
-        found[path if name in taken else name] = path
-    return found
+        path_of_name[path if name in taken else name] = path
+    return path_of_name
 
 
 def rgb(pictures: NDArray[Any]) -> NDArray[Any]:

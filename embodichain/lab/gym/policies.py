@@ -73,7 +73,7 @@ class PlannedPolicy(Policy, Protocol):
 def zero(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
     """Every action is 0, or the bound nearest to it."""
     low, high = _bounds(env)
-    return _repeated(np.clip(np.zeros_like(low), low, high), env)
+    return _tile(np.clip(np.zeros_like(low), low, high), env)
 
 
 def random(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
@@ -84,9 +84,8 @@ def random(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
     """
     low, high = _bounds(env)
     if not (np.isfinite(low).all() and np.isfinite(high).all()):
-        raise ConfigError(
-            [Problem("policy", "random needs an action space with finite bounds; try zero or hold")]
-        )
+        message = "random needs an action space with finite bounds; try zero or hold"
+        raise ConfigError([Problem("policy", message)])
     return env.rand(STREAM, low.shape, low, high)
 
 
@@ -99,25 +98,25 @@ def random_around_home(obs: EnvObs, env: BaseEnv, range: NonNegative = 0.1) -> t
         range: Largest noise in units of the action: rad for absolute joint positions.
 
     Raises:
-        ConfigError: If the actions of the environment are no joint positions.
+        ConfigError: If the actions of the environment are not joint positions.
     """
     low, high = _bounds(env)
     home = _home(env)
-    return env.rand(
-        STREAM, low.shape, np.clip(home - range, low, high), np.clip(home + range, low, high)
-    )
+    lowest = np.clip(home - range, low, high)
+    highest = np.clip(home + range, low, high)
+    return env.rand(STREAM, low.shape, lowest, highest)
 
 
 def hold(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
     """The action that keeps the targets of the drives.
 
     Raises:
-        ConfigError: If the actions of the environment are no joint positions.
+        ConfigError: If the actions of the environment are not joint positions.
     """
     if len(env.action_manager):
         return tensor_of(env.action_manager.hold().astype(np.float32))
     if env.single_action_space.shape == (0,):  # nothing is driven
-        return _repeated(np.zeros(0), env)
+        return _tile(np.zeros(0), env)
     return _joint_robot(env).body_data.target_qpos[:, env.active_joint_ids]
 
 
@@ -167,10 +166,10 @@ def resolve_policy(
                 message = f"{func!r} is a file: only `embodichain.learning` reads learned policies"
                 raise ConfigError([Problem("policy", message)])
             return load_file(Path(func))
-        func = _named(func)
+        func = _find_function(func)
     if not callable(func):
         raise ConfigError([Problem("policy", f"{func!r} is not callable")])
-    return _bound(func, params)
+    return _bind(func, params)
 
 
 PRETRAINED = "pretrained"
@@ -180,54 +179,61 @@ _LEARNED = ("last", PRETRAINED)
 
 
 def _is_path(text: str) -> bool:
+    """Whether the name of a policy is that of a file, or stands for one."""
     if text in POLICIES or ":" in text:
         return False
     return text in _LEARNED or "/" in text or text.endswith(".zip") or Path(text).exists()
 
 
-def _named(name: str) -> Any:
-    found = POLICIES.get(name, name)
-    if not isinstance(found, str):
-        return found
-    if ":" in found:
+def _find_function(name: str) -> Any:
+    """The policy with a name, or the object that ``package.module:function`` names.
+
+    Raises:
+        ConfigError: If there is none, or it cannot be imported.
+    """
+    policy = POLICIES.get(name, name)
+    if not isinstance(policy, str):
+        return policy
+    if ":" in policy:
         try:
-            return import_object(found)
+            return import_object(policy)
         except ConfigError as error:
             raise ConfigError([Problem("policy", str(error))]) from error
-    known = (*POLICIES, *_LEARNED)
-    allowed = ", ".join(known)
+    names = (*POLICIES, *_LEARNED)
+    allowed = ", ".join(names)
     message = f"unknown policy {name!r}; allowed: {allowed}, package.module:function, or a path"
-    raise ConfigError([Problem("policy", message, did_you_mean(name, known).strip())])
+    raise ConfigError([Problem("policy", message, did_you_mean(name, names).strip())])
 
 
-def _bound(func: Callable[..., Any], params: dict[str, Any]) -> Policy:
+def _bind(func: Callable[..., Any], params: dict[str, Any]) -> Policy:
     """Check and bind parameters; a class is constructed with them."""
     try:
         spec = describe_term("policy", func)
     except ValueError as error:
         raise ConfigError([Problem("policy", str(error))]) from error
-    if spec.is_class and not _is_called(func):
+    if spec.is_class and not _has_call(func):
         # Before it is made: to make an object of any class may do anything, as `subprocess.Popen`.
         raise ConfigError([Problem("policy", f"class {spec.name!r} must define __call__")])
     values, problems = check_params(spec, params, "policy.params")
     if problems:
         raise ConfigError(problems)
     arguments = spec.arguments(values)
+    policy: Any = func
     if spec.is_class:
-        made = func(**arguments)
+        policy = func(**arguments)
     elif arguments:
-        made = partial(func, **arguments)
-    else:
-        made = func
-    return cast(Policy, made) if hasattr(made, "reset") else _Plain(made)
+        policy = partial(func, **arguments)
+    if hasattr(policy, "reset"):
+        return cast(Policy, policy)
+    return _StatelessPolicy(policy)
 
 
-def _is_called(cls: Any) -> bool:
+def _has_call(cls: Any) -> bool:
     """Whether objects of a class can be called."""
     return any("__call__" in vars(base) for base in cls.__mro__)
 
 
-class _Plain:
+class _StatelessPolicy:
     """A function (or an object without `reset`) as a policy."""
 
     def __init__(self, func: Callable[..., Any]) -> None:
@@ -250,7 +256,8 @@ def _bounds(env: BaseEnv) -> tuple[F64, F64]:
     if not hasattr(space, "low"):
         message = f"the built-in policies need a Box as action space, got {space}"
         raise ConfigError([Problem("policy", message)])
-    low, high = np.asarray(space.low, np.float64), np.asarray(space.high, np.float64)
+    low = np.asarray(space.low, np.float64)
+    high = np.asarray(space.high, np.float64)
     return np.where(np.isinf(low), -1.0, low), np.where(np.isinf(high), 1.0, high)
 
 
@@ -276,6 +283,7 @@ def _joint_robot(env: BaseEnv) -> Robot:
     return env.robot
 
 
-def _repeated(row: F64, env: BaseEnv) -> torch.Tensor:
+def _tile(row: F64, env: BaseEnv) -> torch.Tensor:
+    """(N, A) float32 the same action for every environment."""
     rows = tensor_of(np.tile(row.astype(np.float32), (env.num_envs, 1)))
     return rows.to(env.device)

@@ -47,7 +47,7 @@ class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
         self.action_space = env.single_action_space
         view = PolicyView(env) if flatten else None
         self.observation_space = env.single_observation_space if view is None else view.space
-        self._seen = numpy_obs if view is None else view
+        self._to_numpy = numpy_obs if view is None else view
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -68,14 +68,20 @@ class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
         """
         batched = np.asarray(action, np.float32)[None]
         obs, reward, terminated, truncated, info = self.env.step(batched)  # type: ignore[arg-type]
-        flags = bool(terminated[0]), bool(truncated[0])
-        found = _first_info(info)
+        single_info = _first_info(info)
         if self.env.judges_success:
-            found["is_success"] = found["success"]
-        return self._first(obs), float(reward[0]), *flags, found
+            single_info["is_success"] = single_info["success"]
+        return (
+            self._first(obs),
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            single_info,
+        )
 
     def _first(self, obs: EnvObs) -> Any:
-        return _row(self._seen(obs))
+        """The observation of the environment, without the batch dimension."""
+        return _first_row(self._to_numpy(obs))
 
     def render(self) -> NDArray[np.uint8] | None:
         """(480, 640, 3) RGB; None unless ``rgb_array``."""
@@ -86,20 +92,21 @@ class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
         self.env.close()
 
 
-def _row(value: Any) -> Any:
+def _first_row(value: Any) -> Any:
+    """The first row of an array, or of all arrays in nested dicts."""
     if isinstance(value, dict):
-        return {key: _row(v) for key, v in value.items()}
+        return {key: _first_row(item) for key, item in value.items()}
     return value[0]
 
 
 def _first_info(info: Mapping[str, Any]) -> dict[str, Any]:
     """The entries of the environment; scalars become Python scalars."""
-    found: dict[str, Any] = {}
+    first: dict[str, Any] = {}
     for key, value in info.items():
         if isinstance(value, Mapping):
-            found[key] = _first_info(value)
+            first[key] = _first_info(value)
         elif isinstance(value, torch.Tensor) and value.shape[:1] == (1,):
-            found[key] = value[0].item() if value.ndim == 1 else value[0].numpy()
+            first[key] = value[0].item() if value.ndim == 1 else value[0].numpy()
         else:
-            found[key] = value
-    return found
+            first[key] = value
+    return first

@@ -131,10 +131,10 @@ def check_teleop(terms: Mapping[str, tuple[str, Any]]) -> list[Problem]:
     """
     if any(isinstance(cls, type) and issubclass(cls, ToolTerm) for _, cls in terms.values()):
         return []
-    found = ", ".join(f"{name}: {func}" for name, (func, _) in terms.items())
+    actions = ", ".join(f"{name}: {func}" for name, (func, _) in terms.items())
     message = (
         f"teleop moves a tool: the task needs an action {', '.join(TELEOPERATED[:-1])} or "
-        f"{TELEOPERATED[-1]}; its actions are {found or 'joint positions'}"
+        f"{TELEOPERATED[-1]}; its actions are {actions or 'joint positions'}"
     )
     return [Problem("policy", message)]
 
@@ -148,8 +148,8 @@ class Teleop:
     says when an episode is done, or discards it, and either ends the episode.
 
     Args:
-        linear_speed: m/s, the largest speed of the tool along an axis.
-        angular_speed: rad/s, likewise about an axis.
+        linear_speed: Largest speed of the tool along an axis, m/s.
+        angular_speed: Largest speed about an axis, rad/s.
 
     Attributes:
         operator: Where commands come from; set it before the first step.
@@ -160,14 +160,16 @@ class Teleop:
     operator: Operator | None
 
     def __init__(self, linear_speed: Positive = 0.25, angular_speed: Positive = 1.0) -> None:
-        self.linear_speed, self.angular_speed = linear_speed, angular_speed
+        self.linear_speed = linear_speed
+        self.angular_speed = angular_speed
         self.operator = None
         self.max_steps = -1
         self._tools: list[_Tool] = []
         self._tool = 0
+        # Whether each tool's gripper is told to open; empty before the first step of an episode.
         self._open: list[bool] = []
-        self._begun = False
-        self._seen = ToolCommand()
+        self._has_begun = False
+        self._last_command = ToolCommand()
         self._done = np.zeros(1, np.bool_)
         self._failures: list[str | None] = [None]
 
@@ -199,7 +201,7 @@ class Teleop:
     @property
     def axes(self) -> str:
         """``world`` or ``tool``: the axes of the present motion."""
-        return self._seen.axes
+        return self._last_command.axes
 
     def tool_pose(self) -> tuple[F64, F64]:
         """Position (3,) and orientation (4,) of the tool that moves."""
@@ -211,7 +213,8 @@ class Teleop:
         """Whether the gripper of the active tool was told to open; None without a gripper."""
         if self._tools[self._tool].gripper is None:
             return None
-        return self._open[self._tool] if self._open else self._initially_open()[self._tool]
+        are_open = self._open or self._initially_open()
+        return are_open[self._tool]
 
     def bind(self, env: BaseEnv) -> None:
         """Find the tools of an environment; called by viewers and at the first step.
@@ -224,7 +227,8 @@ class Teleop:
         if env.num_envs != 1:
             message = f"policy: teleop moves one robot; set num_envs=1, not {env.num_envs}"
             raise ConfigError([Problem("num_envs", message)])
-        self._tools, self.max_steps = _tools_of(env), int(env.max_episode_steps)
+        self._tools = _tools_of(env)
+        self.max_steps = int(env.max_episode_steps)
 
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
         """Return the action (1, A) for the operator's present command.
@@ -236,61 +240,72 @@ class Teleop:
         if self.operator is None:
             message = "teleop needs a viewer: viewer=web or viewer=native"
             raise ConfigError([Problem("policy", message)])
-        begins, self._begun = not self._begun, True
+        begins = not self._has_begun
+        self._has_begun = True
         command = self.operator.command(begins)
         self._open = self._open or self._initially_open()
-        if begins:  # nothing is there yet to be ended
-            self._seen = replace(self._seen, ends=command.ends, discards=command.discards)
-        self._note(command, env)
-        tool = self._tools[self._tool]
+        if begins:
+            # What was pressed before this episode does not end it.
+            self._last_command = replace(
+                self._last_command, ends=command.ends, discards=command.discards
+            )
+        self._follow_presses(command, env)
+        active_tool = self._tools[self._tool]
+        shift, turn = self._motion(command, active_tool.term, env.step_dt)
         action = env.action_manager.hold()
-        action[:, tool.columns] = tool.term.action_for(
-            *self._motion(command, tool.term, env.step_dt)
-        )
-        for one, is_open in zip(self._tools, self._open, strict=True):
-            if one.gripper is not None:
-                action[:, one.grip] = one.gripper.high if is_open else one.gripper.low
+        action[:, active_tool.columns] = active_tool.term.action_for(shift, turn)
+        for tool, is_open in zip(self._tools, self._open, strict=True):
+            if tool.gripper is not None:
+                action[:, tool.grip] = tool.gripper.high if is_open else tool.gripper.low
         return tensor_of(action.astype(np.float32))
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin an episode: the grippers are as the task begins."""
-        self._open, self._done, self._failures = [], np.zeros(1, np.bool_), [None]
-        self._begun = False
+        self._open = []
+        self._done = np.zeros(1, np.bool_)
+        self._failures = [None]
+        self._has_begun = False
 
-    def _note(self, command: ToolCommand, env: BaseEnv) -> None:
-        """Take what was pressed since the last step; each press counts once."""
-        seen, self._seen = self._seen, command
-        self._tool = (self._tool + command.switches - seen.switches) % len(self._tools)
-        if (command.grips - seen.grips) % 2:
+    def _follow_presses(self, command: ToolCommand, env: BaseEnv) -> None:
+        """Do what was pressed since the last step; each press counts once."""
+        last = self._last_command
+        self._last_command = command
+        self._tool = (self._tool + command.switches - last.switches) % len(self._tools)
+        if (command.grips - last.grips) % 2:
             self._open[self._tool] = not self._open[self._tool]
-        if command.discards > seen.discards:
+        is_discarded = command.discards > last.discards
+        if is_discarded:
             self._failures = [DISCARDED]
             _log.info("control step %d: the operator discarded the episode", env.control_step)
-        if command.discards > seen.discards or command.ends > seen.ends:
+        if is_discarded or command.ends > last.ends:
             self._done = np.ones(1, np.bool_)
             env.truncate(np.zeros(1, np.int64))
 
     def _motion(self, command: ToolCommand, term: ToolTerm, seconds: float) -> tuple[F64, F64]:
         """Metres (1, 3) and rotation vector (1, 3) of a step, in the environment's axes."""
-        linear = np.array([command.linear]) * (self.linear_speed * command.speed * seconds)
-        angular = np.array([command.angular]) * (self.angular_speed * command.speed * seconds)
+        longest_shift = self.linear_speed * command.speed * seconds
+        largest_turn = self.angular_speed * command.speed * seconds
+        shift = np.array([command.linear]) * longest_shift
+        turn = np.array([command.angular]) * largest_turn
         if command.axes == "tool":
-            quat = term.target_pose()[1]
-            linear, angular = quat_rotate(quat, linear), quat_rotate(quat, angular)
+            _, quat = term.target_pose()
+            shift = quat_rotate(quat, shift)
+            turn = quat_rotate(quat, turn)
         if command.goal is not None:
-            way = np.array([command.goal]) - term.target_pose()[0]
-            most = self.linear_speed * command.speed * seconds
-            linear = way * min(1.0, most / max(float(np.linalg.norm(way)), 1e-9))
-        return linear, angular
+            pos, _ = term.target_pose()
+            way = np.array([command.goal]) - pos
+            shift = way * min(1.0, longest_shift / max(float(np.linalg.norm(way)), 1e-9))
+        return shift, turn
 
     def _initially_open(self) -> list[bool]:
         """Whether each tool's gripper has an open target at present; True without a gripper."""
-        return [
-            tool.gripper is None
-            or float(np.ravel(tool.gripper.hold())[0]) * 2
-            >= float(tool.gripper.low[0] + tool.gripper.high[0])
-            for tool in self._tools
-        ]
+        return [tool.gripper is None or _is_open(tool.gripper) for tool in self._tools]
+
+
+def _is_open(gripper: ParallelGripper) -> bool:
+    """Whether the present command of a gripper is in the upper half of its range."""
+    command = float(np.ravel(gripper.hold())[0])
+    return command * 2 >= float(gripper.low[0] + gripper.high[0])
 
 
 def _tools_of(env: BaseEnv) -> list[_Tool]:
@@ -302,20 +317,25 @@ def _tools_of(env: BaseEnv) -> list[_Tool]:
     from embodichain.lab.gym.envs.mdp.actions.parallel_gripper import ParallelGripper
 
     manager = env.action_manager
-    terms = {name: term.instance for name, term in manager.terms.items()}
     problems = check_teleop(
-        {n: (str(manager.terms[n].cfg.func), type(t)) for n, t in terms.items()}
+        {name: (str(term.cfg.func), type(term.instance)) for name, term in manager.terms.items()}
     )
     if problems:
         raise ConfigError(problems)
-    grippers = {n: term for n, term in terms.items() if isinstance(term, ParallelGripper)}
+    terms = {name: term.instance for name, term in manager.terms.items()}
+    grippers = {name: term for name, term in terms.items() if isinstance(term, ParallelGripper)}
     tools: list[_Tool] = []
     for name, term in terms.items():
-        if isinstance(term, ToolTerm):
-            uid = getattr(term, "robot_uid", None)
-            own = next((n for n, gripper in grippers.items() if gripper.robot_uid == uid), None)
-            columns = manager.slices[name]
-            gripper = None if own is None else grippers.pop(own)
-            grip = columns if own is None else manager.slices[own]
-            tools.append(_Tool(name, term, columns, gripper, grip))
+        if not isinstance(term, ToolTerm):
+            continue
+        columns = manager.slices[name]
+        tool = _Tool(name, term, columns, gripper=None, grip=columns)
+        uid = getattr(term, "robot_uid", None)
+        for gripper_name, gripper in grippers.items():
+            if gripper.robot_uid == uid:
+                # Of a robot with two tools, each gets another gripper, in their order.
+                del grippers[gripper_name]
+                tool = _Tool(name, term, columns, gripper, grip=manager.slices[gripper_name])
+                break
+        tools.append(tool)
     return tools

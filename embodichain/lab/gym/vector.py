@@ -90,27 +90,35 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
             actions: (N, A) finite floating point numbers.
         """
         obs, reward, terminated, truncated, info = self.env.step(np.asarray(actions))  # type: ignore[arg-type]
-        numbers = reward.numpy(), terminated.numpy(), truncated.numpy()
-        return self._numpy(obs), *numbers, self._infos(info)
+        return (
+            self._numpy(obs),
+            reward.numpy(),
+            terminated.numpy(),
+            truncated.numpy(),
+            self._infos(info),
+        )
 
     def _infos(self, info: Mapping[str, Any]) -> dict[str, Any]:
-        found = {k: self._array(v) for k, v in info.items() if k not in _FINAL}
+        """Info with an array (N, ...) for each entry."""
+        arrays = {key: self._array(value) for key, value in info.items() if key not in _FINAL}
         if "final_obs" in info:
             done = info["_final_obs"].numpy()
-            found["final_obs"] = self._final_obs(info["final_obs"], done)
-            found["final_info"] = self._infos(info["final_info"])
-            found["_final_obs"], found["_final_info"] = done, done.copy()
-        return found
+            arrays["final_obs"] = self._final_obs(info["final_obs"], done)
+            arrays["final_info"] = self._infos(info["final_info"])
+            arrays["_final_obs"] = done
+            arrays["_final_info"] = done.copy()
+        return arrays
 
     def _final_obs(self, obs: EnvObs, done: NDArray[np.bool_]) -> NDArray[np.object_]:
         """One observation per environment, None where it is not final (Gymnasium's convention)."""
         rows = self._numpy(obs)
-        found = np.full(self.num_envs, None, dtype=object)
+        final = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(done):  # only environments that are done
-            found[i] = _row(rows, int(i))
-        return found
+            final[i] = _row(rows, int(i))
+        return final
 
     def _array(self, value: Any) -> Any:
+        """Rows as they are, nested dicts of them, or anything else once for each environment."""
         if isinstance(value, Mapping):
             return {key: self._array(v) for key, v in value.items()}
         if isinstance(value, torch.Tensor):
@@ -136,6 +144,7 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
 
 
 def _row(value: Any, index: int) -> Any:
+    """A copy of one row of an array, or of all arrays in nested dicts."""
     if isinstance(value, dict):
         return {key: _row(v, index) for key, v in value.items()}
     return value[index].copy()

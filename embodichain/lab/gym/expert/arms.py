@@ -10,6 +10,7 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.terms.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.terms.registry import resolve_term
+from embodichain.lab.gym.envs.mdp._tools import usual_speeds
 from embodichain.lab.gym.envs.mdp.actions.eef_action import EefTerm
 from embodichain.lab.gym.envs.mdp.actions.joint_action import JointAction
 from embodichain.lab.gym.envs.mdp.actions.operational_space import OperationalSpace
@@ -27,8 +28,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Arm", "arms_of", "declared_arms", "find_arm"]
 
-_TOOLS = (EefTerm, OperationalSpace, JointAction)
-_ABLE = "eef_delta_pose, eef_pose, operational_space, joint_action (positions)"
+_TOOL_TERMS = (EefTerm, OperationalSpace, JointAction)
+"""Classes of action terms that move a tool along a path; joint actions if they are positions."""
+_TOOL_TERM_NAMES = "eef_delta_pose, eef_pose, operational_space, joint_action (positions)"
 
 
 @dataclass(frozen=True)
@@ -69,33 +71,49 @@ class Arm:
 
 def declared_arms(cfg: EnvCfg, allow_import: bool = True) -> list[DeclaredArm]:
     """The arms that a task's actions declare; terms that cannot be found are left out."""
-    tools: list[tuple[str, str]] = []
-    grippers: list[tuple[str, str]] = []
+    # Name of the action term -> uid of its robot.
+    tools: dict[str, str] = {}
+    grippers: dict[str, str] = {}
     for name, action in cfg.actions.items():
         try:
             spec = resolve_term("action", action.func, allow_import=allow_import)
         except ConfigError:
             continue
-        cls: Any = spec.target.func if isinstance(spec, AliasSpec) else spec.func
-        reference: Any = action.params.get("of", action.params.get("entity_cfg"))
-        uid = reference.get("uid") if isinstance(reference, Mapping) else None
-        uid = uid or getattr(reference, "uid", "")
-        if isinstance(cls, type) and issubclass(cls, ParallelGripper):
-            grippers.append((name, str(uid)))
-        elif isinstance(cls, type) and issubclass(cls, _TOOLS) and _positions(action.params):
-            tools.append((name, str(uid)))
-    return [DeclaredArm(name, uid, _gripper_of(name, uid, grippers)) for name, uid in tools]
+        term_class: Any = spec.target.func if isinstance(spec, AliasSpec) else spec.func
+        if not isinstance(term_class, type):
+            continue
+        uid = _uid_of(action.params.get("of", action.params.get("entity_cfg")))
+        if issubclass(term_class, ParallelGripper):
+            grippers[name] = uid
+        elif issubclass(term_class, _TOOL_TERMS) and _commands_positions(action.params):
+            tools[name] = uid
+    return [DeclaredArm(name, uid, _gripper_of(name, uid, grippers)) for name, uid in tools.items()]
 
 
-def _positions(params: Mapping[str, Any]) -> bool:
+def _uid_of(reference: Any) -> str:
+    """The uid in a reference to an entity, a map or an object."""
+    uid = None
+    if isinstance(reference, Mapping):
+        uid = reference.get("uid")
+    return str(uid or getattr(reference, "uid", ""))
+
+
+def _commands_positions(params: Mapping[str, Any]) -> bool:
+    """Whether an action commands positions; only joint actions have other controls."""
     return bool(params.get("control", "position") == "position")
 
 
-def _gripper_of(arm: str, uid: str, grippers: Iterable[tuple[str, str]]) -> str | None:
-    """The gripper of an arm: that of its robot; of several the one with the most similar name."""
-    own = [name for name, other in grippers if other == uid]
-    shared = {name: len(set(name.split("_")) & set(arm.split("_"))) for name in own}
-    return max(own, key=lambda name: shared[name], default=None)
+def _gripper_of(arm: str, uid: str, grippers: Mapping[str, str]) -> str | None:
+    """The gripper of an arm: that of its robot; of several the one with the most similar name.
+
+    Args:
+        arm: The action term of the arm.
+        uid: Its robot.
+        grippers: Action terms of grippers -> their robots.
+    """
+    words = set(arm.split("_"))
+    candidates = [name for name, robot in grippers.items() if robot == uid]
+    return max(candidates, key=lambda name: len(words & set(name.split("_"))), default=None)
 
 
 def find_arm(name: str, arms: Iterable[DeclaredArm], path: str, key: str = "arm") -> DeclaredArm:
@@ -105,21 +123,23 @@ def find_arm(name: str, arms: Iterable[DeclaredArm], path: str, key: str = "arm"
         ConfigError: If there is none, or more than one.
     """
     arms = list(arms)
-    found = [arm for arm in arms if name in (arm.name, arm.uid)] if name else arms
-    if len(found) == 1:
-        return found[0]
-    names = sorted({arm.name for arm in arms} | {arm.uid for arm in arms})
-    there = ", ".join(names) or "none"
+    matching_arms = [arm for arm in arms if name in ("", arm.name, arm.uid)]
+    if len(matching_arms) == 1:
+        return matching_arms[0]
     if not arms:
-        message = f"no action moves a tool along a path; these can: {_ABLE}"
+        message = f"no action moves a tool along a path; these can: {_TOOL_TERM_NAMES}"
         raise ConfigError([Problem(path, message)])
+    names = sorted({arm.name for arm in arms} | {arm.uid for arm in arms})
+    allowed = ", ".join(names)
+    path = f"{path}.{key}"
     if not name:
-        raise ConfigError(
-            [Problem(f"{path}.{key}", f"missing value: which arm; there are: {there}")]
-        )
-    what = "there is no arm" if not found else "more than one arm is"
-    hint = did_you_mean(name, names).strip() if not found else ""
-    raise ConfigError([Problem(f"{path}.{key}", f"{what} {name!r}; there are: {there}.", hint)])
+        message = f"missing value: which arm; there are: {allowed}"
+        raise ConfigError([Problem(path, message)])
+    if matching_arms:
+        message = f"more than one arm is {name!r}; there are: {allowed}."
+        raise ConfigError([Problem(path, message)])
+    message = f"there is no arm {name!r}; there are: {allowed}."
+    raise ConfigError([Problem(path, message, did_you_mean(name, names).strip())])
 
 
 def arms_of(env: BaseEnv) -> list[tuple[DeclaredArm, Arm]]:
@@ -128,23 +148,33 @@ def arms_of(env: BaseEnv) -> list[tuple[DeclaredArm, Arm]]:
     if not len(manager):
         return _whole_robot(env)
     instances = {name: term.instance for name, term in manager.terms.items()}
-    grippers = {n: t for n, t in instances.items() if isinstance(t, ParallelGripper)}
-    uids = [(name, gripper.asset.uid) for name, gripper in grippers.items()]
-    found = []
+    grippers = {name: term for name, term in instances.items() if isinstance(term, ParallelGripper)}
+    robot_of_gripper = {name: gripper.asset.uid for name, gripper in grippers.items()}
+    arms: list[tuple[DeclaredArm, Arm]] = []
     for name, term in instances.items():
-        if not isinstance(term, _TOOLS) or not _has_tool(term):
+        if not isinstance(term, _TOOL_TERMS) or not _has_tool(term):
             continue
         asset: Any = term.asset
-        own = _gripper_of(name, asset.uid, uids)
-        gripper = grippers.get(own or "")
-        fingers = manager.slices[own] if own else slice(0, 0)
-        columns = manager.slices[name]
-        arm = Arm(name, asset, cast("MovesTool", term), columns, gripper, fingers)
-        found.append((DeclaredArm(name, asset.uid, own), arm))
-    return found
+        gripper_name = _gripper_of(name, asset.uid, robot_of_gripper)
+        gripper: ParallelGripper | None = None
+        fingers = slice(0, 0)
+        if gripper_name is not None:
+            gripper = grippers[gripper_name]
+            fingers = manager.slices[gripper_name]
+        arm = Arm(
+            name=name,
+            asset=asset,
+            term=cast("MovesTool", term),
+            columns=manager.slices[name],
+            gripper=gripper,
+            fingers=fingers,
+        )
+        arms.append((DeclaredArm(name, asset.uid, gripper_name), arm))
+    return arms
 
 
 def _has_tool(term: Any) -> bool:
+    """Whether joints of an action move a tool; a term without a solver has none."""
     try:
         return bool(len(term.solver.moving))
     except ConfigError:
@@ -160,8 +190,14 @@ def _whole_robot(env: BaseEnv) -> list[tuple[DeclaredArm, Arm]]:
         term = _JointTargets(robot, env.active_joint_ids)
     except (ConfigError, ValueError):
         return []
-    columns = slice(0, len(env.active_joint_ids))
-    arm = Arm("", robot, term, columns, None, slice(0, 0))
+    arm = Arm(
+        name="",
+        asset=robot,
+        term=term,
+        columns=slice(0, len(env.active_joint_ids)),
+        gripper=None,
+        fingers=slice(0, 0),
+    )
     return [(DeclaredArm("", robot.uid, None), arm)]
 
 
@@ -172,11 +208,12 @@ class _JointTargets:
     tool_speeds = (np.inf, np.inf)
 
     def __init__(self, robot: Robot, joints: Iterable[int]) -> None:
-        from embodichain.lab.gym.envs.mdp._tools import usual_speeds
 
-        self._robot, self._joints = robot, list(joints)
-        parts = [part for part in robot.control_parts if part in robot.parsed.tools]
-        self.solver: ArmSolver = robot.get_solver(parts[0] if len(parts) == 1 else None)
+        self._robot = robot
+        self._joints = list(joints)
+        parts_with_tool = [part for part in robot.control_parts if part in robot.parsed.tools]
+        part = parts_with_tool[0] if len(parts_with_tool) == 1 else None
+        self.solver: ArmSolver = robot.get_solver(part)
         self._columns = [self._joints.index(int(joint)) for joint in self.solver.moving]
         self.joint_speeds: F64 = usual_speeds(robot, self.solver.moving, self.solver)
 

@@ -17,7 +17,7 @@ import numpy as np
 from embodichain.lab.gym.expert.arms import Arm, DeclaredArm, arms_of, find_arm
 from embodichain.lab.gym.expert.instructions import Move
 from embodichain.lab.gym.expert.program import check_steps
-from embodichain.lab.gym.expert.reading import ReadStep
+from embodichain.lab.gym.expert.reading import ReadStep, flat_steps
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -28,13 +28,14 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64
 
     Ids = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
 else:
     mujoco = lazy_loader.load("mujoco")
 
 __all__ = ["Fingers", "check_fingers", "read_fingers", "unclear_fingers"]
 
 _SPREAD = 0.03
-"""Share of the squared speeds that may be across the direction: about 10 degrees."""
+"""Share of the squared speeds that may be across the line: about 10 degrees."""
 _FLAT = 0.01
 """Share of the squared speeds that must be across the tool's z axis, for slides to count."""
 _RANK = 1e-6
@@ -65,20 +66,24 @@ class Fingers:
 
 def read_fingers(arm: Arm) -> Fingers:
     """The fingers of an arm; without any (suction, no gripper) the tool's x axis counts."""
-    gripper = arm.gripper
-    if gripper is None:
+    if arm.gripper is None:
         return Fingers(frozenset(), 0.0)
     model = arm.asset.engine.model
     data = _reference_state(model)
-    motion = _opening(model, data, arm)
-    bodies = _moved_bodies(model, data, motion, arm.term.solver.chain.body)
-    if gripper.finger_axis is not None:
-        across, along = gripper.finger_axis[:2]
-        return Fingers(bodies, _angle(float(np.arctan2(along, across))))
+    opening = _Opening(
+        model=model,
+        data=data,
+        qvel=_opening_motion(model, data, arm),
+        tool=arm.term.solver.chain.body,
+    )
+    bodies = opening.moved_bodies()
+    finger_axis = arm.gripper.finger_axis
+    if finger_axis is not None:
+        return Fingers(bodies, _line_angle(float(np.arctan2(finger_axis[1], finger_axis[0]))))
     if not bodies:
         return Fingers(bodies, 0.0)
-    linear, angular = _velocities(model, data, motion, arm.term.solver.chain.body, bodies)
-    angle, reason = _line(linear, angular)
+    linear, angular = opening.velocities(bodies)
+    angle, reason = _fit_line(linear, angular)
     return Fingers(bodies, angle, reason)
 
 
@@ -95,23 +100,34 @@ def unclear_fingers(
     Returns:
         A mistake for each of them.
     """
-    declared = [one for one, _ in pairs]
+    declared_arms = [declared for declared, _ in pairs]
     problems: dict[str, Problem] = {}
-    for read in (one for step in steps for one in step.flat() if not one.within):
-        for name, lane in (pair for phase in read.phases for pair in phase.items()):
-            goals = [one.goal for one in lane if isinstance(one, Move)]
-            if not any(goal.align is not None and not goal.held for goal in goals):
+    for step in flat_steps(steps):
+        if step.within:  # steps inside another are checked by themselves
+            continue
+        for name in _aligned_arms(step):
+            number = declared_arms.index(find_arm(name, declared_arms, step.path))
+            if fingers[number].angle is not None:
                 continue
-            number = declared.index(find_arm(name, declared, read.path))
-            gripper, found = declared[number].gripper, fingers[number]
-            if found.angle is None:
-                message = (
-                    f"needed by {read.path}, which turns the gripper to its target: {found.reason}."
-                    " Give x, y or a vector in the tool's frame, or the step align: false"
-                )
-                path = f"actions.{gripper}.params.finger_axis"
-                problems[path] = problems.get(path, Problem(path, message))
+            message = (
+                f"needed by {step.path}, which turns the gripper to its target: "
+                f"{fingers[number].reason}."
+                " Give x, y or a vector in the tool's frame, or the step align: false"
+            )
+            path = f"actions.{declared_arms[number].gripper}.params.finger_axis"
+            problems.setdefault(path, Problem(path, message))
     return list(problems.values())
+
+
+def _aligned_arms(step: ReadStep) -> list[str]:
+    """Return the arms whose fingers a step turns to a target, once for each phase."""
+    arms: list[str] = []
+    for phase in step.phases:
+        for arm, instructions in phase.items():
+            goals = [item.goal for item in instructions if isinstance(item, Move)]
+            if any(goal.align is not None and not goal.held for goal in goals):
+                arms.append(arm)
+    return arms
 
 
 def check_fingers(env: BaseEnv) -> None:
@@ -123,8 +139,8 @@ def check_fingers(env: BaseEnv) -> None:
     if not isinstance(env.cfg.expert, list):
         return
     pairs = arms_of(env)
-    steps, problems = check_steps(env.cfg.expert, [one for one, _ in pairs])
-    if problems:  # said by the policy, if it is used
+    steps, problems = check_steps(env.cfg.expert, [declared for declared, _ in pairs])
+    if problems:  # the policy raises them, if it is used
         return
     unclear = unclear_fingers(steps, pairs, [read_fingers(arm) for _, arm in pairs])
     if unclear:
@@ -143,71 +159,93 @@ def _reference_state(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
-def _opening(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm) -> F64:
+@dataclass(frozen=True)
+class _Equality:
+    """One row of the Jacobian of equality constraints, without its zeros.
+
+    Attributes:
+        dofs: (k,) the degrees of freedom that it couples, sorted.
+        values: (k,) the entries.
+    """
+
+    dofs: Ids
+    values: F64
+
+    def without(self, is_held: Mask) -> _Equality:
+        """Return the row without degrees of freedom that do not move; (nv,)."""
+        is_free = ~is_held[self.dofs]
+        return _Equality(self.dofs[is_free], self.values[is_free])
+
+
+def _opening_motion(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm) -> F64:
     """(nv,) accelerations while the gripper opens, of any size; the arm's joints are held.
 
     They minimize Gauss's constraint over the motions that the equalities allow.
     """
-    gripper = arm.gripper
-    if gripper is None:
+    if arm.gripper is None:
         raise ValueError("there is no gripper")
-    force = gripper.opening_force(data)
-    moves = force != 0.0
-    held = np.zeros(model.nv, np.bool_)
-    held[np.asarray(arm.asset.entity.dof_adr, np.int64)[arm.term.solver.moving]] = True
-    held &= ~moves
-    rows = [(columns[~held[columns]], values[~held[columns]]) for columns, values in
-            _equalities(model, data)]  # fmt: skip
-    while True:  # to what a row couples with what moves, until there is no more
-        coupled = [columns for columns, _ in rows if moves[columns].any()]
-        more = np.unique(np.concatenate(coupled)) if coupled else np.zeros(0, np.int64)
-        if moves[more].all():
+    force = arm.gripper.opening_force(data)
+    is_moving = force != 0.0
+    is_held = np.zeros(model.nv, np.bool_)
+    is_held[np.asarray(arm.asset.entity.dof_adr, np.int64)[arm.term.solver.moving]] = True
+    is_held &= ~is_moving
+    equalities = [row.without(is_held) for row in _active_equalities(model, data)]
+    while True:  # what moves also moves what it is coupled with, until nothing is added
+        coupled = [row.dofs for row in equalities if is_moving[row.dofs].any()]
+        if not coupled:
             break
-        moves[more] = True
-    free = np.flatnonzero(moves)
-    found = np.zeros(model.nv)
-    if not len(free):
-        return found
-    allowed = _null_space(_dense([one for one in rows if moves[one[0]].any()], free))
-    mass = allowed.T @ _inertia(model, data, free) @ allowed
-    found[free] = allowed @ np.linalg.solve(mass, allowed.T @ force[free])
-    return found
+        dofs = np.unique(np.concatenate(coupled))
+        if is_moving[dofs].all():
+            break
+        is_moving[dofs] = True
+
+    acceleration = np.zeros(model.nv)
+    moving = np.flatnonzero(is_moving)
+    if not len(moving):
+        return acceleration
+    equalities = [row for row in equalities if is_moving[row.dofs].any()]
+    allowed = _null_space(_dense_rows(equalities, moving))
+    mass = allowed.T @ _inertia(model, data, moving) @ allowed
+    acceleration[moving] = allowed @ np.linalg.solve(mass, allowed.T @ force[moving])
+    return acceleration
 
 
-def _equalities(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[Ids, F64]]:
-    """Columns and values of each row of the Jacobian of the active equality constraints."""
-    equal = np.flatnonzero(data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-    found = []
-    for row in equal:
+def _active_equalities(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Equality]:
+    """Read the rows of the equality constraints that are active."""
+    rows: list[_Equality] = []
+    for row in np.flatnonzero(data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY):
         if mujoco.mj_isSparse(model):
             first = data.efc_J_rowadr[row]
-            there = slice(first, first + data.efc_J_rownnz[row])
-            columns, values = data.efc_J_colind[there], data.efc_J[there]
+            entries = slice(first, first + data.efc_J_rownnz[row])
+            dofs = data.efc_J_colind[entries]
+            values = data.efc_J[entries]
         else:
-            columns, values = np.arange(model.nv), data.efc_J.reshape(-1, model.nv)[row]
-        large = np.abs(values) > _COUPLED
-        found.append((columns[large].astype(np.int64), values[large].copy()))
-    return found
+            dofs = np.arange(model.nv)
+            values = data.efc_J.reshape(-1, model.nv)[row]
+        is_coupled = np.abs(values) > _COUPLED
+        rows.append(_Equality(dofs[is_coupled].astype(np.int64), values[is_coupled].copy()))
+    return rows
 
 
-def _dense(rows: Sequence[tuple[Ids, F64]], columns: Ids) -> F64:
-    """(e, k) rows at some columns, sorted, which contain all theirs."""
-    found = np.zeros((len(rows), len(columns)))
-    for row, (there, values) in zip(found, rows, strict=True):
-        row[np.searchsorted(columns, there)] = values
-    return found
+def _dense_rows(rows: Sequence[_Equality], dofs: Ids) -> F64:
+    """(e, k) rows at k degrees of freedom, sorted, which contain all that the rows couple."""
+    matrix = np.zeros((len(rows), len(dofs)))
+    for number, row in enumerate(rows):
+        matrix[number, np.searchsorted(dofs, row.dofs)] = row.values
+    return matrix
 
 
 def _inertia(model: mujoco.MjModel, data: mujoco.MjData, dofs: Ids) -> F64:
     """(k, k) of the mass matrix, without the rest of it, which may be large."""
-    found = np.zeros((len(dofs), len(dofs)))
-    motion, momentum = np.zeros(model.nv), np.zeros(model.nv)
+    inertia = np.zeros((len(dofs), len(dofs)))
+    unit = np.zeros(model.nv)
+    momentum = np.zeros(model.nv)
     for column, dof in enumerate(dofs):
-        motion[:] = 0.0
-        motion[dof] = 1.0
-        mujoco.mj_mulM(model, data, momentum, motion)
-        found[:, column] = momentum[dofs]
-    return found
+        unit[:] = 0.0
+        unit[dof] = 1.0
+        mujoco.mj_mulM(model, data, momentum, unit)
+        inertia[:, column] = momentum[dofs]
+    return inertia
 
 
 def _null_space(rows: F64) -> F64:
@@ -219,70 +257,84 @@ def _null_space(rows: F64) -> F64:
     return vectors[rank:].T
 
 
-def _body_motion(
-    model: mujoco.MjModel, data: mujoco.MjData, motion: F64, point: F64, body: int
-) -> tuple[F64, F64]:
-    """Velocity of a point of a body, (3,), and angular velocity, (3,), world axes."""
-    linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-    mujoco.mj_jac(model, data, linear, angular, point, body)
-    return linear @ motion, angular @ motion
+@dataclass(frozen=True)
+class _Opening:
+    """A gripper that opens: its model, and how fast everything in it moves.
 
+    Attributes:
+        model: The model.
+        data: Its state.
+        qvel: (nv,) velocities, of any size.
+        tool: The body of the tool.
+    """
 
-def _relative(
-    model: mujoco.MjModel, data: mujoco.MjData, motion: F64, tool: int, point: F64, body: int
-) -> tuple[F64, F64]:
-    """Velocity of a point of a body and angular velocity, seen from the tool, in its axes."""
-    linear, angular = _body_motion(model, data, motion, point, body)
-    carried, turn = _body_motion(model, data, motion, data.xpos[tool], tool)
-    linear = linear - carried - np.cross(turn, point - data.xpos[tool])
-    axes = data.xmat[tool].reshape(3, 3)
-    return linear @ axes, (angular - turn) @ axes
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    qvel: F64
+    tool: int
 
+    def moved_bodies(self) -> frozenset[int]:
+        """Bodies that their joints, or those above, move relative to the tool; not its carriers."""
+        is_driven = np.abs(self.qvel) > 0.0
+        if not is_driven.any():
+            return frozenset()
+        driven_bodies = set(self.model.dof_bodyid[is_driven].tolist())
+        above_tool = set(_ancestors(self.model, self.tool))
+        speeds: dict[int, float] = {}
+        for body in range(1, self.model.nbody):
+            is_carried = not driven_bodies.isdisjoint(_ancestors(self.model, body))
+            if is_carried and body not in above_tool:
+                twist = np.concatenate(self._relative_velocity(self.data.xipos[body], body))
+                speeds[body] = float(np.linalg.norm(twist))
+        fastest = max(speeds.values(), default=0.0)
+        return frozenset(body for body, speed in speeds.items() if speed > _STILL * fastest)
 
-def _moved_bodies(
-    model: mujoco.MjModel, data: mujoco.MjData, motion: F64, tool: int
-) -> frozenset[int]:
-    """Bodies whose joints, or those above them, move relative to the tool; not what carries it."""
-    driven = np.abs(motion) > 0.0
-    if not driven.any():
-        return frozenset()
-    movers = set(model.dof_bodyid[driven].tolist())
-    above_tool = set(_ancestors(model, tool))
-    speeds = {}
-    for body in range(1, model.nbody):
-        if movers & set(_ancestors(model, body)) and body not in above_tool:
-            parts = _relative(model, data, motion, tool, data.xipos[body], body)
-            speeds[body] = float(np.linalg.norm(np.concatenate(parts)))
-    fastest = max(speeds.values(), default=0.0)
-    return frozenset(body for body, speed in speeds.items() if speed > _STILL * fastest)
+    def velocities(self, bodies: frozenset[int]) -> tuple[F64, F64]:
+        """Velocities (g, 3) of the middles of the shapes of bodies, and angular ones, tool axes.
+
+        Shapes that collide count; if there are none, all shapes; if there are none, the bodies'
+        centres of mass.
+        """
+        model = self.model
+        geoms = np.flatnonzero(np.isin(model.geom_bodyid, sorted(bodies)))
+        is_solid = (model.geom_contype[geoms] != 0) | (model.geom_conaffinity[geoms] != 0)
+        if is_solid.any():
+            geoms = geoms[is_solid]
+        points = [(self.data.geom_xpos[geom], int(model.geom_bodyid[geom])) for geom in geoms]
+        if not points:
+            points = [(self.data.xipos[body], body) for body in sorted(bodies)]
+        velocities = [self._relative_velocity(point, body) for point, body in points]
+        linear = np.stack([velocity for velocity, _ in velocities])
+        angular = np.stack([velocity for _, velocity in velocities])
+        return linear, angular
+
+    def _relative_velocity(self, point: F64, body: int) -> tuple[F64, F64]:
+        """Velocity of a point of a body and angular velocity, seen from the tool, in its axes."""
+        origin = self.data.xpos[self.tool]
+        linear, angular = self._velocity(point, body)
+        tool_linear, tool_angular = self._velocity(origin, self.tool)
+        linear = linear - tool_linear - np.cross(tool_angular, point - origin)
+        axes = self.data.xmat[self.tool].reshape(3, 3)
+        return linear @ axes, (angular - tool_angular) @ axes
+
+    def _velocity(self, point: F64, body: int) -> tuple[F64, F64]:
+        """Velocity of a point of a body, (3,), and angular velocity, (3,), world axes."""
+        linear = np.zeros((3, self.model.nv))
+        angular = np.zeros((3, self.model.nv))
+        mujoco.mj_jac(self.model, self.data, linear, angular, point, body)
+        return linear @ self.qvel, angular @ self.qvel
 
 
 def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
     """A body and those that carry it, without the world."""
-    found = []
+    bodies: list[int] = []
     while body:
-        found.append(body)
+        bodies.append(body)
         body = int(model.body_parentid[body])
-    return found
+    return bodies
 
 
-def _velocities(
-    model: mujoco.MjModel, data: mujoco.MjData, motion: F64, tool: int, bodies: frozenset[int]
-) -> tuple[F64, F64]:
-    """Velocities (g, 3) of the middles of the fingers' shapes and angular velocities, tool axes.
-
-    Shapes that collide count, without any all, without any the centres of mass.
-    """
-    geoms = np.flatnonzero(np.isin(model.geom_bodyid, sorted(bodies)))
-    solid = geoms[(model.geom_contype[geoms] != 0) | (model.geom_conaffinity[geoms] != 0)]
-    chosen = solid if len(solid) else geoms
-    points = [(data.geom_xpos[geom], int(model.geom_bodyid[geom])) for geom in chosen]
-    points = points or [(data.xipos[body], body) for body in sorted(bodies)]
-    parts = [_relative(model, data, motion, tool, *one) for one in points]
-    return np.stack([linear for linear, _ in parts]), np.stack([angular for _, angular in parts])
-
-
-def _line(linear: F64, angular: F64) -> tuple[float | None, str]:
+def _fit_line(linear: F64, angular: F64) -> tuple[float | None, str]:
     """The angle of the line along which shapes move, or None and why there is none."""
     across = linear[:, :2]
     if (across**2).sum() < _FLAT * (linear**2).sum() or not linear.any():
@@ -296,10 +348,10 @@ def _line(linear: F64, angular: F64) -> tuple[float | None, str]:
     if sizes[0] > _SPREAD * sizes[1]:
         return None, "its fingers do not move along one line"
     twice = float(np.arctan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1]))
-    return _angle(round(0.5 * twice, _ROUNDED)), ""
+    return _line_angle(round(0.5 * twice, _ROUNDED)), ""
 
 
-def _angle(angle: float) -> float:
+def _line_angle(angle: float) -> float:
     """The angle of a line, in (-pi/2, pi/2]; quarters of a turn are exact."""
     turned = angle - np.pi * np.ceil(angle / np.pi - 0.5)
     quarters = round(turned / (0.5 * np.pi))

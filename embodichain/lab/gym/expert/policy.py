@@ -40,7 +40,8 @@ class Expert:
     """
 
     def __init__(self, steps: Any = None, pushes: NonNegative = 0.0) -> None:
-        self._given, self._pushes = steps, pushes
+        self._steps = steps
+        self._pushes = pushes
         self._execution: Execution | None = None
 
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
@@ -49,11 +50,10 @@ class Expert:
         Raises:
             ConfigError: At the first call, if the steps are wrong or cannot be done in this task.
         """
-        execution = self._execution
-        if execution is None or execution.env is not env:
-            steps = self._given if self._given is not None else env.cfg.expert
-            execution = self._execution = Execution(env, steps_of(steps, env), self._pushes)
-        return tensor_of(execution.act().astype(np.float32))
+        if self._execution is None or self._execution.env is not env:
+            expert = env.cfg.expert if self._steps is None else self._steps
+            self._execution = Execution(env, steps_of(expert, env), self._pushes)
+        return tensor_of(self._execution.act().astype(np.float32))
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Begin anew in these environments; (n,) int64, or None for all."""
@@ -63,9 +63,13 @@ class Expert:
     @property
     def done(self) -> NDArray[np.bool_]:
         """(N,) whether all steps are done or one failed; empty before the first action."""
-        return np.zeros(0, np.bool_) if self._execution is None else self._execution.done
+        if self._execution is None:
+            return np.zeros(0, np.bool_)
+        return self._execution.done
 
     @property
     def failures(self) -> Sequence[str | None]:
         """The step that failed in each environment, and why; empty before the first action."""
-        return () if self._execution is None else self._execution.failures
+        if self._execution is None:
+            return ()
+        return self._execution.failures

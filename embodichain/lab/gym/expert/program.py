@@ -12,7 +12,7 @@ from embodichain.lab.gym.envs.managers.terms.check import check_params
 from embodichain.lab.gym.envs.managers.terms.registry import describe_term, import_object
 from embodichain.lab.gym.expert.arms import DeclaredArm, declared_arms, find_arm
 from embodichain.lab.gym.expert.instructions import Goal, Grip, Instruction, Move
-from embodichain.lab.gym.expert.reading import ReadStep, read_steps
+from embodichain.lab.gym.expert.reading import ReadStep, flat_steps, read_steps
 from embodichain.lab.gym.expert.targets import check_target
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.names import Known
 
 __all__ = ["Program", "check_expert", "check_steps", "step_rows", "steps_of", "targets_in"]
+
+_NONE = -1
+"""In place of the index of an instruction that does not exist."""
 
 
 def check_steps(
@@ -41,36 +44,51 @@ def check_steps(
     steps, problems = read_steps(values, path)
     if not values:
         problems.append(Problem(path, "needs at least one step"))
-    for read in (one for step in steps for one in step.flat()):
-        for key, name in read.arms.items() if arms is not None else ():
-            try:
-                arm = find_arm(name, arms or (), read.path, key)
-            except ConfigError as error:
-                problems += error.problems if read.lane is None else ()  # once for a lane
-                continue
-            if read.grips and arm.gripper is None:
-                message = f"arm {arm.name!r} has no gripper: no parallel_gripper moves {arm.uid!r}"
-                problems.append(Problem(read.path, message))
+    if arms is not None:
+        for step in flat_steps(steps):
+            problems += _check_arms(step, arms)
     return steps, problems
+
+
+def _check_arms(step: ReadStep, arms: Sequence[DeclaredArm]) -> list[Problem]:
+    """Return the arms of a step that do not exist, or lack the gripper that it needs."""
+    problems: list[Problem] = []
+    for key, name in step.arms.items():
+        try:
+            arm = find_arm(name, arms, step.path, key)
+        except ConfigError as error:
+            # The arm of a lane is an arm of each step in it: its `together` reports it, once.
+            if step.lane is None:
+                problems += error.problems
+            continue
+        if step.grips and arm.gripper is None:
+            message = f"arm {arm.name!r} has no gripper: no parallel_gripper moves {arm.uid!r}"
+            problems.append(Problem(step.path, message))
+    return problems
 
 
 def targets_in(steps: Sequence[ReadStep]) -> list[tuple[str, Any]]:
     """Key path and target of all that the steps refer to."""
-    return [pair for step in steps for read in step.flat() for pair in read.targets]
+    pairs: list[tuple[str, Any]] = []
+    for step in flat_steps(steps):
+        pairs += step.targets
+    return pairs
 
 
 def step_rows(expert: Any) -> list[dict[str, Any]]:
     """A table of the steps in a task: key path, name and what they are made of."""
-    steps = read_steps(expert)[0] if isinstance(expert, list) else []
-    rows = []
-    for read in (one for step in steps for one in step.flat()):
-        made = [one for phase in read.phases for lane in phase.values() for one in lane]
-        words = ", ".join(_word(one) for one in made)
-        rows.append({"path": read.path, "step": read.path.rpartition(".")[2], "made of": words})
+    if not isinstance(expert, list):
+        return []
+    steps, _ = read_steps(expert)
+    rows: list[dict[str, Any]] = []
+    for step in flat_steps(steps):
+        words = ", ".join(_word(instruction) for instruction in step.instructions())
+        rows.append({"path": step.path, "step": step.path.rpartition(".")[2], "made of": words})
     return rows
 
 
 def _word(instruction: Instruction) -> str:
+    """The name of a kind of instruction in tables."""
     if isinstance(instruction, Grip):
         return "open" if instruction.opens else "close"
     return type(instruction).__name__.lower()
@@ -95,31 +113,33 @@ def check_expert(cfg: EnvCfg, known: Known | None, allow_import: bool = True) ->
         return []
     open_scene = cfg.id is not None
     arms = declared_arms(cfg, allow_import)
-    # Of two actions of one robot, one may move fingers only: that is seen when it is built.
-    known_arms = cfg.actions and not open_scene and len({arm.uid for arm in arms}) == len(arms)
-    steps, problems = check_steps(cfg.expert, arms if known_arms else None)
-    for path, target in targets_in(steps) if known is not None else ():
-        problems += check_target(target, path, known or {}, cfg.commands, open_scene)
+    # Of two actions of one robot, one may move fingers only: only the built environment can tell.
+    one_arm_a_robot = len({arm.uid for arm in arms}) == len(arms)
+    are_arms_clear = cfg.actions and not open_scene and one_arm_a_robot
+    steps, problems = check_steps(cfg.expert, arms if are_arms_clear else None)
+    if known is not None:
+        for path, target in targets_in(steps):
+            problems += check_target(target, path, known, cfg.commands, open_scene)
     return problems
 
 
-def steps_of(given: Any, env: BaseEnv) -> Sequence[Any]:
+def steps_of(expert: Any, env: BaseEnv) -> Sequence[Any]:
     """The steps, from a list of them or from the function that makes them.
 
     Raises:
         ConfigError: If there are none, or the function or its parameters are wrong.
     """
-    if given is None:
+    if expert is None:
         message = "this task has no section `expert`: its steps are what the policy performs"
         raise ConfigError([Problem("expert", message)])
-    if isinstance(given, Mapping):
-        given = TermCfg(**given)
-    if isinstance(given, TermCfg):
-        function, values = function_of(given)
-        given = function(env, **values)
-    elif callable(given):
-        given = given(env)
-    return given
+    if isinstance(expert, Mapping):
+        expert = TermCfg(**expert)
+    if isinstance(expert, TermCfg):
+        function, arguments = function_of(expert)
+        return function(env, **arguments)
+    if callable(expert):
+        return expert(env)
+    return expert
 
 
 def function_of(cfg: TermCfg) -> tuple[Callable[..., Any], dict[str, Any]]:
@@ -156,34 +176,37 @@ class Program:
     """
 
     def __init__(self, steps: Sequence[ReadStep], arms: Sequence[DeclaredArm]) -> None:
-        numbers = {arm.name: i for i, arm in enumerate(arms)}
         self.instructions: list[Instruction] = []
-        of_arm: list[int] = []
-        following: list[int] = []
-        first: list[list[int]] = []
-        for phase in (phase for step in steps for phase in step.phases):
-            row = [-1] * len(arms)
-            for name, instructions in phase.items():
-                number = numbers[find_arm(name, arms, "").name]
-                for instruction in instructions:
-                    index = len(self.instructions)
-                    if row[number] < 0:
-                        row[number] = index
-                    else:
-                        following[-1] = index
-                    self.instructions.append(instruction)
-                    of_arm.append(number)
-                    following.append(-1)
-            first.append(row)
-        self.arm: NDArray[np.int64] = np.array(of_arm, np.int64)
-        self.next: NDArray[np.int64] = np.array(following, np.int64)
-        self.first: NDArray[np.int64] = np.array(first, np.int64).reshape(-1, len(arms))
+        arm_numbers = {arm.name: number for number, arm in enumerate(arms)}
+        arm_of: list[int] = []
+        next_of: list[int] = []
+        first_of_phases: list[list[int]] = []
+        for step in steps:
+            for phase in step.phases:
+                first_of_arms = [_NONE] * len(arms)
+                for name, instructions in phase.items():
+                    number = arm_numbers[find_arm(name, arms, "").name]
+                    for instruction in instructions:
+                        index = len(self.instructions)
+                        if first_of_arms[number] == _NONE:
+                            first_of_arms[number] = index
+                        else:
+                            # Instructions of one arm in one phase have consecutive indices.
+                            next_of[-1] = index
+                        self.instructions.append(instruction)
+                        arm_of.append(number)
+                        next_of.append(_NONE)
+                first_of_phases.append(first_of_arms)
+        self.arm: NDArray[np.int64] = np.array(arm_of, np.int64)
+        self.next: NDArray[np.int64] = np.array(next_of, np.int64)
+        self.first: NDArray[np.int64] = np.array(first_of_phases, np.int64).reshape(-1, len(arms))
 
     def goals(self) -> list[Goal]:
         """The goals of all motions."""
-        return [one.goal for one in self.instructions if isinstance(one, Move)]
+        moves = [item for item in self.instructions if isinstance(item, Move)]
+        return [move.goal for move in moves]
 
     def taken(self) -> list[Any]:
         """Everything that is grasped, once each."""
-        grips = [one for one in self.instructions if isinstance(one, Grip)]
+        grips = [item for item in self.instructions if isinstance(item, Grip)]
         return list(dict.fromkeys(grip.takes for grip in grips if grip.takes is not None))

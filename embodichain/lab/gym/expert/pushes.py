@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Pushes"]
 
-_SHARE, _STEPS = 0.06, 4
-"""Of the steps in which a push can begin, and how long it lasts."""
+_PUSH_PROBABILITY = 0.06
+"""Of each control step without a push, that one begins."""
+_PUSH_STEPS = 4
 _STREAM = "expert/pushes"
 
 
@@ -41,26 +42,29 @@ class Pushes:
     def __init__(self, env: BaseEnv, arms: Sequence[Arm], size: float) -> None:
         space: Any = env.single_action_space
         self._env = env
-        self._low, self._high = (end.astype(np.float64) for end in (space.low, space.high))
-        self._size: F64 = np.zeros(len(self._low))
+        self._low: F64 = space.low.astype(np.float64)
+        self._high: F64 = space.high.astype(np.float64)
+        self._std: F64 = np.zeros(len(self._low))
         for arm in arms:
             columns = np.arange(len(self._low))[arm.columns]
-            pushed = columns if isinstance(arm.term, JointAction | None) else columns[:3]
-            self._size[pushed] = 0.5 * size * (self._high - self._low)[pushed]
-        if not np.isfinite(self._size).all():
+            if not isinstance(arm.term, JointAction):
+                columns = columns[:3]
+            self._std[columns] = 0.5 * size * (self._high - self._low)[columns]
+        if not np.isfinite(self._std).all():
             message = "is a share of the actions' range, and an action has no bounds"
             raise ConfigError([Problem("policy.params.pushes", message)])
-        self._left: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
+        self._remaining_steps: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
         self._push: F64 = np.zeros((env.num_envs, len(self._low)))
 
     def added(self, action: F64, done: NDArray[np.bool_]) -> F64:
         """(N, A) actions with pushes, within bounds; none where nothing is left to do, (N,)."""
-        begins = self._env.rand(_STREAM).numpy() < _SHARE
+        # Both are drawn in each step, so that the numbers do not depend on when pushes began.
+        may_begin = self._env.rand(_STREAM).numpy() < _PUSH_PROBABILITY
         drawn = self._env.randn(f"{_STREAM}/size", (len(self._low),)).numpy().astype(np.float64)
-        new = begins & (self._left == 0)
-        self._left[new] = _STEPS
-        self._push = np.where(new[:, None], drawn * self._size, self._push)
-        pushed = (self._left > 0) & ~done
-        self._left -= self._left > 0
-        whole = np.clip(action + self._push, self._low, self._high)
-        return np.where(pushed[:, None], whole, action)
+        begins = may_begin & (self._remaining_steps == 0)
+        self._remaining_steps[begins] = _PUSH_STEPS
+        self._push = np.where(begins[:, None], drawn * self._std, self._push)
+        is_pushed = (self._remaining_steps > 0) & ~done
+        self._remaining_steps -= self._remaining_steps > 0
+        pushed_action = np.clip(action + self._push, self._low, self._high)
+        return np.where(is_pushed[:, None], pushed_action, action)

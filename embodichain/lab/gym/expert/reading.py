@@ -16,13 +16,13 @@ from typing import Any, get_args
 from embodichain.lab.gym.envs.managers.param_types import Fraction
 from embodichain.lab.gym.envs.managers.terms.check import check_params
 from embodichain.lab.gym.envs.managers.terms.registry import TermSpec, describe_term
-from embodichain.lab.gym.expert.instructions import Grip, Phase, Target
+from embodichain.lab.gym.expert.instructions import Grip, Instruction, Phase, Target
 from embodichain.lab.gym.expert.step_register import COMPOSITES, STEPS, Aim, Arm, Maker
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.fields.type_errors import show_value
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["ReadStep", "read_steps"]
+__all__ = ["ReadStep", "flat_steps", "read_steps"]
 
 _NAMING = ("to", "of", "align")
 """Parameters whose value tells steps of one kind apart in messages; the first that is set does."""
@@ -51,14 +51,27 @@ class ReadStep:
     @property
     def grips(self) -> bool:
         """Whether it needs a gripper."""
-        lanes = (lane for phase in self.phases for lane in phase.values())
-        return not self.within and any(isinstance(one, Grip) for lane in lanes for one in lane)
+        if self.within:  # then they do
+            return False
+        return any(isinstance(instruction, Grip) for instruction in self.instructions())
 
     def flat(self) -> Iterator[ReadStep]:
         """This step and those within it."""
         yield self
-        for one in self.within:
-            yield from one.flat()
+        for step in self.within:
+            yield from step.flat()
+
+    def instructions(self) -> Iterator[Instruction]:
+        """All that it is made of, phase by phase, arm by arm."""
+        for phase in self.phases:
+            for instructions in phase.values():
+                yield from instructions
+
+
+def flat_steps(steps: Sequence[ReadStep]) -> Iterator[ReadStep]:
+    """These steps, each followed by those within it."""
+    for step in steps:
+        yield from step.flat()
 
 
 def read_steps(
@@ -75,18 +88,18 @@ def read_steps(
     Returns:
         The steps that could be read, and every mistake.
     """
-    found: list[ReadStep] = []
+    steps: list[ReadStep] = []
     problems: list[Problem] = []
     for i, value in enumerate(values):
         try:
-            found.append(_read(value, f"{path}.{i}", f"{number}{i + 1}", lane))
+            steps.append(_read_step(value, f"{path}.{i}", f"{number}{i + 1}", lane))
         except ConfigError as error:
             problems += error.problems
-    return found, problems
+    return steps, problems
 
 
-def _read(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
-    """One step.
+def _read_step(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
+    """Read one step, also one that contains others.
 
     Raises:
         ConfigError: If something in it is wrong.
@@ -98,38 +111,61 @@ def _read(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
         allowed = ", ".join([*STEPS, *COMPOSITES])
         message = f"a step is a map with one key, its name, got {names}; steps: {allowed}"
         raise ConfigError([Problem(path, message)])
-    name, given = next(iter(value.items()))
+    name, params = next(iter(value.items()))
     path = f"{path}.{name}"
     if name == "repeat":
-        return _repeated(given, path, number, lane)
+        return _read_repeat(params, path, number, lane)
     if name == "together":
-        return _together(given, path, number, lane)
+        return _read_together(params, path, number, lane)
     if name not in STEPS:
         raise ConfigError([_unknown_step(str(name), path)])
-    spec = _described(name)
-    params = _params(given, next(iter(spec.params), ""), path)
-    common: dict[str, Any] = {key: params.pop(key) for key in ("arm", "speed") if key in params}
+    return _read_plain_step(name, params, path, number, lane)
+
+
+def _read_plain_step(name: str, value: Any, path: str, number: str, lane: str | None) -> ReadStep:
+    """Read a step that contains no others: check its parameters, and make its instructions."""
+    spec = _describe(name)
+    params = _named_params(value, next(iter(spec.params), ""), path)
+    shared_params: dict[str, Any] = {
+        key: params.pop(key) for key in ("arm", "speed") if key in params
+    }
     values, problems = check_params(spec, params, path)
-    shared, found = check_params(_shared(), common, path)
-    if problems or found:
-        raise ConfigError([*problems, *found])
+    shared, shared_problems = check_params(_shared_spec(), shared_params, path)
+    if problems or shared_problems:
+        raise ConfigError([*problems, *shared_problems])
+
     arm = shared.get("arm", lane or "")
     other_arms = {key: values[key] for key in _parameters_of_type(spec, Arm) if key in values}
     if lane is not None:
-        contradiction = "arm" if arm != lane else next(iter(other_arms), None)
-        if contradiction is not None:
-            message = f"contradicts {lane!r}, whose steps these are"
-            raise ConfigError([Problem(f"{path}.{contradiction}", message)])
+        _check_lane(lane, arm, other_arms, path)
     targets = [
         (f"{path}.{key}", values[key])
         for key in _parameters_of_type(spec, Aim)
         if values.get(key) is not None
     ]
-    named = next((values[key] for key in _NAMING if isinstance(values.get(key), str)), "")
-    maker = Maker(f"step {number}, {name} {named}".rstrip(), arm, shared.get("speed", 1.0))
-    made = STEPS[name](maker, **spec.arguments(values))
-    phases: list[Phase] = [{arm: list(part)} for arm, part in groupby(made, lambda one: one.arm)]
+    subject = next((values[key] for key in _NAMING if isinstance(values.get(key), str)), "")
+    maker = Maker(
+        step=f"step {number}, {name} {subject}".rstrip(),
+        arm=arm,
+        speed=shared.get("speed", 1.0),
+    )
+    instructions = STEPS[name](maker, **spec.arguments(values))
+    # A step that goes on with another arm waits for the first one: that is another phase.
+    phases: list[Phase] = [
+        {arm_name: list(group)}
+        for arm_name, group in groupby(instructions, lambda instruction: instruction.arm)
+    ]
     return ReadStep(path, phases, targets, {"arm": arm} | other_arms, lane=lane)
+
+
+def _check_lane(lane: str, arm: str, other_arms: Mapping[str, str], path: str) -> None:
+    """Refuse a step in the lane of one arm that names another."""
+    contradiction = next(iter(other_arms), None)
+    if arm != lane:
+        contradiction = "arm"
+    if contradiction is not None:
+        message = f"contradicts {lane!r}, whose steps these are"
+        raise ConfigError([Problem(f"{path}.{contradiction}", message)])
 
 
 def _unknown_step(name: str, path: str) -> Problem:
@@ -146,59 +182,70 @@ def _parameters_of_type(spec: TermSpec, kind: Any) -> list[str]:
 
 
 @cache
-def _described(name: str) -> TermSpec:
+def _describe(name: str) -> TermSpec:
+    """Describe the parameters that belong to one step."""
     return describe_term("step", STEPS[name], name)
 
 
 @cache
-def _shared() -> TermSpec:
+def _shared_spec() -> TermSpec:
+    """Describe the parameters that every step has."""
+
     def every(make: Maker, arm: str = "", speed: Fraction = 1.0) -> None:
         """The parameters of all steps."""
 
     return describe_term("step", every)
 
 
-def _params(given: Any, first: str, path: str) -> dict[str, Any]:
-    if given is None:
+def _named_params(value: Any, first: str, path: str) -> dict[str, Any]:
+    """Return parameters by name; a plain value is that of the first one."""
+    if value is None:
         return {}
-    if isinstance(given, Mapping):
-        return {str(key): value for key, value in given.items()}
+    if isinstance(value, Mapping):
+        return {str(key): param for key, param in value.items()}
     if not first:
-        raise ConfigError([Problem(path, f"takes no plain value, got {show_value(given)}")])
-    return {first: given}
+        raise ConfigError([Problem(path, f"takes no plain value, got {show_value(value)}")])
+    return {first: value}
 
 
-def _repeated(given: Any, path: str, number: str, lane: str | None) -> ReadStep:
-    """``{times: 3, steps: [...]}``."""
-    if not isinstance(given, Mapping) or set(given) != {"times", "steps"}:
-        raise ConfigError([Problem(path, f"needs times and steps, got {show_value(given)}")])
-    times = given["times"]
+def _read_repeat(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
+    """Read ``{times: 3, steps: [...]}``."""
+    if not isinstance(value, Mapping) or set(value) != {"times", "steps"}:
+        raise ConfigError([Problem(path, f"needs times and steps, got {show_value(value)}")])
+    times = value["times"]
     if not isinstance(times, int) or isinstance(times, bool) or times < 1:
         message = f"must be an integer of at least 1, got {show_value(times)}"
         raise ConfigError([Problem(f"{path}.times", message)])
-    steps = _inside(given["steps"], f"{path}.steps", number, lane)
-    phases = [phase for one in steps for phase in one.phases]
-    return ReadStep(path, times * phases, [], {}, steps, lane)
+    steps = _read_inner_steps(value["steps"], f"{path}.steps", number, lane)
+    phases: list[Phase] = []
+    for step in steps:
+        phases += step.phases
+    return ReadStep(path, times * phases, targets=[], arms={}, within=steps, lane=lane)
 
 
-def _together(given: Any, path: str, number: str, lane: str | None) -> ReadStep:
-    """``{ARM: steps, ARM: steps}``."""
-    if not isinstance(given, Mapping) or not given:
-        message = f"needs a map from arms to their steps, got {show_value(given)}"
+def _read_together(value: Any, path: str, number: str, lane: str | None) -> ReadStep:
+    """Read ``{ARM: steps, ARM: steps}``; each arm with its steps is a lane."""
+    if not isinstance(value, Mapping) or not value:
+        message = f"needs a map from arms to their steps, got {show_value(value)}"
         raise ConfigError([Problem(path, message)])
     if lane is not None:
         raise ConfigError([Problem(path, f"these are the steps of {lane!r} alone")])
+    # One phase: arms do not wait for each other before all of their steps are done.
     phase: Phase = {}
     within: list[ReadStep] = []
-    for arm, values in given.items():
-        steps = _inside(values, f"{path}.{arm}", number, str(arm))
-        made = [lane for one in steps for part in one.phases for lane in part.values()]
-        phase[str(arm)] = [instruction for part in made for instruction in part]
+    for arm, values in value.items():
+        steps = _read_inner_steps(values, f"{path}.{arm}", number, str(arm))
+        instructions: list[Instruction] = []
+        for step in steps:
+            instructions += step.instructions()
+        phase[str(arm)] = instructions
         within += steps
-    return ReadStep(path, [phase], [], {str(arm): str(arm) for arm in given}, within)
+    arms = {str(arm): str(arm) for arm in value}
+    return ReadStep(path, [phase], targets=[], arms=arms, within=within)
 
 
-def _inside(values: Any, path: str, number: str, lane: str | None) -> list[ReadStep]:
+def _read_inner_steps(values: Any, path: str, number: str, lane: str | None) -> list[ReadStep]:
+    """Read the steps of one that contains others."""
     if not isinstance(values, list) or not values:
         raise ConfigError([Problem(path, f"needs a list of steps, got {show_value(values)}")])
     steps, problems = read_steps(values, path, f"{number}.", lane)

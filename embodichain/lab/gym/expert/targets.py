@@ -30,14 +30,21 @@ def target_name(target: Target) -> str:
     return target if isinstance(target, str) else str(getattr(target, "__name__", target))
 
 
-def _fields(target: str, known: Known) -> tuple[dict[str, Any], list[Problem]]:
-    """The reference to an entity, or to a link, site or geom of it."""
+def _read_reference(target: str, known: Known) -> tuple[dict[str, Any], list[Problem]]:
+    """The reference to an entity, or to a link, site or geom of it, and what is wrong with it."""
     uid, slash, name = target.partition("/")
+    reference: dict[str, Any] = {"uid": uid}
+    if not slash:
+        return reference, []
     entity = known.get(uid)
-    if not slash or entity is None:
-        return {"uid": uid, **({"link": name} if slash else {})}, []
+    if entity is None:  # whoever looks the entity up says so
+        reference["link"] = name
+        return reference, []
     frame, problems = find_frame(name, lambda kind: frame_names(entity, uid, kind), "", uid)
-    return {"uid": uid, **({} if frame is None else {frame[0]: frame[1]})}, problems
+    if frame is not None:
+        kind, frame_name = frame
+        reference[kind] = frame_name
+    return reference, problems
 
 
 def check_target(
@@ -55,9 +62,10 @@ def check_target(
     commands = list(commands)
     if target == WORLD or (target in commands and target not in known):
         return []
-    fields, problems = _fields(target, known)
-    problems = problems or pick(path, fields, known, open_scene)[1]
-    uid = target.partition("/")[0]
+    reference, problems = _read_reference(target, known)
+    if not problems:
+        _, problems = pick(path, reference, known, open_scene)
+    uid, _, _ = target.partition("/")
     if commands and uid not in known and problems:
         hint = problems[0].hint or did_you_mean(target, commands).strip()
         message = f"{problems[0].message}; commands: {', '.join(commands)}"
@@ -75,6 +83,7 @@ class TargetPoses:
     def __init__(self, env: BaseEnv) -> None:
         self._env = env
         self._readers: dict[Any, Callable[[], Poses]] = {}
+        self._upright: F64 = np.tile([1.0, 0.0, 0.0, 0.0], (env.num_envs, 1))
 
     def add(self, target: Target, path: str) -> None:
         """Prepare to read a target.
@@ -83,7 +92,7 @@ class TargetPoses:
             ConfigError: If it does not exist.
         """
         if target not in self._readers:
-            self._readers[target] = self._reader(target, path)
+            self._readers[target] = self._make_reader(target, path)
 
     def __call__(self, target: Target) -> Poses:
         """Position (N, 3) in m and orientation (N, 4), wxyz."""
@@ -93,52 +102,56 @@ class TargetPoses:
         """MuJoCo ids of a target's bodies: of an entity all; none of commands and functions."""
         if not isinstance(target, str) or target in (WORLD, *self._env.command_manager.terms):
             return frozenset()
-        fields, _ = _fields(target, self._env.sim.known)  # `add` has checked it
-        entity = self._env.scene_entity(fields)
-        link = entity.link_body
-        every = entity.asset.entity.body_ids if link is None else [link]
-        return frozenset(map(int, every))
+        reference, _ = _read_reference(target, self._env.sim.known)  # `add` has checked it
+        entity = self._env.scene_entity(reference)
+        if entity.link_body is not None:
+            return frozenset([int(entity.link_body)])
+        return frozenset(map(int, entity.asset.entity.body_ids))
 
-    def _reader(self, target: Target, path: str) -> Callable[[], Poses]:
-        env, count = self._env, self._env.num_envs
+    def _make_reader(self, target: Target, path: str) -> Callable[[], Poses]:
+        """Return the function that reads the poses of one target."""
+        env = self._env
         if not isinstance(target, str):
-            return lambda: _from_function(target, env)
+            return lambda: _call_target(target, env)
         if target == WORLD:
-            origin = np.zeros((count, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
-            return lambda: origin
-        commands = env.command_manager.terms
+            origin = np.zeros((env.num_envs, 3))
+            return lambda: (origin, self._upright)
         entities = (*env.sim.robots, *env.sim.articulations, *env.sim.rigid_objects)
-        if target in commands and target not in entities:
-            return self._command(target, path)
+        if target in env.command_manager.terms and target not in entities:
+            return self._make_command_reader(target, path)
         try:
-            fields, problems = _fields(target, env.sim.known)
+            reference, problems = _read_reference(target, env.sim.known)
             if problems:
                 raise ConfigError(problems)
-            entity = env.scene_entity(fields)
+            entity = env.scene_entity(reference)
         except ConfigError as error:
             raise ConfigError([Problem(path, p.message, p.hint) for p in error.problems]) from error
         return lambda: (entity.position(), entity.orientation())
 
-    def _command(self, name: str, path: str) -> Callable[[], Poses]:
+    def _make_command_reader(self, name: str, path: str) -> Callable[[], Poses]:
+        """Return the function that reads a command, a pose in the axes of a body or a position."""
         term: Any = self._env.command_manager.terms[name].instance
-        values, upright = term.values, np.tile([1.0, 0.0, 0.0, 0.0], (self._env.num_envs, 1))
+        values = term.values
         if term.marker is not None and term.marker.kind == "pose":
-            engine, body = self._env.sim.engine, term.marker.body
+            engine = self._env.sim.engine
+            body = term.marker.body
 
-            def pose() -> Poses:
-                base, turn = engine.derived("xpos")[:, body], engine.derived("xquat")[:, body]
-                place = base + quat_rotate(turn, np.ascontiguousarray(values[:, :3]))
-                return place, quat_multiply(turn, np.ascontiguousarray(values[:, 3:7]))
+            def read_pose() -> Poses:
+                body_pos = engine.derived("xpos")[:, body]
+                body_quat = engine.derived("xquat")[:, body]
+                pos = np.ascontiguousarray(values[:, :3])
+                quat = np.ascontiguousarray(values[:, 3:7])
+                return body_pos + quat_rotate(body_quat, pos), quat_multiply(body_quat, quat)
 
-            return pose
+            return read_pose
         if values.shape[1] == 3 and term.marker is None:
-            return lambda: (values, upright)
-        message = f"the command {name!r} is no pose and no position: {', '.join(term.names)}"
+            return lambda: (values, self._upright)
+        message = f"the command {name!r} is not a pose or a position: {', '.join(term.names)}"
         raise ConfigError([Problem(path, message)])
 
 
-def _from_function(function: Callable[..., Any], env: BaseEnv) -> Poses:
-    """The poses (N, 7) that a function returns."""
+def _call_target(function: Callable[..., Any], env: BaseEnv) -> Poses:
+    """The poses that a function of the user's returns, (N, 7)."""
     poses = np.asarray(function(env), np.float64)
     if poses.shape != (env.num_envs, 7):
         raise ValueError(f"a target must return ({env.num_envs}, 7) poses, got {poses.shape}")

@@ -7,6 +7,7 @@ no step needs them while all goes well.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import lazy_loader
@@ -23,7 +24,7 @@ else:
 
 __all__ = ["is_touching", "obstacles"]
 
-_NAMED = 3
+_MOST_NAMED = 3
 """Contacts that a message names at most, the strongest first."""
 _WEAK = 0.5
 """Force in newtons below which a contact stops no arm."""
@@ -42,47 +43,85 @@ def obstacles(engine: Engine, row: int, robot: Collection[int], held: Collection
         For instance ``ur10/link6 touches table with 114 N``: the largest net forces between two
         bodies; or that nothing is touched.
     """
-    mine = {*robot, *held}
-    nets: dict[tuple[str, str], F64] = {}
-    for bodies, geoms, force in _contacts(engine, row):
-        first, second = (body in mine for body in bodies)
-        grip = any(a in robot and b in held for a, b in (bodies, bodies[::-1]))
-        if grip or not (first or second):
+    arm_bodies = {*robot, *held}
+    net_forces: dict[tuple[str, str], F64] = {}
+    for contact in _active_contacts(engine, row):
+        if contact.is_between(robot, held):
             continue
-        names = tuple(_name(engine.model, *one) for one in zip(bodies, geoms, strict=True))
-        if not first:
-            names, force = names[::-1], -force
-        nets[names[0], names[1]] = nets.get((names[0], names[1]), 0.0) + force
-    sizes = {names: float(np.linalg.norm(force)) for names, force in nets.items()}
-    strongest = sorted((-size, names) for names, size in sizes.items() if size >= _WEAK)[:_NAMED]
-    said = [f"{a} touches {b} with {-size:.3g} N" for size, (a, b) in strongest]
-    return ", ".join(said) or "nothing is touched"
+        name1 = _shown_name(engine.model, contact.body1, contact.geom1)
+        name2 = _shown_name(engine.model, contact.body2, contact.geom2)
+        # The arm comes first; where both bodies are the arm's, MuJoCo's order stays.
+        if contact.body1 in arm_bodies:
+            names = (name1, name2)
+            force = contact.force
+        elif contact.body2 in arm_bodies:
+            names = (name2, name1)
+            force = -contact.force
+        else:
+            continue
+        net_forces[names] = net_forces.get(names, 0.0) + force
+    sizes = {names: float(np.linalg.norm(force)) for names, force in net_forces.items()}
+    strongest = sorted((-size, names) for names, size in sizes.items() if size >= _WEAK)
+    touches = [f"{a} touches {b} with {-size:.3g} N" for size, (a, b) in strongest[:_MOST_NAMED]]
+    return ", ".join(touches) or "nothing is touched"
 
 
 def is_touching(engine: Engine, row: int, some: Collection[int], others: Collection[int]) -> bool:
     """Whether some bodies touch others in an environment."""
-    pairs = (bodies for bodies, _, _ in _contacts(engine, row))
-    return any((a in some and b in others) or (b in some and a in others) for a, b in pairs)
+    return any(contact.is_between(some, others) for contact in _active_contacts(engine, row))
 
 
-def _contacts(engine: Engine, row: int) -> Iterator[tuple[tuple[int, int], tuple[int, int], F64]]:
-    """Bodies, geoms and force, (3,) N on the second in world axes, of each active contact."""
+@dataclass(frozen=True)
+class _Contact:
+    """An active contact.
+
+    Attributes:
+        body1, body2: MuJoCo ids of its bodies.
+        geom1, geom2: Those of its geoms.
+        force: (3,) N on the second body, in world axes.
+    """
+
+    body1: int
+    body2: int
+    geom1: int
+    geom2: int
+    force: F64
+
+    def is_between(self, some: Collection[int], others: Collection[int]) -> bool:
+        """Whether one of its bodies is among `some`, and the other among `others`."""
+        if self.body1 in some and self.body2 in others:
+            return True
+        return self.body2 in some and self.body1 in others
+
+
+def _active_contacts(engine: Engine, row: int) -> Iterator[_Contact]:
+    """The contacts of an environment that have a force and are between geoms."""
     data = engine.data_of(row)
     model = engine.model
     wrench = np.zeros(6)
     for number in range(data.ncon):
         contact = data.contact[number]
-        geoms = int(contact.geom1), int(contact.geom2)
-        if contact.efc_address < 0 or min(geoms) < 0:
+        geom1 = int(contact.geom1)
+        geom2 = int(contact.geom2)
+        is_of_flex = min(geom1, geom2) < 0
+        if contact.efc_address < 0 or is_of_flex:
             continue
         mujoco.mj_contactForce(model, data, number, wrench)
-        bodies = int(model.geom_bodyid[geoms[0]]), int(model.geom_bodyid[geoms[1]])
-        yield bodies, geoms, wrench[:3] @ contact.frame.reshape(3, 3)
+        yield _Contact(
+            body1=int(model.geom_bodyid[geom1]),
+            body2=int(model.geom_bodyid[geom2]),
+            geom1=geom1,
+            geom2=geom2,
+            force=wrench[:3] @ contact.frame.reshape(3, 3),
+        )
 
 
-def _name(model: mujoco.MjModel, body: int, geom: int) -> str:
+def _shown_name(model: mujoco.MjModel, body: int, geom: int) -> str:
     """The name of a body; of what is fixed to the world that of the shape."""
-    name = str(model.body(body).name if body else model.geom(geom).name)
+    is_world = body == 0
+    name = str(model.geom(geom).name if is_world else model.body(body).name)
     if name == GROUND:
         return "the ground"
-    return name or ("the world" if body == 0 else f"body {body}")
+    if name:
+        return name
+    return "the world" if is_world else f"body {body}"

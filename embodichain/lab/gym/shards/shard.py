@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Shard", "ShardLog"]
 
-_NONE = np.zeros(0, np.int64)
+_NO_ENVIRONMENTS = np.zeros(0, np.int64)
 
 
 class ShardLog(Protocol):
@@ -69,10 +69,12 @@ class Shard:
             options: Other options.
             everything: Whether all environments of all shards are reset.
         """
-        chosen = {} if ids is None else {"reset_ids": ids.copy()}
+        shard_options = dict(options)
+        if ids is not None:
+            shard_options["reset_ids"] = ids.copy()
         if seed is not None:
             self.env.reseed(seed, startup=everything)
-        obs, info = self.env.reset(options={**options, **chosen})
+        obs, info = self.env.reset(options=shard_options)
         return self._table(obs, info, {})
 
     def step(self, action: NDArray[Any], others_reset: bool) -> StepTable:
@@ -84,7 +86,7 @@ class Shard:
                 since the last step: curricula then act here too, as in one batch.
         """
         if others_reset:
-            self.env.curriculum_manager.compute(_NONE)
+            self.env.curriculum_manager.compute(_NO_ENVIRONMENTS)
         obs, reward, terminated, truncated, info = self.env.step(torch.from_numpy(action.copy()))
         arrays: dict[tuple[str, ...], NDArray[Any]] = {
             ("reward",): as_array(reward),
@@ -98,44 +100,48 @@ class Shard:
     def _table(
         self, obs: Any, info: Mapping[str, Any], arrays: dict[tuple[str, ...], NDArray[Any]]
     ) -> StepTable:
-        same: dict[tuple[str, ...], Any] = {}
-        found: Observation = obs
-        arrays[("obs",)] = found.rows
-        arrays |= {("other", *path): as_array(value) for path, value in found.others.items()}
+        """Add observation and info to the arrays of a step; the names are those of `ShardedEnv`."""
+        observation: Observation = obs
+        arrays[("obs",)] = observation.rows
+        for path, value in observation.others.items():
+            arrays["other", *path] = as_array(value)
         if "final_obs" in info:
-            rows = as_array(info["_final_obs"])
+            # Only the rows of environments that are done: in most steps few are.
+            done = as_array(info["_final_obs"])
             final: Observation = info["final_obs"]
-            arrays[("final",)] = final.rows[rows]
+            arrays[("final",)] = final.rows[done]
             for path, value in final.others.items():
-                arrays["final other", *path] = as_array(value)[rows]
+                arrays["final other", *path] = as_array(value)[done]
+        shared_info: dict[tuple[str, ...], Any] = {}
         for key, value in info.items():
             if key not in FINAL_KEYS:
-                self._add((key,), value, arrays, same)
+                self._add_info((key,), value, arrays, shared_info)
         values = {
-            "info": same,
+            "info": shared_info,
             "curriculum": dict(self.env.curriculum_manager.values),
             "physics_seconds": self.env.sim.physics_seconds,
         }
         return StepTable.of(arrays, values)
 
-    def _add(
+    def _add_info(
         self,
         path: tuple[str, ...],
         value: Any,
         arrays: dict[tuple[str, ...], NDArray[Any]],
-        same: dict[tuple[str, ...], Any],
+        shared_info: dict[tuple[str, ...], Any],
     ) -> None:
         """Add an entry of info: rows to the arrays, anything else to what all shards share."""
         if isinstance(value, Mapping) and len(value):
             for key, part in value.items():
-                self._add((*path, str(key)), part, arrays, same)
+                self._add_info((*path, str(key)), part, arrays, shared_info)
         elif isinstance(value, (torch.Tensor, np.ndarray)):
-            arrays["info", *path] = as_array(value)
-            if arrays["info", *path].shape[:1] != (self.env.num_envs,):
-                found = f"{tuple(value.shape)} in a shard of {self.env.num_envs} environments"
-                raise ValueError(f"info entry {'/'.join(path)} has no row for each: {found}")
+            rows = as_array(value)
+            if rows.shape[:1] != (self.env.num_envs,):
+                shape = f"{tuple(value.shape)} in a shard of {self.env.num_envs} environments"
+                raise ValueError(f"info entry {'/'.join(path)} has no row for each: {shape}")
+            arrays["info", *path] = rows
         else:
-            same[path] = {} if isinstance(value, Mapping) else value
+            shared_info[path] = {} if isinstance(value, Mapping) else value
 
     def advance(self, work: Callable[..., Any], *args: Any) -> Any:
         """Call ``work(env, *args)`` and return its result."""

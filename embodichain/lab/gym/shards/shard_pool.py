@@ -16,9 +16,9 @@ from typing import Any, NamedTuple, Protocol
 __all__ = ["Pending", "ShardHandle", "ShardLostError", "ShardPool", "ShardSource"]
 
 _log = logging.getLogger(__name__)
-_STARTS = 6
+_MOST_RESTARTS = 6
 """How often a shard that cannot start is started once more."""
-_PAUSE = 0.5
+_FIRST_PAUSE = 0.5
 """Seconds before a shard is started once more; twice as long each time."""
 MOST_LOSSES = 5
 """Losses of a shard in one call after which the run fails: its own code ends its process."""
@@ -70,8 +70,8 @@ class _Call(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Kept:
-    """What a shard is rebuilt from.
+class _Record:
+    """A running shard, and what it is rebuilt from.
 
     Attributes:
         handle: The running shard.
@@ -104,16 +104,18 @@ class ShardPool:
     def __init__(self, source: ShardSource, counts: Sequence[int], save_every: int) -> None:
         self.counts = tuple(counts)
         self.firsts = tuple(sum(self.counts[:k]) for k in range(len(self.counts)))
-        self.steps = self._saved_at = 0
+        self.steps = 0
         self.rebuilt: list[dict[str, Any]] = []
-        self._source, self._every = source, save_every
+        self._source = source
+        self._save_every = save_every
+        self._saved_at_step = 0
         self._log_of: Callable[[int, int], Any] | None = None
-        self._kept = [_Kept(self._start(k)) for k in range(len(self.counts))]
+        self._records = [_Record(self._start(k)) for k in range(len(self.counts))]
 
     @property
     def nodes(self) -> list[str]:
         """Where each shard runs."""
-        return [kept.handle.node for kept in self._kept]
+        return [record.handle.node for record in self._records]
 
     def record(self, log_of: Callable[[int, int], Any]) -> None:
         """Record every shard from now on.
@@ -122,11 +124,13 @@ class ShardPool:
             log_of: Function from the index of a shard, and how often it was rebuilt, to its
                 `ShardLog`.
         """
-        pending = [kept.handle.call("record", log_of(k, 0)) for k, kept in enumerate(self._kept)]
+        pending_calls = [
+            record.handle.call("record", log_of(k, 0)) for k, record in enumerate(self._records)
+        ]
         self._log_of = log_of
-        for k, one in enumerate(pending):
+        for k, pending in enumerate(pending_calls):
             try:
-                one.result()
+                pending.result()
             except ShardLostError as error:
                 self._rebuild(k, error)
 
@@ -142,14 +146,15 @@ class ShardPool:
             Exception: Any exception of the method.
             ShardLostError: If a shard is lost again and again.
         """
-        pending = []
-        for kept, mine in zip(self._kept, args, strict=True):
-            kept.calls.append(_Call(method, mine))
-            pending.append(kept.handle.call(method, *mine))
-        results = []
-        for k, one in enumerate(pending):
+        # All shards begin before the first result is waited for.
+        pending_calls: list[Pending] = []
+        for record, shard_args in zip(self._records, args, strict=True):
+            record.calls.append(_Call(method, shard_args))
+            pending_calls.append(record.handle.call(method, *shard_args))
+        results: list[Any] = []
+        for k, pending in enumerate(pending_calls):
             try:
-                results.append(one.result())
+                results.append(pending.result())
             except ShardLostError as error:
                 results.append(self._rebuild(k, error))
         if steps:
@@ -159,7 +164,7 @@ class ShardPool:
     def passed(self, steps: int) -> None:
         """Count control steps; save all shards if it is time."""
         self.steps += steps
-        if self.steps - self._saved_at >= self._every:
+        if self.steps - self._saved_at_step >= self._save_every:
             self._save()
 
     def load(self, states: Sequence[Any]) -> None:
@@ -167,71 +172,77 @@ class ShardPool:
         self.call("load", [(state,) for state in states])
 
     def _save(self) -> None:
-        pending = [kept.handle.call("save") for kept in self._kept]
-        for k, one in enumerate(pending):
-            kept = self._kept[k]
+        """Store the state of every shard, in place of the one before and the calls since then."""
+        pending_calls = [record.handle.call("save") for record in self._records]
+        for k, (record, pending) in enumerate(zip(self._records, pending_calls, strict=True)):
             try:
-                saved = one.result()
+                saved = pending.result()
             except ShardLostError as error:
                 self._rebuild(k, error)
-                saved = kept.handle.call("save").result()
-            kept.saved, kept.calls = saved, []
-        self._saved_at = self.steps
+                saved = record.handle.call("save").result()
+            record.saved = saved
+            record.calls = []
+        self._saved_at_step = self.steps
 
     def _rebuild(self, k: int, error: ShardLostError) -> Any:
         """Build a shard again; return the result of its last call."""
-        kept = self._kept[k]
+        record = self._records[k]
+        first_env = self.firsts[k]
+        last_env = first_env + self.counts[k] - 1
+        name = f"shard {k} (environments {first_env} to {last_env})"
         for _ in range(MOST_LOSSES):
-            first, last = self.firsts[k], self.firsts[k] + self.counts[k] - 1
-            what = f"shard {k} (environments {first} to {last})"
-            _log.warning("%s is lost on node %s: %s", what, kept.handle.node, error)
-            lost = kept.handle.node
-            kept.handle.end()
-            kept.losses += 1
+            lost_node = record.handle.node
+            _log.warning("%s is lost on node %s: %s", name, lost_node, error)
+            record.handle.end()
+            record.losses += 1
             try:
-                kept.handle = self._start(k)
+                record.handle = self._start(k)
                 result = self._repeat(k)
-            except ShardLostError as again:
-                error = again
+            except ShardLostError as another_error:
+                error = another_error
                 continue
-            since = self._saved_at if kept.saved is not None else 0
+            start_step = 0 if record.saved is None else self._saved_at_step
             self.rebuilt.append(
                 {
                     "shard": k,
-                    "lost_on": lost,
-                    "rebuilt_on": kept.handle.node,
+                    "lost_on": lost_node,
+                    "rebuilt_on": record.handle.node,
                     "lost_at_step": self.steps,
-                    "continued_from_step": since,
+                    "continued_from_step": start_step,
                 }
             )
             _log.warning(
                 "%s continues on node %s from its state at control step %d; %d steps were repeated",
-                *(what, kept.handle.node, since, self.steps - since),
+                name,
+                record.handle.node,
+                start_step,
+                self.steps - start_step,
             )
             return result
         raise ShardLostError(f"shard {k} was lost {MOST_LOSSES} times in one step: {error}")
 
     def _start(self, k: int) -> ShardHandle:
         """Start a shard; once more if its node dies, which takes Ray seconds to notice."""
-        for attempt in range(_STARTS):
+        for attempt in range(_MOST_RESTARTS):
             try:
                 return self._source.start(k)
             except ShardLostError as error:
                 _log.warning("shard %d could not start: %s", k, error)
-                time.sleep(_PAUSE * 2**attempt)
+                time.sleep(_FIRST_PAUSE * 2**attempt)
         return self._source.start(k)
 
     def _repeat(self, k: int) -> Any:
         """Bring a new shard to where the lost one was."""
-        kept, result = self._kept[k], None
+        record = self._records[k]
         place = None
-        if kept.saved is not None:
-            place = kept.saved["place"]
-            kept.handle.call("load", kept.saved).result()
+        if record.saved is not None:
+            place = record.saved["place"]
+            record.handle.call("load", record.saved).result()
         if self._log_of is not None:
-            kept.handle.call("record", self._log_of(k, kept.losses), place).result()
-        for method, args in kept.calls:
-            result = kept.handle.call(method, *args).result()
+            record.handle.call("record", self._log_of(k, record.losses), place).result()
+        result = None
+        for method, args in record.calls:
+            result = record.handle.call(method, *args).result()
         return result
 
     def close(self) -> None:
@@ -240,20 +251,19 @@ class ShardPool:
         Raises:
             Exception: The first exception of a shard's `close`, after all were closed.
         """
-        pending = [kept.handle.call("close") for kept in self._kept]
-        first: Exception | None = None
-        for k, one in enumerate(pending):
-            kept = self._kept[k]
+        pending_calls = [record.handle.call("close") for record in self._records]
+        first_error: Exception | None = None
+        for k, (record, pending) in enumerate(zip(self._records, pending_calls, strict=True)):
             try:
-                self._closed(k, one)
+                self._wait_until_closed(k, pending)
             except Exception as error:  # noqa: BLE001  raised below, when the others are closed
-                first = first or error
+                first_error = first_error or error
             finally:
-                kept.handle.end()
-        if first is not None:
-            raise first
+                record.handle.end()
+        if first_error is not None:
+            raise first_error
 
-    def _closed(self, k: int, pending: Pending) -> None:
+    def _wait_until_closed(self, k: int, pending: Pending) -> None:
         """Wait until a shard is closed; one that is lost and has a log first completes the log."""
         try:
             pending.result()
@@ -262,4 +272,4 @@ class ShardPool:
                 _log.warning("shard %d was lost when it was closed: %s", k, error)
                 return
             self._rebuild(k, error)
-            self._kept[k].handle.call("close").result()
+            self._records[k].handle.call("close").result()

@@ -38,13 +38,24 @@ if TYPE_CHECKING:
 
 __all__ = ["ShardedEnv"]
 
+_FINAL_ARRAYS = ("final", "final other")
+"""First names of the paths of arrays with final observations."""
 Step = tuple[EnvObs, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
-_OF_TEMPLATE = (
-    *("single_observation_space", "device", "arrays"),
-    *("step_dt", "physics_dt", "control_frequency", "sim_steps_per_control", "judges_success"),
-    *("active_joint_ids", "seed_value", "observation_paths", "max_episode_steps"),
+_SHARED_ATTRIBUTES = (
+    "active_joint_ids",
+    "arrays",
+    "control_frequency",
+    "device",
+    "judges_success",
+    "max_episode_steps",
+    "observation_paths",
+    "physics_dt",
+    "seed_value",
+    "sim_steps_per_control",
+    "single_observation_space",
+    "step_dt",
 )
-"""Attributes that are the same for every environment of the task."""
+"""Attributes of the template that are the same for every environment of the task."""
 
 
 class ShardedSim:
@@ -62,7 +73,7 @@ class ShardedSim:
 
     def __getattr__(self, name: str) -> Any:
         """Refuse everything else by name."""
-        raise AttributeError(_elsewhere(f"sim.{name}"))
+        raise AttributeError(_explain_absence(f"sim.{name}"))
 
 
 class ShardedActions:
@@ -83,10 +94,11 @@ class ShardedActions:
 
     def __getattr__(self, name: str) -> Any:
         """Refuse everything else by name."""
-        raise AttributeError(_elsewhere(f"action_manager.{name}"))
+        raise AttributeError(_explain_absence(f"action_manager.{name}"))
 
 
-def _elsewhere(name: str) -> str:
+def _explain_absence(name: str) -> str:
+    """Why an attribute of `BaseEnv` does not exist here."""
     return (
         f"{name} is not on this machine: the environments run in shards (sim.backend=ray). "
         "Here are spaces, observations, rand() and what step() returns"
@@ -112,7 +124,8 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
     """
 
     def __init__(self, template: BaseEnv, pool: ShardPool, run_dir: Path | None = None) -> None:
-        self.template, self.pool = template, pool
+        self.template = template
+        self.pool = pool
         self.metadata = template.metadata
         self.num_envs = sum(pool.counts)
         self.cfg = copy.copy(template.cfg)
@@ -121,7 +134,8 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         self.action_space = batch_space(template.single_action_space, self.num_envs)
         self.observation_space = batch_space(template.single_observation_space, self.num_envs)
         self.streams = RandomStreams(template.streams.seed, self.num_envs, template.cfg.first_env)
-        self.sim, self.action_manager = ShardedSim(), ShardedActions(template.action_manager)
+        self.sim = ShardedSim()
+        self.action_manager = ShardedActions(template.action_manager)
         self._layout = copy.copy(template.observation_buffer.layout)
         self._layout.num_envs = self.num_envs
         self.observation_manager = copy.copy(template.observation_manager)
@@ -138,15 +152,16 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         ]
         self._others_reset = [False] * len(pool.counts)
         self.at_close: list[Callable[[], None]] = []
-        self._begun = self._closed = False
+        self._has_begun = False
+        self._closed = False
         self._run_dir: Path | None = None
         self.run_dir = run_dir
 
     def __getattr__(self, name: str) -> Any:
         """Attributes of the template that all environments share; others are refused by name."""
-        if name in _OF_TEMPLATE and "template" in self.__dict__:
+        if name in _SHARED_ATTRIBUTES and "template" in self.__dict__:
             return getattr(self.template, name)
-        raise AttributeError(_elsewhere(name))
+        raise AttributeError(_explain_absence(name))
 
     @property
     def run_dir(self) -> Path | None:
@@ -155,14 +170,13 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
 
     @run_dir.setter
     def run_dir(self, folder: Path | None) -> None:
-        if folder != self._run_dir:
-            self._run_dir = folder
-            folders = [None if folder is None else folder / f"shard{k}" for k in self._shards]
-            self._call("set_run_dir", [(one,) for one in folders])
-
-    @property
-    def _shards(self) -> range:
-        return range(len(self.pool.counts))
+        if folder == self._run_dir:
+            return
+        self._run_dir = folder
+        args: list[tuple[Path | None]] = []
+        for k in range(len(self.pool.counts)):
+            args.append((None if folder is None else folder / f"shard{k}",))
+        self._call("set_run_dir", args)
 
     def _call(self, method: str, args: Sequence[tuple[Any, ...]], steps: int = 0) -> list[Any]:
         """Call a method of every shard, see `ShardPool.call`; refuse it after `close`."""
@@ -176,107 +190,129 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
     ) -> tuple[EnvObs, dict[str, Any]]:
         """Start new episodes; see `BaseEnv.reset`."""
         require_open(self._closed)
-        rest = dict(options or {})
-        ids = reset_ids(rest, self.num_envs)
+        shard_options = dict(options or {})
+        ids = reset_ids(shard_options, self.num_envs)  # taken out of the options
         if seed is not None:
             self.streams.reseed(seed)
             seed_globals(self, self.streams.seed)
+        resets_everything = len(ids) == self.num_envs
         args: list[tuple[Any, ...]] = []
         for k, rows in enumerate(self._rows):
-            mine = ids[(ids >= rows.start) & (ids < rows.stop)] - rows.start
-            self._others_reset[k] |= bool(len(ids)) and not len(mine)
-            whole = len(mine) == self.pool.counts[k]
-            everything = len(ids) == self.num_envs
-            args.append((seed, None if whole else mine, rest, everything))
+            shard_ids = ids[(ids >= rows.start) & (ids < rows.stop)] - rows.start
+            self._others_reset[k] |= bool(len(ids)) and not len(shard_ids)
+            resets_shard = len(shard_ids) == self.pool.counts[k]
+            args.append(
+                (seed, None if resets_shard else shard_ids, shard_options, resets_everything)
+            )
         tables = self._call("reset", args)
-        self._begun = True
-        joined = self._joined(tables, range(len(tables)))
-        return self._observation(joined), self._info(joined, tables[0].values["info"])
+        self._has_begun = True
+        arrays = self._join(tables, reset_shards=range(len(tables)))
+        return self._observation(arrays), self._info(arrays, tables[0].values["info"])
 
     def step(self, action: EnvAction, **kwargs: Any) -> Step:  # type: ignore[override]
         """Advance all environments by one control step; see `BaseEnv.step`.
 
         Raises:
-            TypeError: If the action is no tensor or array, or there are keyword arguments.
+            TypeError: If the action is not a tensor or array, or there are keyword arguments.
             ValueError: If its shape is wrong or it is not finite; no state has changed.
             gymnasium.error.ResetNeeded: If `reset` has not been called.
         """
         require_open(self._closed)
-        if not self._begun:
+        if not self._has_begun:
             raise gym.error.ResetNeeded("call reset() before the first step()")
         checked, _ = self._check(action)
         if kwargs or not isinstance(checked, torch.Tensor):
             raise TypeError("environments in shards take a tensor (N, A) and no other arguments")
-        numbers = np.array(checked.numpy())  # a copy: calls are kept, for shards that are lost
+        # A copy: the pool stores calls, for shards that are lost.
+        actions = np.array(checked.numpy())
         args = [
-            (numbers[rows], others)
-            for rows, others in zip(self._rows, self._others_reset, strict=True)
+            (actions[rows], others_reset)
+            for rows, others_reset in zip(self._rows, self._others_reset, strict=True)
         ]
         tables = self._call("step", args, steps=1)
         self.control_step += 1
-        done = [self._ends(table) for table in tables]
-        self._others_reset = [any(done) and not mine for mine in done]
-        joined = self._joined(tables, [k for k, mine in enumerate(done) if mine])
-        reward, terminated, truncated = (
-            torch.from_numpy(joined.pop((name,))) for name in ("reward", "terminated", "truncated")
-        )
+
+        has_final = [self._has_final(table) for table in tables]
+        any_final = any(has_final)
+        self._others_reset = [any_final and not shard_has_final for shard_has_final in has_final]
+        arrays = self._join(tables, reset_shards=np.flatnonzero(has_final).tolist())
+        reward = torch.from_numpy(arrays.pop(("reward",)))
+        terminated = torch.from_numpy(arrays.pop(("terminated",)))
+        truncated = torch.from_numpy(arrays.pop(("truncated",)))
         self.termination_manager.values = {
-            path[1]: torch.from_numpy(joined.pop(path))
-            for path in list(joined)
+            path[1]: torch.from_numpy(arrays.pop(path))
+            for path in list(arrays)
             if path[0] == "ends"
         }
-        finals = self._finals(tables, done)
-        obs, info = self._observation(joined), self._info(joined, tables[0].values["info"])
-        if any(done):
-            final = obs.with_rows(obs.rows.copy())
-            final.others.update({path: value.clone() for path, value in obs.others.items()})
-            over = (terminated | truncated).numpy()
-            for path, values in finals.items():
-                target = final.rows if path == ("final",) else final.others[path[1:]].numpy()
-                target[over] = values
-            add_finals(info, final, over)
+        obs = self._observation(arrays)
+        info = self._info(arrays, tables[0].values["info"])
+        if any_final:
+            done = (terminated | truncated).numpy()
+            add_finals(info, self._final_observation(obs, tables, done), done)
         return obs, reward, terminated, truncated, info
 
     @staticmethod
-    def _ends(table: StepTable) -> bool:
+    def _has_final(table: StepTable) -> bool:
+        """Whether an episode ended in a shard."""
         return any(path == ("final",) for path, _, _ in table.entries)
 
-    @staticmethod
-    def _finals(tables: Sequence[StepTable], done: Sequence[bool]) -> dict[Entry, NDArray[Any]]:
-        """The final observations of the environments that ended, in their order."""
-        parts = []
-        for table, mine in zip(tables, done, strict=True):
-            if mine:
-                arrays = table.arrays().items()
-                parts.append({p: a for p, a in arrays if p[0] in ("final", "final other")})
-        return join_rows(parts) if parts else {}
+    def _final_observation(
+        self, obs: Observation, tables: Sequence[StepTable], done: NDArray[np.bool_]
+    ) -> Observation:
+        """A copy of an observation with the final rows of environments that are done, (N,)."""
+        final = obs.with_rows(obs.rows.copy())
+        final.others.update({path: value.clone() for path, value in obs.others.items()})
+        parts = [
+            {path: array for path, array in table.arrays().items() if path[0] in _FINAL_ARRAYS}
+            for table in tables
+            if self._has_final(table)
+        ]
+        for path, rows in join_rows(parts).items():
+            target = final.rows if path == ("final",) else final.others[path[1:]].numpy()
+            target[done] = rows
+        return final
 
-    def _joined(self, tables: Sequence[StepTable], reset: Sequence[int]) -> dict[Entry, Any]:
-        """The rows of all environments; also takes over what shards report besides them."""
-        parts = []
-        for table in tables:
-            arrays = table.arrays().items()
-            parts.append({p: a for p, a in arrays if p[0] not in ("final", "final other")})
+    def _join(
+        self, tables: Sequence[StepTable], reset_shards: Sequence[int]
+    ) -> dict[Entry, NDArray[Any]]:
+        """The rows of all environments, but final ones; also takes over the shards' other values.
+
+        Args:
+            tables: Those of all shards.
+            reset_shards: Shards in which environments were reset: their curricula have acted.
+        """
         seconds = max(table.values["physics_seconds"] for table in tables)
         self.sim.physics_seconds = max(self.sim.physics_seconds, seconds)
-        self.curriculum_manager.values = tables[next(iter(reset), 0)].values["curriculum"]
-        return join_rows(parts)
+        curriculum_shard = next(iter(reset_shards), 0)
+        self.curriculum_manager.values = tables[curriculum_shard].values["curriculum"]
+        return join_rows(
+            [
+                {path: a for path, a in table.arrays().items() if path[0] not in _FINAL_ARRAYS}
+                for table in tables
+            ]
+        )
 
-    def _observation(self, joined: dict[Entry, Any]) -> Observation:
-        obs = Observation(self._layout, joined.pop(("obs",)))
-        for path in [path for path in joined if path[0] == "other"]:
-            obs.others[path[1:]] = torch.from_numpy(joined.pop(path))
+    def _observation(self, arrays: dict[Entry, NDArray[Any]]) -> Observation:
+        """The observation, which is taken out of the arrays."""
+        obs = Observation(self._layout, arrays.pop(("obs",)))
+        for path in [path for path in arrays if path[0] == "other"]:
+            obs.others[path[1:]] = torch.from_numpy(arrays.pop(path))
         return obs
 
     @staticmethod
-    def _info(joined: Mapping[Entry, Any], same: Mapping[Entry, Any]) -> dict[str, Any]:
+    def _info(
+        arrays: Mapping[Entry, NDArray[Any]], shared_info: Mapping[Entry, Any]
+    ) -> dict[str, Any]:
+        """Info from the arrays that are left, and from what all shards share."""
+        values = dict(shared_info)
+        for path, array in arrays.items():
+            values[path[1:]] = torch.from_numpy(array)
         info: dict[str, Any] = {}
-        values = {path[1:]: torch.from_numpy(array) for path, array in joined.items()}
-        for path, value in {**same, **values}.items():
-            inner = info
+        for path, value in values.items():
+            parent = info
             for name in path[:-1]:
-                inner = inner.setdefault(name, {})
-            inner[path[-1]] = value
+                parent = parent.setdefault(name, {})
+            parent[path[-1]] = value
         return info
 
     # -- work in the shards ----------------------------------------------------------------------
@@ -299,18 +335,18 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
 
     def curriculum_stage(self) -> dict[str, Any]:
         """The stage that the curriculum has reached, the same in all shards."""
-        stages = self._call("advance", [(_stage,)] * len(self._rows))
+        stages = self._call("advance", [(_curriculum_stage,)] * len(self._rows))
         return stages[0]
 
     def hold_curriculum(self, stage: Mapping[str, Any] | None = None) -> None:
         """Keep the curriculum at a stage; see `BaseEnv.hold_curriculum`."""
-        self._call("advance", [(_hold, stage)] * len(self._rows))
+        self._call("advance", [(_hold_curriculum, stage)] * len(self._rows))
         self.curriculum_manager.values = self.curriculum_stage()["values"]
         self.curriculum_manager.held = True
 
     def release_curriculum(self) -> None:
         """Let the curriculum go on."""
-        self._call("advance", [(_release,)] * len(self._rows))
+        self._call("advance", [(_release_curriculum,)] * len(self._rows))
         self.curriculum_manager.held = False
 
     # -- random numbers --------------------------------------------------------------------------
@@ -363,12 +399,13 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
         states = list(saved.get("shards", {}).values())
         counts = [state["num_envs"] for state in states]
         if tuple(counts) != self.pool.counts:
-            found = f"{len(counts)} shards of {counts}" if counts else "one process"
-            message = f"the saved state is of {found} environments, not of {self.pool.counts}"
+            origin = f"{len(counts)} shards of {counts}" if counts else "one process"
+            message = f"the saved state is of {origin} environments, not of {self.pool.counts}"
             raise ConfigError([Problem("sim.shards", message)])
         self.pool.load(states)
         self.streams.load_state_dict(saved["streams"])
-        self.control_step, self._begun = saved["control_step"], True
+        self.control_step = saved["control_step"]
+        self._has_begun = True
         self._others_reset = list(saved["others_reset"])
 
     def render(self) -> None:
@@ -386,13 +423,16 @@ class ShardedEnv(gym.Env[EnvObs, EnvAction]):
                 self.pool.close()
 
 
-def _stage(env: BaseEnv) -> dict[str, Any]:
+# Functions that `advance` sends to the shards, where they are imported by their names.
+
+
+def _curriculum_stage(env: BaseEnv) -> dict[str, Any]:
     return env.curriculum_stage()
 
 
-def _hold(env: BaseEnv, stage: Mapping[str, Any] | None) -> None:
+def _hold_curriculum(env: BaseEnv, stage: Mapping[str, Any] | None) -> None:
     env.hold_curriculum(stage)
 
 
-def _release(env: BaseEnv) -> None:
+def _release_curriculum(env: BaseEnv) -> None:
     env.release_curriculum()

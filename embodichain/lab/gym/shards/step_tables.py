@@ -39,26 +39,27 @@ class StepTable:
         entries = tuple((path, a.dtype.str, a.shape) for path, a in arrays.items())
         size = sum(_padded(a.nbytes) for a in arrays.values())
         data = np.zeros(size, np.uint8)
-        at = 0
+        start = 0
         for array in arrays.values():
-            target = data[at : at + array.nbytes].view(array.dtype).reshape(array.shape)
+            target = data[start : start + array.nbytes].view(array.dtype).reshape(array.shape)
             target[...] = array
-            at += _padded(array.nbytes)
+            start += _padded(array.nbytes)
         return cls(entries, data, values)
 
     def arrays(self) -> dict[Path, NDArray[Any]]:
         """Path -> array: views of the bytes, read only after transport."""
-        found: dict[Path, NDArray[Any]] = {}
-        at = 0
-        for path, dtype, shape in self.entries:
-            kind = np.dtype(dtype)
-            size = kind.itemsize * int(np.prod(shape, dtype=np.int64))
-            found[path] = self.data[at : at + size].view(kind).reshape(shape)
-            at += _padded(size)
-        return found
+        arrays: dict[Path, NDArray[Any]] = {}
+        start = 0
+        for path, dtype_name, shape in self.entries:
+            dtype = np.dtype(dtype_name)
+            size = dtype.itemsize * int(np.prod(shape, dtype=np.int64))
+            arrays[path] = self.data[start : start + size].view(dtype).reshape(shape)
+            start += _padded(size)
+        return arrays
 
 
 def _padded(size: int) -> int:
+    """The next multiple of the alignment."""
     return -(-size // _ALIGNED) * _ALIGNED
 
 
@@ -71,6 +72,6 @@ def join_rows(parts: Sequence[Mapping[Path, NDArray[Any]]]) -> dict[Path, NDArra
     first = parts[0]
     for part in parts[1:]:
         if part.keys() != first.keys():
-            odd = sorted(part.keys() ^ first.keys())[0]
-            raise ValueError(f"{'/'.join(odd)} is in some shards of the batch, and not in others")
+            path = sorted(part.keys() ^ first.keys())[0]
+            raise ValueError(f"{'/'.join(path)} is in some shards of the batch, and not in others")
     return {path: np.concatenate([part[path] for part in parts]) for path in first}

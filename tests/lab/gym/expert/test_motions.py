@@ -250,7 +250,7 @@ def test_a_command_is_a_target(built):
     targets = TargetPoses(env)
     targets.add("goal", "expert")
     assert targets("goal")[0] == pytest.approx(np.tile([0.5, 0.0, 0.7], (N, 1)), abs=2e-4)
-    with pytest.raises(ConfigError, match="the command 'run' is no pose and no position"):
+    with pytest.raises(ConfigError, match="the command 'run' is not a pose or a position"):
         targets.add("run", "expert")
 
 

@@ -154,7 +154,7 @@ def test_what_is_not_here_is_refused_by_name() -> None:
 def test_a_shard_starts_again_if_its_node_is_dying(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(shard_pool, "_PAUSE", 0.0)
+    monkeypatch.setattr(shard_pool, "_FIRST_PAUSE", 0.0)
     left = [2]
 
     def dying(first: int, count: int) -> Any:

@@ -119,7 +119,7 @@ def need_articulation(entity: ResolvedEntity) -> None:
 # -- bodies ----------------------------------------------------------------------------------------
 
 
-def _bodies(
+def _links_or_object(
     entity: ResolvedEntity, what: str = "", moving: bool = True
 ) -> tuple[list[str], NDArray[np.int64]]:
     """Names and MuJoCo body ids of the picked links (by default all), or of an object."""
@@ -133,80 +133,86 @@ def _bodies(
     return names, np.array([asset.body_of(name) for name in names], np.int64)
 
 
-def _mass(entity: ResolvedEntity, options: Options) -> Values:
-    asset, (names, bodies) = entity.asset, _bodies(entity, "its mass")
+def _mass_values(entity: ResolvedEntity, options: Options) -> Values:
+    asset = entity.asset
+    names, bodies = _links_or_object(entity, "its mass")
     mass = asset.engine.model.body_mass
-    heavy = np.flatnonzero(mass[bodies] > 0)
-    if not len(heavy):
+    has_mass = np.flatnonzero(mass[bodies] > 0)
+    if not len(has_mass):
         message = f"links without mass: {', '.join(names)}"
         raise ConfigError([Problem("entity_cfg", message)])
-    names, bodies = [names[i] for i in heavy], bodies[heavy]
+    names = [names[i] for i in has_mass]
+    bodies = bodies[has_mass]
 
-    def write(ids: NDArray[np.int64]) -> Write:
-        def masses(values: Floats, env_ids: EnvIndex | None) -> None:
+    def make_write(ids: NDArray[np.int64]) -> Write:
+        def write_masses(values: Floats, env_ids: EnvIndex | None) -> None:
             values = np.maximum(values, options.min_mass)
             if hasattr(asset, "parsed"):
                 asset.write_mass(values, bodies[ids], env_ids, options.recompute_inertia)
             else:
                 asset.write_mass(values[:, 0], env_ids, options.recompute_inertia)
 
-        return masses
+        return write_masses
 
     default = mass[bodies]
-    if _shapes(asset):
+    if _shape_names(asset):
         default = np.full(len(default), np.inf)
-    return Values(names, default, write, unlimited="each of its shapes has a mass of its own")
+    return Values(names, default, make_write, unlimited="each of its shapes has a mass of its own")
 
 
-def _shapes(asset: Any) -> tuple[str, ...]:
+def _shape_names(asset: Any) -> tuple[str, ...]:
     """Names of the shapes that an object may have, if it has `any_of`."""
     return getattr(asset, "shape_names", ())
 
 
-def _com(entity: ResolvedEntity, options: Options) -> Values:
-    engine, (names, bodies) = entity.asset.engine, _bodies(entity, "its centre of mass")
-    if _shapes(entity.asset):
+def _com_values(entity: ResolvedEntity, options: Options) -> Values:
+    engine = entity.asset.engine
+    names, bodies = _links_or_object(entity, "its centre of mass")
+    if _shape_names(entity.asset):
         message = f"{entity.uid!r} has any_of: each of its shapes has a centre of mass of its own"
         raise ConfigError([Problem("entity_cfg.uid", message)])
     columns = (3 * bodies[:, None] + np.arange(3)).reshape(-1)
 
-    def write(ids: NDArray[np.int64]) -> Write:
-        def offsets(values: Floats, env_ids: EnvIndex | None) -> None:
+    def make_write(ids: NDArray[np.int64]) -> Write:
+        def write_positions(values: Floats, env_ids: EnvIndex | None) -> None:
             engine.write_model("body_ipos", values, env_ids, columns[ids])
             engine.set_const_later(env_ids)
 
-        return offsets
+        return write_positions
 
     axes = [f"{name}.{axis}" for name in names for axis in "xyz"]
-    return Values(axes, engine.model.body_ipos.reshape(-1)[columns], write)
+    return Values(axes, engine.model.body_ipos.reshape(-1)[columns], make_write)
 
 
-def _inertia(entity: ResolvedEntity, options: Options) -> Values:
-    asset, (names, bodies) = entity.asset, _bodies(entity, "its inertia")
+def _inertia_values(entity: ResolvedEntity, options: Options) -> Values:
+    asset = entity.asset
     engine = asset.engine
+    names, bodies = _links_or_object(entity, "its inertia")
 
-    def write(ids: NDArray[np.int64]) -> Write:
-        compiled = engine.model.body_mass[bodies[ids]]
-        compiled = np.where(compiled > 0, compiled, 1.0)
+    def make_write(ids: NDArray[np.int64]) -> Write:
+        compiled_mass = engine.model.body_mass[bodies[ids]]
+        compiled_mass = np.where(compiled_mass > 0, compiled_mass, 1.0)
 
-        def factors(values: Floats, env_ids: EnvIndex | None) -> None:
+        def write_factors(values: Floats, env_ids: EnvIndex | None) -> None:
             if not hasattr(asset, "parsed"):
                 asset.write_inertia_scale(values[:, 0], env_ids)
                 return
             mass = engine.model_field("body_mass")[:, bodies[ids]]
-            mass = mass if env_ids is None else mass[env_ids]
-            asset.write_inertia(mass / compiled * values, bodies[ids], env_ids)
+            if env_ids is not None:
+                mass = mass[env_ids]
+            asset.write_inertia(mass / compiled_mass * values, bodies[ids], env_ids)
 
-        return factors
+        return write_factors
 
-    return Values(names, np.ones(len(names)), write, 1e-9)
+    return Values(names, np.ones(len(names)), make_write, lowest=1e-9)
 
 
-def _scale(entity: ResolvedEntity, options: Options) -> Values:
+def _scale_values(entity: ResolvedEntity, options: Options) -> Values:
     need_object(entity)
     entity.require_whole()
-    asset, width = entity.asset, 1 if options.same_scale_all_axes else 3
-    if _shapes(asset):
+    asset = entity.asset
+    width = 1 if options.same_scale_all_axes else 3
+    if _shape_names(asset):
         message = f"{entity.uid!r} has any_of: list shapes of several sizes there"
         raise ConfigError([Problem("entity_cfg.uid", message)])
     try:
@@ -218,163 +224,243 @@ def _scale(entity: ResolvedEntity, options: Options) -> Values:
         message = f"{solid.uid!r} is a {solid.kind}: its axes have one scale"
         raise ConfigError([Problem("same_scale_all_axes", message)])
     # The drawn column that scales each axis: x and y of a capsule share one.
-    axes = np.arange(3) if width == 3 else np.zeros(3, np.int64)
-    axes[equal] = axes[equal[0]] if equal else 0
+    drawn_columns = np.arange(3) if width == 3 else np.zeros(3, np.int64)
+    if equal:
+        drawn_columns[equal] = drawn_columns[equal[0]]
 
-    def factors(values: Floats, env_ids: EnvIndex | None) -> None:
-        asset.write_scale(values[:, axes], env_ids, options.fixed_density)
+    def write_factors(values: Floats, env_ids: EnvIndex | None) -> None:
+        asset.write_scale(values[:, drawn_columns], env_ids, options.fixed_density)
 
-    return Values(list("xyz"[:width]), np.ones(width), lambda ids: factors, 1e-6)
+    names = list("xyz"[:width])
+    return Values(names, np.ones(width), write=lambda ids: write_factors, lowest=1e-6)
 
 
 # -- contacts --------------------------------------------------------------------------------------
 
 
-def _friction(entity: ResolvedEntity, options: Options, axis: int) -> Values:
+@dataclass(frozen=True)
+class _FrictionGroup:
+    """Geoms that get the same drawn coefficient.
+
+    Attributes:
+        name: The link, object or geom.
+        geoms: (g,) MuJoCo ids.
+    """
+
+    name: str
+    geoms: NDArray[np.int64]
+
+
+def _friction_values(entity: ResolvedEntity, options: Options, axis: int) -> Values:
     """A coefficient of links or objects; geoms of a link with equal compiled values share it.
 
     Geoms that are picked by name have one each.
     """
-    model = entity.asset.engine.model
-    geoms = np.asarray(entity.asset.entity.geom_ids, np.int64)
-    masks = (model.geom_contype[geoms] | model.geom_conaffinity[geoms])[None]
-    variants = entity.asset.entity.variants
-    if variants is not None:
-        masks = variants.contype | variants.conaffinity
-    geoms = geoms[masks.any(axis=0)]
-    groups: list[tuple[str, NDArray[np.int64]]] = []
+    engine = entity.asset.engine
+    geoms = _colliding_geoms(entity)
+    groups: list[_FrictionGroup] = []
     if entity.kind == "geom":
-        picked = np.arange(model.ngeom)[entity.frames.ids]
-        one = zip(entity.frame_names, picked, strict=True)
-        groups = [(name, np.array([geom], np.int64)) for name, geom in one if geom in geoms]
+        picked = np.arange(engine.model.ngeom)[entity.frames.ids]
+        for name, geom in zip(entity.frame_names, picked, strict=True):
+            if geom in geoms:
+                groups.append(_FrictionGroup(name, np.array([geom], np.int64)))
         if not groups:
             message = f"nothing of these collides: {', '.join(entity.frame_names)}"
             raise ConfigError([Problem("entity_cfg.geom_names", message)])
-        return _coefficients(entity.asset.engine, groups, axis)
-    owner = model.geom_bodyid[geoms]
-    names, bodies = _bodies(entity, moving=False)
+        return _coefficients(engine, groups, axis)
+
+    body_of_geom = engine.model.geom_bodyid[geoms]
+    names, bodies = _links_or_object(entity, moving=False)
     for name, body in zip(names, bodies, strict=True):
-        own = geoms[owner == body]
-        _, kind = np.unique(model.geom_friction[own], axis=0, return_inverse=True)
-        groups += [(name, own[kind.reshape(-1) == k]) for k in np.unique(kind)]
+        body_geoms = geoms[body_of_geom == body]
+        frictions = engine.model.geom_friction[body_geoms]
+        _, kind = np.unique(frictions, axis=0, return_inverse=True)
+        kind = kind.reshape(-1)
+        groups += [_FrictionGroup(name, body_geoms[kind == k]) for k in np.unique(kind)]
     if not groups:
         message = f"nothing of {entity.uid!r} collides: {', '.join(names)}"
         raise ConfigError([Problem("entity_cfg", message)])
-    return _coefficients(entity.asset.engine, groups, axis)
+    return _coefficients(engine, groups, axis)
 
 
-def _coefficients(
-    engine: Engine, groups: Sequence[tuple[str, NDArray[np.int64]]], axis: int
-) -> Values:
-    def write(ids: NDArray[np.int64]) -> Write:
-        geoms = np.concatenate([groups[i][1] for i in ids])
-        source = np.repeat(np.arange(len(ids)), [len(groups[i][1]) for i in ids])
+def _colliding_geoms(entity: ResolvedEntity) -> NDArray[np.int64]:
+    """The geoms of an entity that collide, with any of its shapes if it has several."""
+    model = entity.asset.engine.model
+    geoms = np.asarray(entity.asset.entity.geom_ids, np.int64)
+    variants = entity.asset.entity.variants
+    if variants is None:
+        return geoms[(model.geom_contype[geoms] | model.geom_conaffinity[geoms]) != 0]
+    return geoms[(variants.contype | variants.conaffinity).any(axis=0)]
+
+
+def _coefficients(engine: Engine, groups: Sequence[_FrictionGroup], axis: int) -> Values:
+    """One coefficient for each group of geoms."""
+
+    def make_write(ids: NDArray[np.int64]) -> Write:
+        drawn_groups = [groups[i] for i in ids]
+        geoms = np.concatenate([group.geoms for group in drawn_groups])
+        source = np.repeat(np.arange(len(ids)), [len(group.geoms) for group in drawn_groups])
         order = np.argsort(geoms)
-        columns, source = 3 * geoms[order] + axis, source[order]
+        columns = 3 * geoms[order] + axis
+        source = source[order]
 
-        def coefficients(values: Floats, env_ids: EnvIndex | None) -> None:
+        def write_coefficients(values: Floats, env_ids: EnvIndex | None) -> None:
             engine.write_model("geom_friction", values[:, source], env_ids, columns)
 
-        return coefficients
+        return write_coefficients
 
-    first = [int(geoms[0]) for _, geoms in groups]
-    names = [name for name, _ in groups]
-    default = engine.model.geom_friction[first, axis]
-    return Values(names, default, write, 0.0, geoms=[own for _, own in groups], axis=axis)
+    first_geoms = [int(group.geoms[0]) for group in groups]
+    return Values(
+        names=[group.name for group in groups],
+        default=engine.model.geom_friction[first_geoms, axis],
+        write=make_write,
+        lowest=0.0,
+        geoms=[group.geoms for group in groups],
+        axis=axis,
+    )
 
 
 # -- joints ----------------------------------------------------------------------------------------
 
 
-def _joints(entity: ResolvedEntity, driven: bool) -> NDArray[np.int64]:
+def _picked_joints(entity: ResolvedEntity, driven: bool) -> NDArray[np.int64]:
     """Indices of the picked joints, which must all have a drive if `driven`."""
     need_articulation(entity)
     entity.require_whole()
     asset = entity.asset
     joints = np.asarray(entity.joint_ids, np.int64)
-    wrong = joints[np.asarray(asset.entity.actuator_ids, np.int64)[joints] < 0]
-    if driven and (len(wrong) or not len(joints)):
-        names = ", ".join(asset.parsed.joint_names[i] for i in wrong) or "(no joint)"
+    undriven = joints[np.asarray(asset.entity.actuator_ids, np.int64)[joints] < 0]
+    if driven and (len(undriven) or not len(joints)):
+        names = ", ".join(asset.parsed.joint_names[i] for i in undriven) or "(no joint)"
         message = f"joints of {entity.uid!r} without a drive: {names}"
         hint = "for motors and the like of an MJCF file use randomize_actuator_strength"
         raise ConfigError([Problem("entity_cfg", message, hint)])
     return joints
 
 
-def _drive(entity: ResolvedEntity, options: Options, name: str, driven: bool = False) -> Values:
+def _joint_values(
+    entity: ResolvedEntity, options: Options, name: str, driven: bool = False
+) -> Values:
     """A property of drives or joints; the name is that of `Drives.put`."""
-    asset, joints = entity.asset, _joints(entity, driven)
+    asset = entity.asset
+    joints = _picked_joints(entity, driven)
 
-    def write(ids: NDArray[np.int64]) -> Write:
+    def make_write(ids: NDArray[np.int64]) -> Write:
         return lambda values, env_ids: asset.drives.write(name, values, env_ids, joints[ids])
 
-    names = [asset.parsed.joint_names[i] for i in joints]
-    compiled = np.asarray(getattr(asset.parsed, name), np.float64)[joints]
-    return Values(names, compiled, write, 0.0, "these have no limit")
+    return Values(
+        names=[asset.parsed.joint_names[i] for i in joints],
+        default=np.asarray(getattr(asset.parsed, name), np.float64)[joints],
+        write=make_write,
+        lowest=0.0,
+        unlimited="these have no limit",
+    )
 
 
-def _limit(entity: ResolvedEntity, options: Options, side: int) -> Values:
-    asset, joints = entity.asset, _joints(entity, driven=False)
+def _limit_values(entity: ResolvedEntity, options: Options, side: int) -> Values:
+    """The lower (0) or upper (1) position limits of joints."""
+    asset = entity.asset
+    joints = _picked_joints(entity, driven=False)
 
-    def write(ids: NDArray[np.int64]) -> Write:
+    def make_write(ids: NDArray[np.int64]) -> Write:
         return lambda values, env_ids: asset.drives.write_limit(side, values, env_ids, joints[ids])
 
-    names = [asset.parsed.joint_names[i] for i in joints]
-    compiled = np.asarray(asset.parsed.qpos_limits, np.float64)[joints]
-    compiled = np.where(np.isfinite(compiled).all(axis=1), compiled[:, side], np.inf)
-    return Values(names, compiled, write, None, "these joints have no limits", needs_default=True)
+    limits = np.asarray(asset.parsed.qpos_limits, np.float64)[joints]
+    is_limited = np.isfinite(limits).all(axis=1)
+    return Values(
+        names=[asset.parsed.joint_names[i] for i in joints],
+        default=np.where(is_limited, limits[:, side], np.inf),
+        write=make_write,
+        unlimited="these joints have no limits",
+        needs_default=True,
+    )
 
 
-def _strength(entity: ResolvedEntity, options: Options) -> Values:
+def _strength_values(entity: ResolvedEntity, options: Options) -> Values:
     """Factors of drives, and of a file's own actuators on the picked joints."""
     need_articulation(entity)
     asset = entity.asset
-    index, model = asset.entity, asset.engine.model
+    index = asset.entity
+    model = asset.engine.model
     joints = np.asarray(entity.joint_ids, np.int64)
-    driven = joints[np.asarray(index.actuator_ids, np.int64)[joints] >= 0]
-    others = np.setdiff1d(index.own_actuator_ids, index.actuator_ids)
-    own = _own_actuators(model, others, np.asarray(index.dof_adr, np.int64)[joints])
-    names = [asset.parsed.joint_names[i] for i in driven]
-    names += [model.actuator(i).name or f"actuator {i}" for i in own]
+    driven_joints = joints[np.asarray(index.actuator_ids, np.int64)[joints] >= 0]
+    other_actuators = np.setdiff1d(index.own_actuator_ids, index.actuator_ids)
+    dofs = np.asarray(index.dof_adr, np.int64)[joints]
+    file_actuators = _file_actuators(model, other_actuators, dofs)
+    names = [asset.parsed.joint_names[i] for i in driven_joints]
+    names += [model.actuator(i).name or f"actuator {i}" for i in file_actuators]
     if not names:
         message = f"no actuator drives: {', '.join(entity.joint_names)}"
         raise ConfigError([Problem("entity_cfg", message)])
 
-    def write(ids: NDArray[np.int64]) -> Write:
-        drives, rest = driven[ids[ids < len(driven)]], own[ids[ids >= len(driven)] - len(driven)]
-        parts = _proportional(model, rest) if len(rest) else []
+    def make_write(ids: NDArray[np.int64]) -> Write:
+        # Values of drives come first, then those of actuators.
+        drive_count = len(driven_joints)
+        drives = driven_joints[ids[ids < drive_count]]
+        actuators = file_actuators[ids[ids >= drive_count] - drive_count]
+        fields = _force_fields(model, actuators)
 
-        def factors(values: Floats, env_ids: EnvIndex | None) -> None:
+        def write_factors(values: Floats, env_ids: EnvIndex | None) -> None:
             if len(drives):
                 asset.drives.write("strength", values[:, : len(drives)], env_ids, drives)
-            factor = values[:, len(drives) :]
-            for name, columns, compiled, source in parts:
-                asset.engine.write_model(name, compiled * factor[:, source], env_ids, columns)
+            factors = values[:, len(drives) :]
+            for field in fields:
+                scaled = field.compiled * factors[:, field.factors]
+                asset.engine.write_model(field.name, scaled, env_ids, field.columns)
 
-        return factors
+        return write_factors
 
-    return Values(names, np.ones(len(names)), write, 0.0)
-
-
-_Part = tuple[str, NDArray[np.int64], "Floats", NDArray[np.int64]]
-"""A model field, its columns, their compiled values, and the index of each one's factor."""
+    return Values(names, np.ones(len(names)), make_write, lowest=0.0)
 
 
-def _proportional(model: mujoco.MjModel, actuators: NDArray[np.int64]) -> list[_Part]:
+@dataclass(frozen=True)
+class _ForceField:
+    """A model field that the forces of actuators are proportional to.
+
+    Attributes:
+        name: Its name.
+        columns: (c,) the columns of these actuators.
+        compiled: (c,) their values in the model.
+        factors: (c,) the index of the actuator, whose factor multiplies the value.
+    """
+
+    name: str
+    columns: NDArray[np.int64]
+    compiled: Floats
+    factors: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls,
+        model: mujoco.MjModel,
+        name: str,
+        actuators: NDArray[np.int64],
+        chosen: NDArray[np.int64],
+        width: int,
+    ) -> _ForceField:
+        """Read the first `width` columns of the chosen ones, by index, of some actuators."""
+        table = getattr(model, name)
+        columns = (table.shape[1] * actuators[chosen, None] + np.arange(width)).reshape(-1)
+        compiled = table.reshape(-1)[columns].copy()
+        return cls(name, columns, compiled, np.repeat(chosen, width))
+
+
+def _force_fields(model: mujoco.MjModel, actuators: NDArray[np.int64]) -> list[_ForceField]:
     """The model fields that the actuators' forces are proportional to."""
-
-    def part(field: str, which: NDArray[np.int64], used: int) -> _Part:
-        table = getattr(model, field)
-        columns = (table.shape[1] * actuators[which, None] + np.arange(used)).reshape(-1)
-        return field, columns, table.reshape(-1)[columns].copy(), np.repeat(which, used)
-
+    if not len(actuators):
+        return []
     every = np.arange(len(actuators))
-    parts = [part("actuator_gainprm", every, 3), part("actuator_biasprm", every, 3)]
     limited = np.flatnonzero(model.actuator_forcelimited[actuators])
-    return [*parts, part("actuator_forcerange", limited, 2)] if len(limited) else parts
+    fields = [
+        _ForceField.of(model, "actuator_gainprm", actuators, every, width=3),
+        _ForceField.of(model, "actuator_biasprm", actuators, every, width=3),
+    ]
+    if len(limited):
+        fields.append(_ForceField.of(model, "actuator_forcerange", actuators, limited, width=2))
+    return fields
 
 
-def _own_actuators(
+def _file_actuators(
     model: mujoco.MjModel, actuators: NDArray[np.int64], dofs: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """The file's actuators on the joints of these dofs; forces must be linear in the parameters.
@@ -383,65 +469,68 @@ def _own_actuators(
         ConfigError: If an actuator has another force law, such as a muscle's.
     """
     joints = model.dof_jntid[dofs]
-    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    linear_gain = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
-    linear_bias = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-    found = [
-        int(i)
-        for i in actuators
-        if model.actuator_trntype[i] in kinds and model.actuator_trnid[i, 0] in joints
-    ]
-    for i in found:
-        gain, bias = model.actuator_gaintype[i], model.actuator_biastype[i]
-        if gain not in linear_gain or bias not in linear_bias:
-            message = f"{model.actuator(i).name!r} has a force law that has no strength to scale"
+    joint_transmissions = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    linear_gains = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+    linear_biases = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+    of_joints: list[int] = []
+    for actuator in actuators.tolist():
+        if model.actuator_trntype[actuator] not in joint_transmissions:
+            continue
+        if model.actuator_trnid[actuator, 0] not in joints:
+            continue
+        has_linear_gain = model.actuator_gaintype[actuator] in linear_gains
+        has_linear_bias = model.actuator_biastype[actuator] in linear_biases
+        if not (has_linear_gain and has_linear_bias):
+            name = model.actuator(actuator).name
+            message = f"{name!r} has a force law that has no strength to scale"
             raise ConfigError([Problem("entity_cfg", message)])
-    return np.asarray(found, np.int64)
+        of_joints.append(actuator)
+    return np.asarray(of_joints, np.int64)
 
 
 # -- the scene -------------------------------------------------------------------------------------
 
 
-def _gravity(engine: Engine) -> Values:
-    def write(ids: NDArray[np.int64]) -> Write:
+def _gravity_values(engine: Engine) -> Values:
+    def make_write(ids: NDArray[np.int64]) -> Write:
         return lambda values, env_ids: engine.write_model("opt.gravity", values, env_ids)
 
-    return Values(list("xyz"), engine.model.opt.gravity, write)
+    return Values(list("xyz"), engine.model.opt.gravity, make_write)
 
 
-def _ground(engine: Engine, axis: int) -> Values:
+def _ground_values(engine: Engine, axis: int) -> Values:
     model = engine.model
     names = [model.geom(i).name for i in range(model.ngeom)]
     if GROUND not in names:
         message = "there is no ground plane in this scene"
         raise ConfigError([Problem("", message, "the simulation's ground_plane is off")])
-    geoms = np.array([names.index(GROUND)], np.int64)
-    return _coefficients(engine, [("ground", geoms)], axis)
+    ground = _FrictionGroup("ground", np.array([names.index(GROUND)], np.int64))
+    return _coefficients(engine, [ground], axis)
 
 
 FIELDS: dict[str, Field] = {
-    "scale": Field(_scale, "scale", fixed=True),
-    "mass": Field(_mass),
-    "com": Field(_com, "add", fixed=True),
-    "inertia": Field(_inertia, "scale", fixed=True),
-    "friction": Field(partial(_friction, axis=0)),
-    "torsional_friction": Field(partial(_friction, axis=1)),
-    "rolling_friction": Field(partial(_friction, axis=2)),
-    "stiffness": Field(partial(_drive, name="stiffness", driven=True)),
-    "damping": Field(partial(_drive, name="damping", driven=True)),
-    "effort_limit": Field(partial(_drive, name="max_effort", driven=True)),
-    "joint_friction": Field(partial(_drive, name="friction")),
-    "armature": Field(partial(_drive, name="armature")),
-    "joint_damping": Field(partial(_drive, name="joint_damping")),
-    "lower_limit": Field(partial(_limit, side=0)),
-    "upper_limit": Field(partial(_limit, side=1)),
-    "strength": Field(_strength, "scale", fixed=True),
+    "scale": Field(_scale_values, "scale", fixed=True),
+    "mass": Field(_mass_values),
+    "com": Field(_com_values, "add", fixed=True),
+    "inertia": Field(_inertia_values, "scale", fixed=True),
+    "friction": Field(partial(_friction_values, axis=0)),
+    "torsional_friction": Field(partial(_friction_values, axis=1)),
+    "rolling_friction": Field(partial(_friction_values, axis=2)),
+    "stiffness": Field(partial(_joint_values, name="stiffness", driven=True)),
+    "damping": Field(partial(_joint_values, name="damping", driven=True)),
+    "effort_limit": Field(partial(_joint_values, name="max_effort", driven=True)),
+    "joint_friction": Field(partial(_joint_values, name="friction")),
+    "armature": Field(partial(_joint_values, name="armature")),
+    "joint_damping": Field(partial(_joint_values, name="joint_damping")),
+    "lower_limit": Field(partial(_limit_values, side=0)),
+    "upper_limit": Field(partial(_limit_values, side=1)),
+    "strength": Field(_strength_values, "scale", fixed=True),
 }
 """Fields of an entity, in the order in which they are drawn and written."""
 SCENE_FIELDS: dict[str, tuple[Callable[[Engine], Values], Operation]] = {
-    "friction": (partial(_ground, axis=0), "abs"),
-    "torsional_friction": (partial(_ground, axis=1), "abs"),
-    "rolling_friction": (partial(_ground, axis=2), "abs"),
-    "gravity": (_gravity, "add"),
+    "friction": (partial(_ground_values, axis=0), "abs"),
+    "torsional_friction": (partial(_ground_values, axis=1), "abs"),
+    "rolling_friction": (partial(_ground_values, axis=2), "abs"),
+    "gravity": (_gravity_values, "add"),
 }
 """Fields of the scene and its ground plane: values and the operation if none is given."""

@@ -34,8 +34,10 @@ __all__ = [
 
 Orientation = Literal["any", "keep", "free"]
 """Whether an action chooses the tool's orientation, keeps it, or leaves it free."""
-_TURNS_A_SECOND, _METRES_A_SECOND = np.pi, 1.0
-"""Speed in rad/s or m/s of joints for which neither file nor drive has a limit."""
+_USUAL_HINGE_SPEED = np.pi
+"""Speed in rad/s of hinges for which neither file nor drive has a limit."""
+_USUAL_SLIDE_SPEED = 1.0
+"""Speed in m/s of slides, likewise."""
 
 
 class MovesTool(Protocol):
@@ -72,7 +74,11 @@ class MovesTool(Protocol):
 
 def tool_orientation(rotation: str) -> Orientation:
     """What a term's parameter `rotation` means for the tool's orientation."""
-    return "keep" if rotation == "keep" else "free" if rotation == "free" else "any"
+    if rotation == "keep":
+        return "keep"
+    if rotation == "free":
+        return "free"
+    return "any"
 
 
 def tool_links(entity: ResolvedEntity) -> list[str]:
@@ -83,12 +89,13 @@ def tool_links(entity: ResolvedEntity) -> list[str]:
     """
     from embodichain.lab.sim.objects.arms.arm_solver import tool_bodies
 
-    asset, parts = entity.asset, entity.control_parts or ("default",)
+    asset = entity.asset
+    parts = entity.control_parts or ("default",)
     if len(parts) == 1 and parts[0] in asset.parsed.tools:
         return [asset.parsed.tools[parts[0]]]
-    bodies = list(asset.entity.body_ids)
-    found = tool_bodies(asset, entity.joint_ids)
-    return [asset.parsed.link_names[bodies.index(body)] for body in found]
+    link_bodies = list(asset.entity.body_ids)
+    link_names = asset.parsed.link_names
+    return [link_names[link_bodies.index(body)] for body in tool_bodies(asset, entity.joint_ids)]
 
 
 def arm_solver(entity: ResolvedEntity, path: str = "entity_cfg") -> ArmSolver:
@@ -108,15 +115,15 @@ def arm_solver(entity: ResolvedEntity, path: str = "entity_cfg") -> ArmSolver:
     asset = entity.asset
     if not entity.joint_ids:
         raise ConfigError([Problem(f"{path}.uid", f"{entity.uid!r} has no joints")])
-    frames = list(entity.frame_names) or tool_links(entity)
-    if len(frames) != 1:
-        message = (
-            f"name one {entity.kind} as the tool; the picked joints suggest {frames or 'none'}"
-        )
+    names = list(entity.frame_names) or tool_links(entity)
+    if len(names) != 1:
+        suggested = names or "none"
+        message = f"name one {entity.kind} as the tool; the picked joints suggest {suggested}"
         raise ConfigError([Problem(f"{path}.{entity.kind}_names", message)])
-    tool = entity.frame if entity.frame_names else link_frame(asset.body_of(frames[0]))
+    tool = entity.frame if entity.frame_names else link_frame(asset.body_of(names[0]))
     part = entity.control_parts[0] if len(entity.control_parts) == 1 else None
-    settings = getattr(asset, "solver_cfg", lambda part: SolverCfg())(part)
+    # An articulation that is not a robot has no settings.
+    settings = asset.solver_cfg(part) if hasattr(asset, "solver_cfg") else SolverCfg()
     return ArmSolver(asset, entity.joint_ids, tool, settings, path)
 
 
@@ -135,6 +142,6 @@ def usual_speeds(asset: Any, joints: NDArray[np.int64], solver: ArmSolver) -> Fl
         solver: The kinematics of a tool that these joints move.
     """
     limits = np.minimum(asset.parsed.qvel_limits, asset.parsed.max_velocity)[joints]
-    hinges = solver.chain.hinges[np.isin(solver.chain.joints, joints)]
-    usual = np.where(hinges, _TURNS_A_SECOND, _METRES_A_SECOND)
+    is_hinge = solver.chain.hinges[np.isin(solver.chain.joints, joints)]
+    usual = np.where(is_hinge, _USUAL_HINGE_SPEED, _USUAL_SLIDE_SPEED)
     return np.where(limits < UNLIMITED, limits, usual)

@@ -44,29 +44,34 @@ def get_at(tree: Any, path: Sequence[str]) -> Any:
     for depth, part in enumerate(path):
         keys = _keys(tree)
         if part not in keys:
-            where = ".".join(path[:depth]) or "the parameters"
-            known = ", ".join(keys) or "nothing"
+            parent = ".".join(path[:depth]) or "the parameters"
+            existing = ", ".join(keys) or "nothing"
             raise ConfigError(
-                f"there is no {part!r} in {where}; there is: {known}.{did_you_mean(part, keys)}"
+                f"there is no {part!r} in {parent}; there is: {existing}.{did_you_mean(part, keys)}"
             )
         tree = tree[part] if isinstance(tree, dict) else tree[int(part)]
     return tree
 
 
 def _keys(tree: Any) -> list[str]:
+    """The keys of a map, the indices of a list, nothing of anything else."""
     if isinstance(tree, dict):
         return [str(key) for key in tree]
-    return [str(i) for i in range(len(tree))] if isinstance(tree, (list, tuple)) else []
+    if isinstance(tree, (list, tuple)):
+        return [str(i) for i in range(len(tree))]
+    return []
 
 
 def with_value(tree: Any, path: Sequence[str], value: Any) -> Any:
     """Return a copy of nested lists and maps with another value at an existing path."""
     if not path:
         return value
-    part, rest = path[0], path[1:]
+    key, *rest = path
     if isinstance(tree, dict):
-        return {**tree, part: with_value(tree.get(part), rest, value)}
-    return [with_value(v, rest, value) if str(i) == part else v for i, v in enumerate(tree)]
+        return {**tree, key: with_value(tree.get(key), rest, value)}
+    copy_of_list = list(tree)
+    copy_of_list[int(key)] = with_value(tree[int(key)], rest, value)
+    return copy_of_list
 
 
 def between(start: Any, end: Any, fraction: float) -> Any:
@@ -77,13 +82,19 @@ def between(start: Any, end: Any, fraction: float) -> Any:
     """
     if isinstance(start, dict) and isinstance(end, dict) and start.keys() == end.keys():
         return {key: between(start[key], end[key], fraction) for key in start}
-    lists = isinstance(start, (list, tuple)) and isinstance(end, (list, tuple))
-    if lists and len(start) == len(end):
+    are_lists = isinstance(start, (list, tuple)) and isinstance(end, (list, tuple))
+    if are_lists and len(start) == len(end):
         return [between(a, b, fraction) for a, b in zip(start, end, strict=True)]
-    if any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in (start, end)):
+    if not (_is_number(start) and _is_number(end)):
         raise ConfigError(f"cannot go gradually from {start!r} to {end!r}")
-    # Exact at both ends.
-    return start if fraction == 0.0 else (1.0 - fraction) * start + fraction * end
+    if fraction == 0.0:
+        return start  # an integer stays one
+    # Exact at the other end too, unlike start + fraction * (end - start).
+    return (1.0 - fraction) * start + fraction * end
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def progress(step: int, start: int, end: int, gradual: bool) -> float:
@@ -134,22 +145,26 @@ class ModifyRewardWeight(Term):
         interpolate: bool = False,
         start_step: Steps = 0,
     ) -> None:
-        self._name, self._weight = term_name, weight
+        self._name = term_name
         self._rewards = env.reward_manager
-        self._first = self._rewards.weights[term_name]
-        self._when = start_step, num_steps, interpolate
+        self._first_weight = self._rewards.weights[term_name]
+        self._last_weight = weight
+        self._start_step = start_step
+        self._end_step = num_steps
+        self._is_gradual = interpolate
 
     @classmethod
     def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
         """Return mistakes that depend on the whole task."""
-        wrong = check_weight("weight", params["weight"])
-        return wrong + _check_name("rewards", task, params) + _check_times(params)
+        problems = check_weight("weight", params["weight"])
+        return problems + _check_name("rewards", task, params) + _check_times(params)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> float:
         """Set the weight for the current control step."""
-        share = progress(env.control_step, *self._when)
+        share = progress(env.control_step, self._start_step, self._end_step, self._is_gradual)
         if share > 0.0:
-            env.reward_manager.set_weight(self._name, between(self._first, self._weight, share))
+            weight = between(self._first_weight, self._last_weight, share)
+            env.reward_manager.set_weight(self._name, weight)
         return env.reward_manager.weights[self._name]
 
     def stage_dict(self) -> dict[str, Any]:
@@ -196,11 +211,13 @@ class ModifyTermParam(Term):
         start_step: Steps = 0,
     ) -> None:
         self._manager = env.managers[section]
-        self._name, self._value = term_name, value
+        self._name = term_name
         self._path = param.split(".")
-        self._when = start_step, num_steps, interpolate
-        term = self._manager.terms[term_name]
-        self._first = get_at(_values(term.spec, term.cfg), self._path)
+        self._start_step = start_step
+        self._end_step = num_steps
+        self._is_gradual = interpolate
+        self._first_value = self._current_value()
+        self._last_value = value
         self._share = 0.0
 
     @classmethod
@@ -216,52 +233,64 @@ class ModifyTermParam(Term):
         except ConfigError:
             return []  # reported at the term
         path = params["param"].split(".")
-        now = _values(spec, term)
+        values = _values(spec, term)
         try:
-            first = get_at(now, path)
+            first_value = get_at(values, path)
         except ConfigError as error:
             return [Problem("param", p.message, p.hint) for p in error.problems]
         try:
             if params.get("interpolate"):
-                between(first, params["value"], 0.5)
+                between(first_value, params["value"], 0.5)
         except ConfigError as error:
             return [Problem("value", p.message) for p in error.problems]
-        found, shapes = _check_values(spec, with_value(now, path, params["value"]))
-        before, shapes_before = _check_values(spec, now)
-        if not found and shapes != shapes_before:
+        changed_values = with_value(values, path, params["value"])
+        new_problems, new_shapes = _check_values(spec, changed_values)
+        old_problems, old_shapes = _check_values(spec, values)
+        if not new_problems and new_shapes != old_shapes:
             message = "the shapes of a term stay the same: name a parameter of one, as shape.tanh"
             return [Problem("param", message)]
-        known = {p.path for p in before}
-        wrong = [p for p in found if p.path not in known]
-        problems = [Problem("value", f"{p.path[1:]}: {p.message}", p.hint) for p in wrong]
+        # Mistakes that the term has without the change are reported at the term.
+        old_paths = {p.path for p in old_problems}
+        problems = [
+            Problem("value", f"{p.path[1:]}: {p.message}", p.hint)
+            for p in new_problems
+            if p.path not in old_paths
+        ]
         return problems + _check_times(params)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> float:
         """Set the value for the current control step."""
-        share = progress(env.control_step, *self._when)
-        value = between(self._first, self._value, share) if 0.0 < share < 1.0 else self._value
+        share = progress(env.control_step, self._start_step, self._end_step, self._is_gradual)
+        value = self._last_value
+        if 0.0 < share < 1.0:
+            value = between(self._first_value, self._last_value, share)
         if share != self._share:
-            self._set(value)
+            self._set_value(value)
             self._share = share
-        number = isinstance(self._first, (int, float)) and not isinstance(self._first, bool)
-        if not number:
+        if not _is_number(self._first_value):
             return share
-        return float(value if share > 0.0 else self._first)
+        return float(value if share > 0.0 else self._first_value)
 
-    def _set(self, value: Any) -> None:
+    def _current_value(self) -> Any:
+        """The value in force."""
+        term = self._manager.terms[self._name]
+        return get_at(_values(term.spec, term.cfg), self._path)
+
+    def _set_value(self, value: Any) -> None:
+        """Rebuild the term with another value."""
         term = self._manager.terms[self._name]
         values = with_value(_values(term.spec, term.cfg), self._path, value)
-        self._manager.set_params(self._name, *_divided(term.spec, values))
+        params, shape = _split_values(term.spec, values)
+        self._manager.set_params(self._name, params, shape)
 
     def stage_dict(self) -> dict[str, Any]:
         """The progress of the change, and the value in force."""
-        term = self._manager.terms[self._name]
-        return {"share": self._share, "value": get_at(_values(term.spec, term.cfg), self._path)}
+        return {"share": self._share, "value": self._current_value()}
 
     def load_stage_dict(self, stage: Mapping[str, Any]) -> None:
         """Set the value; one that was not changed yet stays what the task says."""
         if stage["share"] > 0.0:
-            self._set(stage["value"])
+            self._set_value(stage["value"])
             self._share = stage["share"]
 
     def state_dict(self) -> dict[str, Any]:
@@ -275,32 +304,38 @@ class ModifyTermParam(Term):
 
 def _values(spec: TermSpec, cfg: TermCfg) -> dict[str, Any]:
     """The parameters of a term, defaults included, and its ``shape``."""
-    empty = inspect.Parameter.empty
-    written = spec.written(cfg.params).values()
-    defaults = {
-        name: parameter.default
-        for name, parameter in spec.params.items()
-        if parameter.default is not empty and name not in written
-    }
+    values: dict[str, Any] = {}
     shape = getattr(cfg, "shape", None)
-    return {**({} if shape is None else {"shape": shape}), **defaults, **copy.deepcopy(cfg.params)}
+    if shape is not None:
+        values["shape"] = shape
+    set_names = spec.written(cfg.params).values()
+    for name, parameter in spec.params.items():
+        if parameter.default is not inspect.Parameter.empty and name not in set_names:
+            values[name] = parameter.default
+    return {**values, **copy.deepcopy(cfg.params)}
 
 
-def _divided(spec: TermSpec, values: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
+def _split_values(spec: TermSpec, values: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
     """Split the result of `_values` into parameters and shape."""
     params = dict(values)
-    return params, params.pop("shape", None) if "shape" not in spec.params else None
+    if "shape" in spec.params:  # then it is a parameter of the term's own
+        return params, None
+    shape = params.pop("shape", None)
+    return params, shape
 
 
 def _check_values(spec: TermSpec, values: Mapping[str, Any]) -> tuple[list[Problem], list[str]]:
     """Every mistake in parameters and shapes, and the shapes' names."""
-    params, shape = _divided(spec, values)
-    steps, problems = check_shape(shape, ".shape")
-    return check_params(spec, params, "")[1] + problems, [step.name for step, _ in steps]
+    params, shape = _split_values(spec, values)
+    shapes, shape_problems = check_shape(shape, ".shape")
+    _, problems = check_params(spec, params, "")
+    return problems + shape_problems, [shape_spec.name for shape_spec, _ in shapes]
 
 
 def _check_name(section: str, task: EnvCfg, params: Mapping[str, Any]) -> list[Problem]:
-    terms, name = getattr(task, section), params["term_name"]
+    """Return a mistake if the section has no such term."""
+    terms = getattr(task, section)
+    name = params["term_name"]
     if name in terms:
         return []
     message = f"there is no {name!r} in {section}; there are: {', '.join(terms) or 'none'}"
@@ -308,9 +343,12 @@ def _check_name(section: str, task: EnvCfg, params: Mapping[str, Any]) -> list[P
 
 
 def _check_times(params: Mapping[str, Any]) -> list[Problem]:
-    start, end = params.get("start_step", 0), params["num_steps"]
-    if not params.get("interpolate"):
-        if start:
-            return [Problem("start_step", "has a meaning with interpolate: true only")]
-        return []
-    return [] if start < end else [Problem("start_step", f"must be before num_steps, {end}")]
+    """Return a mistake if the change cannot begin at its first step."""
+    start = params.get("start_step", 0)
+    end = params["num_steps"]
+    is_gradual = params.get("interpolate")
+    if start and not is_gradual:
+        return [Problem("start_step", "has a meaning with interpolate: true only")]
+    if is_gradual and start >= end:
+        return [Problem("start_step", f"must be before num_steps, {end}")]
+    return []

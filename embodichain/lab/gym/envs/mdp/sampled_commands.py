@@ -90,14 +90,24 @@ class UniformVelocityCommand(CommandTerm):
         count, full = env.num_envs, env.arrays.full
         self._env = env
         self._entity = entity_cfg
-        heading = ranges.heading
-        self._turns = heading is not None and rel_heading_envs > 0
-        rows = [ranges.lin_vel_x, ranges.lin_vel_y, ranges.ang_vel_z, heading or (0.0, 0.0)]
-        low, high = ([*(row[i] for row in rows), float(i), float(i)] for i in (0, 1))
-        self._drawn = Uniform("velocity", low, high)
+        self._has_heading = ranges.heading is not None and rel_heading_envs > 0
+        # The last two decide whether an environment stands, and whether it turns to its heading.
+        bounds = [
+            ranges.lin_vel_x,
+            ranges.lin_vel_y,
+            ranges.ang_vel_z,
+            ranges.heading or (0.0, 0.0),
+            (0.0, 1.0),
+            (0.0, 1.0),
+        ]
+        self._drawn = Uniform(
+            "velocity",
+            low=[low for low, _ in bounds],
+            high=[high for _, high in bounds],
+        )
         self._stiffness = heading_control_stiffness
-        self._stands = rel_standing_envs
-        self._heads = rel_heading_envs
+        self._standing_share = rel_standing_envs
+        self._heading_share = rel_heading_envs
         self.values: Floats = full((count, 3), 0.0)
         self.marker = CommandMarker("velocity", entity_cfg.body_id)
         self.heading_target: Floats = full(count, 0.0)
@@ -107,31 +117,28 @@ class UniformVelocityCommand(CommandTerm):
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw velocities, headings, and which environments stand or turn to a heading."""
         drawn = self._drawn(self._env.command_manager, env_ids)
-        where: Any = slice(None) if env_ids is None else env_ids
-        standing = drawn[:, 4] < self._stands
-        self.is_standing[where] = standing
-        self.is_heading[where] = self._turns & (drawn[:, 5] < self._heads)
-        self.heading_target[where] = drawn[:, 3]
-        self.values[where] = np.where(standing[:, None], 0.0, drawn[:, :3])
+        rows: Any = slice(None) if env_ids is None else env_ids
+        is_standing = drawn[:, 4] < self._standing_share
+        self.is_standing[rows] = is_standing
+        self.is_heading[rows] = self._has_heading & (drawn[:, 5] < self._heading_share)
+        self.heading_target[rows] = drawn[:, 3]
+        self.values[rows] = np.where(is_standing[:, None], 0.0, drawn[:, :3])
 
     def update(self, env_ids: EnvIndex | None) -> None:
         """Compute wz of the environments that turn to a heading."""
-        if not self._turns:
+        if not self._has_heading:
             return
-        where: Any = slice(None) if env_ids is None else env_ids
+        rows: Any = slice(None) if env_ids is None else env_ids
         error = wrapped(self.heading_target - heading(self._entity.orientation(), "yaw")[:, 0])
         rate = np.clip(self._stiffness * error, self._drawn.low[2], self._drawn.high[2])
-        turning = (self.is_heading & ~self.is_standing)[where]
-        self.values[where, 2] = np.where(turning, rate[where], self.values[where, 2])
+        is_turning = (self.is_heading & ~self.is_standing)[rows]
+        self.values[rows, 2] = np.where(is_turning, rate[rows], self.values[rows, 2])
 
     def metrics(self) -> Mapping[str, Floats]:
         """Distance of the velocity from the command: in the plane, and about z."""
-        difference = self._entity.linear_velocity("yaw")[:, :2] - self.values[:, :2]
-        turning = self._entity.angular_velocity()[:, 2]
-        return {
-            "error_vel_xy": norm(difference),
-            "error_vel_yaw": np.abs(turning - self.values[:, 2]),
-        }
+        error_xy = self._entity.linear_velocity("yaw")[:, :2] - self.values[:, :2]
+        error_yaw = self._entity.angular_velocity()[:, 2] - self.values[:, 2]
+        return {"error_vel_xy": norm(error_xy), "error_vel_yaw": np.abs(error_yaw)}
 
 
 @register_term("command", name="uniform_pose")
@@ -166,11 +173,11 @@ class UniformPoseCommand(CommandTerm):
         self._env = env
         self._entity = entity_cfg
         self._root = ResolvedEntity(entity_cfg.uid, entity_cfg.asset)
+        self._has_rotation = euler_range is not None
         angles = [[0.0] * 3] * 2 if euler_range is None else euler_range
-        self._turns = euler_range is not None
-        ends = ([*position_range[i], *angles[i]] for i in (0, 1))
-        self._pose = Uniform("pose", *ends)
-        self._unique = make_quat_unique
+        low, high = ([*position_range[i], *angles[i]] for i in (0, 1))
+        self._pose = Uniform("pose", low, high)
+        self._is_quat_unique = make_quat_unique
         self.values: Floats = env.arrays.full((env.num_envs, 7), 0.0)
         self.values[:, 3] = 1.0
         self.marker = CommandMarker("pose", self._root.body_id)
@@ -178,20 +185,20 @@ class UniformPoseCommand(CommandTerm):
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw poses."""
         drawn = self._pose(self._env.command_manager, env_ids)
-        where: Any = slice(None) if env_ids is None else env_ids
-        self.values[where, :3] = drawn[:, :3]
-        if not self._turns:
+        rows: Any = slice(None) if env_ids is None else env_ids
+        self.values[rows, :3] = drawn[:, :3]
+        if not self._has_rotation:
             return
         quat = rpy_to_quat(drawn[:, 3:])
-        if self._unique:
+        if self._is_quat_unique:
             quat = unique_quat(quat)
-        self.values[where, 3:] = quat
+        self.values[rows, 3:] = quat
 
     def world(self) -> tuple[Floats, Floats]:
         """The commanded position (N, 3) and wxyz orientation (N, 4) in the environment's frame."""
-        turn = self._root.orientation()
-        position = self._root.position() + quat_rotate(turn, self.values[:, :3])
-        return position, quat_multiply(turn, self.values[:, 3:])
+        root_quat = self._root.orientation()
+        position = self._root.position() + quat_rotate(root_quat, self.values[:, :3])
+        return position, quat_multiply(root_quat, self.values[:, 3:])
 
     def metrics(self) -> Mapping[str, Floats]:
         """Distance of the picked link, site or geom from the command."""
@@ -232,19 +239,25 @@ class UniformJointPositionCommand(CommandTerm):
         self._env = env
         self._entity = entity_cfg
         self.names = entity_cfg.joint_names
-        parsed, ids = entity_cfg.asset.parsed, list(entity_cfg.joint_ids)
+        parsed = entity_cfg.asset.parsed
+        ids = list(entity_cfg.joint_ids)
         home = np.asarray(parsed.init_qpos, np.float64)[ids]
         limits = np.asarray(parsed.qpos_limits, np.float64)[ids]
         if position_range is None:
-            rows = limits
-            free = [n for n, r in zip(self.names, rows, strict=True) if not np.isfinite(r).all()]
-            if free:
-                message = f"missing: {', '.join(free)} of {entity_cfg.uid!r} have no limits"
+            is_limited = np.isfinite(limits).all(axis=1)
+            if not is_limited.all():
+                unlimited = ", ".join(self.names[i] for i in np.flatnonzero(~is_limited))
+                message = f"missing: {unlimited} of {entity_cfg.uid!r} have no limits"
                 raise ConfigError([Problem("position_range", message)])
+            ranges = limits
         else:
-            rows = _rows(position_range, self.names, np.zeros(len(ids)) if relative else home)
-            rows = np.clip(rows + home[:, None] if relative else rows, limits[:, :1], limits[:, 1:])
-        self._qpos = Uniform("qpos", rows[:, 0], rows[:, 1])
+            if relative:
+                ranges = _read_ranges(position_range, self.names, np.zeros(len(ids)))
+                ranges = ranges + home[:, None]
+            else:
+                ranges = _read_ranges(position_range, self.names, home)
+            ranges = np.clip(ranges, limits[:, :1], limits[:, 1:])
+        self._qpos = Uniform("qpos", ranges[:, 0], ranges[:, 1])
         self.values: Floats = env.arrays.put(np.tile(home, (env.num_envs, 1)))
 
     def resample(self, env_ids: EnvIndex | None) -> None:
@@ -260,15 +273,18 @@ class UniformJointPositionCommand(CommandTerm):
         return {"joint_error": norm(qpos - self.values)}
 
 
-def _rows(given: Range | dict[str, Range], names: tuple[str, ...], rest: Floats) -> Floats:
-    """(K, 2) ranges of the joints; those that no pattern matches have their value in ``rest``."""
-    rows = np.stack([rest, rest], axis=1)
-    if not isinstance(given, dict):
-        rows[:] = given
-        return rows
-    for pattern, pair in given.items():
-        found, problems = match_every(pattern, names, "picked joint", f"position_range.{pattern}")
+def _read_ranges(
+    position_range: Range | dict[str, Range], names: tuple[str, ...], default: Floats
+) -> Floats:
+    """(K, 2) ranges of the joints; those that no pattern matches have their default, (K,)."""
+    ranges = np.stack([default, default], axis=1)
+    if not isinstance(position_range, dict):
+        ranges[:] = position_range
+        return ranges
+    for pattern, bounds in position_range.items():
+        path = f"position_range.{pattern}"
+        matching, problems = match_every(pattern, names, "picked joint", path)
         if problems:
             raise ConfigError(problems)
-        rows[list(found)] = pair
-    return rows
+        ranges[list(matching)] = bounds
+    return ranges

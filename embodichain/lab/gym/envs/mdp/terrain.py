@@ -7,6 +7,7 @@ the environment's origin. So initial poses and all terms have the same meaning o
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -44,13 +45,18 @@ def _terrain(env: TermContext) -> Terrain:
         ConfigError: If it has none, or arrays are on a device.
     """
     env.arrays.require_host("terms of a terrain")
-    found: Terrain | None = env.sim.scene.terrain
-    if found is None:
+    terrain = env.sim.scene.terrain
+    if terrain is None:
         raise ConfigError([Problem("", "the task has no scene.terrain")])
-    return found
+    return terrain
 
 
 def _heights(env: TermContext) -> GroundHeights:
+    """The heights of the scene's terrain.
+
+    Raises:
+        ConfigError: As `_terrain`.
+    """
     from embodichain.lab.sim.reads.height_field import GroundHeights
 
     _terrain(env)
@@ -86,19 +92,22 @@ class PlaceTerrain(Term):
     def __init__(
         self, env: TermContext, max_init_level: Annotated[int, Field(ge=0)] | None = None
     ) -> None:
-        self.terrain = terrain = _terrain(env)
-        most = terrain.levels - 1 if max_init_level is None else max_init_level
-        if most >= terrain.levels:
-            message = f"the levels are 0 to {terrain.levels - 1}, got {most}"
+        self.terrain = _terrain(env)
+        highest_level = self.terrain.levels - 1
+        if max_init_level is None:
+            max_init_level = highest_level
+        if max_init_level > highest_level:
+            message = f"the levels are 0 to {highest_level}, got {max_init_level}"
             raise ConfigError([Problem("max_init_level", message)])
-        number = np.arange(env.num_envs) + env.cfg.first_env
-        kinds = len(terrain.kinds)
-        self.column: NDArray[np.int64] = number % kinds
-        self.level: NDArray[np.int64] = number // kinds % (most + 1)
-        self._any = Uniform("level", [0.0], [float(terrain.levels)])
-        self._engine, self._columns = env.sim.engine, _heights(env).columns
-        # Levels of training by column, where an evaluation holds them, and where a column begins.
-        self._reached: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+        # Of the batch, of which these environments may be a shard.
+        env_numbers = np.arange(env.num_envs) + env.cfg.first_env
+        column_count = len(self.terrain.kinds)
+        self.column: NDArray[np.int64] = env_numbers % column_count
+        self.level: NDArray[np.int64] = env_numbers // column_count % (max_init_level + 1)
+        self._random_level = Uniform("level", [0.0], [float(self.terrain.levels)])
+        self._engine = env.sim.engine
+        self._pos_columns = _heights(env).columns
+        self._training_levels: _TrainingLevels | None = None
 
     def draw_from(self, levels: NDArray[np.int64], columns: NDArray[np.int64]) -> None:
         """Draw the level of each episode from (M,) levels of environments of the same column.
@@ -110,33 +119,59 @@ class PlaceTerrain(Term):
         count = self.terrain.levels
         # (M, count) equally likely levels of each environment of the training.
         likely = np.where((levels >= count)[:, None], np.arange(count), levels[:, None])
-        found = [likely[columns == k].ravel() for k in range(len(self.terrain.kinds))]
-        found = [part if len(part) else likely.ravel() for part in found]
-        self._reached = np.concatenate(found), np.cumsum([0, *map(len, found)])
+        levels_of_columns: list[NDArray[np.int64]] = []
+        for column in range(len(self.terrain.kinds)):
+            column_levels = likely[columns == column].ravel()
+            if not len(column_levels):
+                column_levels = likely.ravel()
+            levels_of_columns.append(column_levels)
+        self._training_levels = _TrainingLevels(
+            levels=np.concatenate(levels_of_columns),
+            starts=np.cumsum([0, *map(len, levels_of_columns)]),
+        )
 
     def go_on(self) -> None:
         """Keep levels from episode to episode again."""
-        self._reached = None
+        self._training_levels = None
 
-    def _level(self, ids: Any, drawn: NDArray[np.float64]) -> NDArray[np.int64]:
+    def _next_levels(self, ids: Any, drawn: NDArray[np.float64]) -> NDArray[np.int64]:
         """(n,) levels of episodes that begin, from draws (n,) of [0, number of levels)."""
-        if self._reached is not None:
-            levels, starts = self._reached
-            first = starts[self.column[ids]]
-            count = starts[self.column[ids] + 1] - first
-            chosen = np.minimum((drawn / self.terrain.levels * count).astype(np.int64), count - 1)
-            return levels[first + chosen]
-        level = self.level[ids]
-        return np.where(level >= self.terrain.levels, drawn.astype(np.int64), level)
+        level_count = self.terrain.levels
+        if self._training_levels is not None:
+            return self._training_levels.choose(self.column[ids], drawn / level_count)
+        levels = self.level[ids]
+        return np.where(levels >= level_count, drawn.astype(np.int64), levels)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Write the pose of the terrain in these environments."""
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         # Always drawn, so that the numbers of an environment do not depend on its level.
-        drawn = self._any(env.event_manager, env_ids)[:, 0]
-        self.level[ids] = level = self._level(ids, drawn)
-        places = 0.0 - self.terrain.origins[level, self.column[ids]]
-        self._engine.write("mocap_pos", places, env_ids, self._columns)
+        drawn = self._random_level(env.event_manager, env_ids)[:, 0]
+        levels = self._next_levels(ids, drawn)
+        self.level[ids] = levels
+        # From 0, not by a minus sign: a place of 0 is not -0.
+        pos = 0.0 - self.terrain.origins[levels, self.column[ids]]
+        self._engine.write("mocap_pos", pos, env_ids, self._pos_columns)
+
+
+@dataclass(frozen=True)
+class _TrainingLevels:
+    """Levels of a training's environments, from which an evaluation draws.
+
+    Attributes:
+        levels: Those of the terrain's first column, then those of the second, and so on.
+        starts: (K + 1,) where each column begins in `levels`, and where the last one ends.
+    """
+
+    levels: NDArray[np.int64]
+    starts: NDArray[np.int64]
+
+    def choose(self, columns: NDArray[np.int64], shares: NDArray[np.float64]) -> NDArray[np.int64]:
+        """(n,) levels in columns (n,), by numbers (n,) in [0, 1)."""
+        first = self.starts[columns]
+        count = self.starts[columns + 1] - first
+        chosen = np.minimum((shares * count).astype(np.int64), count - 1)
+        return self.levels[first + chosen]
 
 
 @register_term("curriculum", name="terrain_levels")
@@ -152,7 +187,7 @@ class TerrainLevels(Term):
 
     Args:
         of: The robot.
-        promote: m; None is half the edge of a patch.
+        promote: Distance in metres beyond which the level rises; None is half the edge of a patch.
         demote: The share of the distance that is expected, below which the level falls. Expected is
             the commanded speed x `max_episode_steps`, or `promote` without a command. Not to be
             given by success.
@@ -173,26 +208,33 @@ class TerrainLevels(Term):
         by: Literal["distance", "success"] = "distance",
     ) -> None:
         terrain = _terrain(env)
-        built = (term.instance for term in env.managers["events"].terms.values())
-        places = [instance for instance in built if isinstance(instance, PlaceTerrain)]
-        if len(places) != 1:
-            message = f"needs one event place_terrain, there are {len(places)}"
+        events = [term.instance for term in env.managers["events"].terms.values()]
+        placing_events = [event for event in events if isinstance(event, PlaceTerrain)]
+        if len(placing_events) != 1:
+            message = f"needs one event place_terrain, there are {len(placing_events)}"
             raise ConfigError([Problem("", message)])
-        self._place, self._of, self._command = places[0], of, command_name
+        self._place = placing_events[0]
+        self._of = of
+        self._command = command_name
         self._by_success = by == "success"
-        self._far = 0.5 * terrain.size if promote is None else promote
-        self._share, self._seconds = demote, env.max_episode_steps * env.step_dt
-        names = dict.fromkeys(terrain.kinds)
-        kinds = {name: np.isin(terrain.kinds, name)[self._place.column] for name in names}
-        self._kinds = {name: mask for name, mask in kinds.items() if mask.any()}
+        self._promote_distance = 0.5 * terrain.size if promote is None else promote
+        self._demote_share = demote
+        self._episode_seconds = env.max_episode_steps * env.step_dt
+        # Kind of patches -> the environments on them; a terrain may have several columns of a kind.
+        self._is_on_kind: dict[str, NDArray[np.bool_]] = {}
+        for name in dict.fromkeys(terrain.kinds):
+            is_on_kind = np.isin(terrain.kinds, name)[self._place.column]
+            if is_on_kind.any():
+                self._is_on_kind[name] = is_on_kind
 
     @classmethod
     def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
         """Return mistakes that depend on the whole task, and parameters without a meaning."""
-        given = [name for name in ("demote", "command_name") if name in params]
-        message = "has no meaning with by: success; remove it"
-        by_success = params.get("by") == "success"
-        problems = [Problem(name, message) for name in given if by_success]
+        problems: list[Problem] = []
+        if params.get("by") == "success":
+            message = "has no meaning with by: success; remove it"
+            unused = [name for name in ("demote", "command_name") if name in params]
+            problems += [Problem(name, message) for name in unused]
         count = sum(event.func == "place_terrain" for event in task.events.values())
         if count != 1:
             problems.append(Problem("", f"needs one event place_terrain, there are {count}"))
@@ -200,28 +242,35 @@ class TerrainLevels(Term):
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> Mapping[str, float]:
         """Change the levels of environments whose episodes end."""
-        place, far = self._place, self._far
+        place = self._place
         place.go_on()
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         walked = norm(self._of.position()[ids, :2])
+        is_far = walked > self._promote_distance
         if self._by_success:
             success = env.arrays.of(env.is_task_success())[ids]
-            up, down = success & (walked > far), ~success
+            goes_up = success & is_far
+            goes_down = ~success
         else:
-            expected: Any = far
+            expected: Any = self._promote_distance
             if self._command is not None:
-                expected = norm(self._command()[ids, :2]) * self._seconds
-            up, down = walked > far, walked < self._share * expected
-        began = env.arrays.of(env.elapsed_steps)[ids] > 0
-        change = np.where(up, 1, np.where(down, -1, 0)) * began
+                expected = norm(self._command()[ids, :2]) * self._episode_seconds
+            goes_up = is_far
+            goes_down = walked < self._demote_share * expected
+        # An environment that is reset before its first step has not walked.
+        has_begun = env.arrays.of(env.elapsed_steps)[ids] > 0
+        change = np.where(goes_up, 1, np.where(goes_down, -1, 0)) * has_begun
         place.level[ids] = np.maximum(place.level[ids] + change, 0)
-        return self._means()
+        return self._mean_levels()
 
-    def _means(self) -> dict[str, float]:
+    def _mean_levels(self) -> dict[str, float]:
+        """The mean level of all environments, and of those on each kind of patch."""
         place = self._place
         levels = np.minimum(place.level, place.terrain.levels - 1)
-        means = {name: float(levels[mask].mean()) for name, mask in self._kinds.items()}
-        return {"mean": float(levels.mean()), **means}
+        means = {"mean": float(levels.mean())}
+        for name, is_on_kind in self._is_on_kind.items():
+            means[name] = float(levels[is_on_kind].mean())
+        return means
 
     def stage_dict(self) -> dict[str, Any]:
         """The levels and columns of all environments."""
@@ -241,7 +290,8 @@ class TerrainLevel(Term):
     """
 
     def __init__(self, env: TermContext) -> None:
-        self._terrain, self._ground = _terrain(env), _heights(env)
+        self._terrain = _terrain(env)
+        self._ground = _heights(env)
 
     def __call__(self) -> Floats:
         """(N,) the level."""
@@ -264,12 +314,14 @@ class HeightAboveGround(Term):
     """
 
     def __init__(self, env: TermContext, of: Body) -> None:
-        self._of, self._ground = of, _heights(env)
+        self._of = of
+        self._ground = _heights(env)
 
     def __call__(self) -> Floats:
         """(N,) m."""
-        place = self._of.position()
-        return place[:, 2] - self._ground.read(place[:, 0], place[:, 1])[0]
+        pos = self._of.position()
+        ground_height, _ = self._ground.read(pos[:, 0], pos[:, 1])
+        return pos[:, 2] - ground_height
 
 
 @quantity(name="terrain_edge_distance")
@@ -284,9 +336,12 @@ class TerrainEdgeDistance(Term):
     """  # noqa: E501  (an example is one line)
 
     def __init__(self, env: TermContext, of: Body) -> None:
-        self._of, self._half, self._ground = of, _terrain(env).half, _heights(env)
+        self._of = of
+        self._half_size = _terrain(env).half
+        self._ground = _heights(env)
 
     def __call__(self) -> Floats:
         """(N,) m."""
-        place = np.abs(self._of.position()[:, :2] - self._ground.offset()[:, :2])
-        return np.minimum(self._half[0] - place[:, 0], self._half[1] - place[:, 1])
+        from_middle = np.abs(self._of.position()[:, :2] - self._ground.offset()[:, :2])
+        half_x, half_y = self._half_size
+        return np.minimum(half_x - from_middle[:, 0], half_y - from_middle[:, 1])

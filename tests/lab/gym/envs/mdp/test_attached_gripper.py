@@ -200,7 +200,7 @@ def test_wrong_parameters(make, params, key, part):
 def test_force_needs_a_servo(make, tmp_path):
     motor = HAND.replace('biastype="affine"', "").replace('biasprm="0 -100 -10"', "")
     path = write(tmp_path / "hand.xml", motor)
-    with pytest.raises(ConfigError, match="'gripper/fingers' is no position servo"):
+    with pytest.raises(ConfigError, match="'gripper/fingers' is not a position servo"):
         make(path, actuator_names="gripper/.*", force=2.0)
 
 

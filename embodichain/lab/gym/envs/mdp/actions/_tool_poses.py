@@ -44,7 +44,13 @@ __all__ = [
 ]
 
 _PLACE = ("x", "y", "z")
-_QUATS, _ANGLES = ("qw", "qx", "qy", "qz"), ("roll", "pitch", "yaw")
+_QUATERNION = ("qw", "qx", "qy", "qz")
+_ANGLES = ("roll", "pitch", "yaw")
+_ROTATION_VECTOR = ("rx", "ry", "rz")
+_USUAL_SHIFT = 0.02
+"""Metres per unit of action where no scale is set."""
+_USUAL_TURN = 0.1
+"""Rad, likewise."""
 
 
 def meaning_of_poses(names: Sequence[str], frame: str) -> ActionMeaning:
@@ -97,29 +103,49 @@ class AbsolutePose:
         rotation: Literal["quat", "rpy", "keep", "free"],
         position_range: Box3 | None,
     ) -> None:
-        self._solver, self._world, self._rotation = solver, frame == "world", rotation
-        index = asset.entity
-        root = np.zeros(3) if not self._world else np.asarray(index.pos0, np.float64)
-        reach = solver.chain.reach
-        box = [root - reach, root + reach] if position_range is None else position_range
-        extra = {"quat": 1.0, "rpy": np.pi}.get(rotation, 0.0)
-        self.names = ("x", "y", "z", *{"quat": _QUATS, "rpy": _ANGLES}.get(rotation, ()))
-        ends = np.full(len(self.names) - 3, extra)
-        self.low: NDArray[np.float32] = np.concatenate([box[0], -ends]).astype(np.float32)
-        self.high: NDArray[np.float32] = np.concatenate([box[1], ends]).astype(np.float32)
-        initial = np.asarray(asset.parsed.init_qpos, np.float64)[None]
-        pos, quat = solver.forward_in_root(initial, np.zeros(1, np.int64))
-        if self._world:
-            turn = np.asarray(index.quat0, np.float64)[None]
-            pos, quat = root + quat_rotate(turn, pos), quat_multiply(turn, quat)
-        self.home: Floats = self.action_at(pos, quat)[0]
+        self._solver = solver
+        self._is_world = frame == "world"
+        self._rotation = rotation
         self._of = env.arrays.of
-        self._kept: Floats = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
+
+        root_pos = np.zeros(3)
+        if self._is_world:
+            root_pos = np.asarray(asset.entity.pos0, np.float64)
+        if position_range is None:
+            low = root_pos - solver.chain.reach
+            high = root_pos + solver.chain.reach
+        else:
+            low, high = np.asarray(position_range, np.float64)
+        rotation_names: tuple[str, ...] = ()
+        rotation_bound = 0.0
+        if rotation == "quat":
+            rotation_names = _QUATERNION
+            rotation_bound = 1.0
+        elif rotation == "rpy":
+            rotation_names = _ANGLES
+            rotation_bound = np.pi
+        self.names = (*_PLACE, *rotation_names)
+        bounds = np.full(len(rotation_names), rotation_bound)
+        self.low: NDArray[np.float32] = np.concatenate([low, -bounds]).astype(np.float32)
+        self.high: NDArray[np.float32] = np.concatenate([high, bounds]).astype(np.float32)
+
+        initial_qpos = np.asarray(asset.parsed.init_qpos, np.float64)[None]
+        pos, quat = solver.forward_in_root(initial_qpos, np.zeros(1, np.int64))
+        if self._is_world:
+            root_quat = np.asarray(asset.entity.quat0, np.float64)[None]
+            pos = root_pos + quat_rotate(root_quat, pos)
+            quat = quat_multiply(root_quat, quat)
+        self.home: Floats = self.action_at(pos, quat)[0]
+        self._initial_quat: Floats = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
 
     def action_at(self, pos: Floats, quat: Floats) -> Floats:
         """(n, A) the action for a pose (n, 3), (n, 4) in `frame`."""
-        turned = {"quat": quat, "rpy": quat_to_rpy(quat)}.get(self._rotation, quat[:, :0])
-        action = np.concatenate([pos, turned], axis=1)
+        rotation = quat[:, :0]  # no columns
+        if self._rotation == "quat":
+            rotation = quat
+        elif self._rotation == "rpy":
+            rotation = quat_to_rpy(quat)
+        action = np.concatenate([pos, rotation], axis=1)
         return np.minimum(np.maximum(action, self.low), self.high)
 
     def asked(
@@ -134,15 +160,17 @@ class AbsolutePose:
         Returns:
             Position (N, 3) and orientation (N, 4) or None, if that is free.
         """
-        given = np.minimum(np.maximum(self._of(action), self.low), self.high).astype(np.float64)
-        pos, turned = contiguous(given[:, :3]), contiguous(given[:, 3:])
+        value = np.minimum(np.maximum(self._of(action), self.low), self.high).astype(np.float64)
+        pos = contiguous(value[:, :3])
+        rotation = contiguous(value[:, 3:])
         quat: Floats | None = None
         if self._rotation == "keep":
-            quat = self._kept
+            quat = self._initial_quat
         elif self._rotation == "rpy":
-            quat = quat_conjugate(euler_xyz_to_quat(-turned))
+            # About fixed axes, roll first: the inverse of the intrinsic rotations by -rpy.
+            quat = quat_conjugate(euler_xyz_to_quat(-rotation))
         elif self._rotation == "quat":
-            quat = _normalized(turned, orientation)
+            quat = _normalize(rotation, orientation)
         return pos, quat
 
     def action_for(self, pos: Floats, quat: Floats, shift: Floats, turn: Floats) -> Floats:
@@ -157,29 +185,30 @@ class AbsolutePose:
 
     def in_world(self, pos: Floats, quat: Floats | None) -> tuple[Floats, Floats | None]:
         """Poses (N, 3), (N, 4) of `frame` in the environment's frame."""
-        if self._world:
+        if self._is_world:
             return pos, quat
         root_pos, root_quat = self._solver.root_pose()
-        turned = None if quat is None else quat_multiply(root_quat, quat)
-        return root_pos + quat_rotate(root_quat, pos), turned
+        if quat is not None:
+            quat = quat_multiply(root_quat, quat)
+        return root_pos + quat_rotate(root_quat, pos), quat
 
     def in_frame(self, pos: Floats, quat: Floats) -> tuple[Floats, Floats]:
         """Poses (N, 3), (N, 4) of the environment's frame in `frame`."""
-        if self._world:
+        if self._is_world:
             return pos, quat
         root_pos, root_quat = self._solver.root_pose()
-        back = quat_conjugate(root_quat)
-        return quat_rotate(back, pos - root_pos), quat_multiply(back, quat)
+        to_root = quat_conjugate(root_quat)
+        return quat_rotate(to_root, pos - root_pos), quat_multiply(to_root, quat)
 
 
-def _normalized(quat: Floats, orientation: Callable[[], Floats]) -> Floats:
+def _normalize(quat: Floats, orientation: Callable[[], Floats]) -> Floats:
     """(N, 4) unit quaternions; those of `orientation` where one is 0."""
     squares = quat * quat
     norm = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
-    void = norm < 1e-6
-    unit: Floats = quat / np.where(void, 1.0, norm)[:, None]
-    if may_be_set(void):
-        unit = np.where(void[:, None], orientation(), unit)
+    is_zero = norm < 1e-6
+    unit: Floats = quat / np.where(is_zero, 1.0, norm)[:, None]
+    if may_be_set(is_zero):
+        unit = np.where(is_zero[:, None], orientation(), unit)
     return unit
 
 
@@ -200,15 +229,19 @@ def in_axes(
     """
     if frame == "world":
         return shift, turn
-    back = quat_conjugate(solver.root_pose()[1] if frame == "base" else quat)
-    return quat_rotate(back, shift), quat_rotate(back, turn)
+    axes = quat
+    if frame == "base":
+        _, axes = solver.root_pose()
+    to_frame = quat_conjugate(axes)
+    return quat_rotate(to_frame, shift), quat_rotate(to_frame, turn)
 
 
 def motion_between(
     start: tuple[Floats, Floats], pos: Floats, quat: Floats
 ) -> tuple[Floats, Floats]:
     """Translation (n, 3) and rotation vector (n, 3) from a pose to another, in their frame."""
-    return pos - start[0], quat_to_rotvec(quat_multiply(quat, quat_conjugate(start[1])))
+    start_pos, start_quat = start
+    return pos - start_pos, quat_to_rotvec(quat_multiply(quat, quat_conjugate(start_quat)))
 
 
 class MotionColumns:
@@ -233,20 +266,32 @@ class MotionColumns:
         scale: PerJoint | None,
         clip: JointClip | None,
     ) -> None:
-        turns = rotation == "command"
-        self.names = ("x", "y", "z", *(("rx", "ry", "rz") if turns else ()))
+        self.names: tuple[str, ...] = _PLACE
+        if rotation == "command":
+            self.names = (*_PLACE, *_ROTATION_VECTOR)
         if scale is None:
-            scale = [0.02] * 3 + [0.1] * (len(self.names) - 3)
-        affine = Affine(self.names, env, scale, 0.0, clip or [-1.0, 1.0], what="column")
-        self.low, self.high = affine.low, affine.high
-        self.value, self.scale = affine.value, affine.scale
+            scale = [_USUAL_SHIFT] * 3 + [_USUAL_TURN] * (len(self.names) - 3)
+        affine = Affine(
+            names=self.names,
+            env=env,
+            scale=scale,
+            offset=0.0,
+            clip=clip or [-1.0, 1.0],
+            what="column",
+        )
+        self.low = affine.low
+        self.high = affine.high
+        self.value = affine.value
+        self.scale = affine.scale
         self._action_for = affine.action_for
-        ends = np.abs([affine.value_of(self.low), affine.value_of(self.high)]).min(axis=0)
-        self._largest = ends[:3].min(), ends[3:].min(initial=np.inf)
+        # In both directions, so the smaller of the two bounds.
+        lengths = np.abs([affine.value_of(self.low), affine.value_of(self.high)]).min(axis=0)
+        self._longest_shift = float(lengths[:3].min())
+        self._longest_turn = float(lengths[3:].min(initial=np.inf))
 
     def largest(self, rate: float) -> tuple[float, float]:
         """The longest translation and rotation along each column, m and rad, times a rate."""
-        return float(self._largest[0]) * rate, float(self._largest[1]) * rate
+        return self._longest_shift * rate, self._longest_turn * rate
 
     def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(n, A) the actions nearest to motions, (n, 3) metres and (n, 3) rotation vectors."""
@@ -275,7 +320,9 @@ class RelativePose(MotionColumns):
         clip: JointClip | None,
     ) -> None:
         super().__init__(env, rotation, scale, clip)
-        self._solver, self._frame, self._rotation = solver, frame, rotation
+        self._solver = solver
+        self._frame = frame
+        self._rotation = rotation
 
     def motion_for(self, quat: Floats, shift: Floats, turn: Floats) -> Floats:
         """(n, A) the actions nearest to motions in the environment's axes.
@@ -297,18 +344,21 @@ class RelativePose(MotionColumns):
         """
         value = self.value(action).astype(np.float64)
         shift = contiguous(value[:, :3])
-        turn = None
+        turn: Floats | None = None
         if self._rotation == "command":
             turn = rotvec_to_quat(value[:, 3:])
         if self._frame == "tool":
-            moved = pos + quat_rotate(quat, shift)
-            turned = quat if turn is None else quat_multiply(quat, turn)
+            pos = pos + quat_rotate(quat, shift)
+            if turn is not None:
+                quat = quat_multiply(quat, turn)
         else:
             if self._frame == "base":
-                root = self._solver.root_pose()[1]
-                shift = quat_rotate(root, shift)
+                _, root_quat = self._solver.root_pose()
+                shift = quat_rotate(root_quat, shift)
                 if turn is not None:
-                    turn = quat_multiply(quat_multiply(root, turn), quat_conjugate(root))
-            moved = pos + shift
-            turned = quat if turn is None else quat_multiply(turn, quat)
-        return moved, None if self._rotation == "free" else turned
+                    # The same rotation, about axes of the environment.
+                    turn = quat_multiply(quat_multiply(root_quat, turn), quat_conjugate(root_quat))
+            pos = pos + shift
+            if turn is not None:
+                quat = quat_multiply(turn, quat)
+        return pos, None if self._rotation == "free" else quat

@@ -73,49 +73,52 @@ class ActuatorCtrl(ActionTerm):
             raise ConfigError([Problem("entity_cfg", message)])
         self._which, named_by = picked_controls(actuator_names, parsed.control_names)
         self.names = tuple(parsed.control_names[i] for i in self._which)
-        affine = Affine(
-            self.names,
-            env,
-            scale,
-            offset,
-            clip,
-            limits=self._ranges(parsed),
+        self.named_by = named_by
+        self._affine = Affine(
+            names=self.names,
+            env=env,
+            scale=scale,
+            offset=offset,
+            clip=clip,
+            limits=self._control_ranges(parsed),
             what="actuator",
             named_by=named_by,
         )
-        self._require_bounds(affine)
-        self.named_by, self._affine = named_by, affine
-        self.low, self.high = affine.low, affine.high
-        self._value, self._action_for = affine.value, affine.action_for
+        self.low = self._affine.low
+        self.high = self._affine.high
+        self._require_bounds()
         self._initial: Floats = parsed.init_ctrl[self._which]
 
-    def _ranges(self, parsed: Any) -> tuple[Floats, Floats]:
+    def _control_ranges(self, parsed: Any) -> tuple[Floats, Floats]:
         """Low and high of the controls, (A,) each; infinite where nothing bounds them."""
         limits: Floats = parsed.ctrl_limits.copy()
         index = self._asset.entity
         joints = np.flatnonzero((index.ctrl_ids >= 0) & (parsed.stiffness > 0))
         low, high = finite_limits(parsed.qpos_limits, joints)
+        # The joint's limits in units of ctrl; a negative scale turns them round.
         ends = np.sort(np.stack([low, high], axis=1) * parsed.servos.scale[joints, None], axis=1)
-        places = np.searchsorted(index.own_ctrl_ids, index.ctrl_ids[joints])
-        limits[places] = np.where(np.isfinite(limits[places]), limits[places], ends)
+        controls = np.searchsorted(index.own_ctrl_ids, index.ctrl_ids[joints])
+        limits[controls] = np.where(np.isfinite(limits[controls]), limits[controls], ends)
         low, high = limits[self._which].T.copy()
         return low, high
 
-    def _require_bounds(self, affine: Affine) -> None:
+    def _require_bounds(self) -> None:
         """Refuse controls without a range that no `clip` bounds."""
-        finite = np.isfinite(affine.low) & np.isfinite(affine.high)
-        endless = [name for name, good in zip(self.names, finite, strict=True) if not good]
-        if endless:
-            message = (
-                f"actuators without a ctrlrange: {', '.join(endless)}; give the bounds of the "
-                "action, as in actions: {ctrl: {func: actuator_ctrl, params: {of: {uid: "
-                f"{self._asset.uid}}}, clip: [-1, 1]}}}}}}, or clip: {{NAME: [-1, 1], ...}}"
-            )
-            raise ConfigError([Problem("clip", message)])
+        is_bounded = np.isfinite(self.low) & np.isfinite(self.high)
+        if is_bounded.all():
+            return
+        unbounded = ", ".join(self.names[i] for i in np.flatnonzero(~is_bounded))
+        message = (
+            f"actuators without a ctrlrange: {unbounded}; give the bounds of the "
+            "action, as in actions: {ctrl: {func: actuator_ctrl, params: {of: {uid: "
+            f"{self._asset.uid}}}, clip: [-1, 1]}}}}}}, or clip: {{NAME: [-1, 1], ...}}"
+        )
+        raise ConfigError([Problem("clip", message)])
 
     def apply(self, action: torch.Tensor) -> None:
         """Write the controls of (N, A) actions."""
-        self._asset.write_ctrl(self._value(action), self._which, seconds=self._period)
+        controls = self._affine.value(action)
+        self._asset.write_ctrl(controls, self._which, seconds=self._period)
 
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """Of controls, in their units."""
@@ -127,11 +130,11 @@ class ActuatorCtrl(ActionTerm):
 
     def home(self) -> Floats:
         """(A,) the action for the initial controls, within the bounds."""
-        return self._action_for(self._initial)
+        return self._affine.action_for(self._initial)
 
     def hold(self) -> Floats:
         """(N, A) the action that keeps the present controls, within the bounds."""
-        return self._action_for(self._asset.read_ctrl()[:, self._which])
+        return self._affine.action_for(self._asset.read_ctrl()[:, self._which])
 
 
 def picked_controls(
@@ -147,12 +150,15 @@ def picked_controls(
     """
     if patterns is None:
         return np.arange(len(names)), ()
-    found: set[int] = set()
+    if isinstance(patterns, str):
+        patterns = [patterns]
+    picked: set[int] = set()
     named_by: list[NamedBy] = []
-    for pattern in [patterns] if isinstance(patterns, str) else patterns:
-        hits, problems = match_every(pattern, names, "actuator", "actuator_names")
+    for pattern in patterns:
+        matching, problems = match_every(pattern, names, "actuator", "actuator_names")
         if problems:
             raise ConfigError(problems)
-        found.update(hits)
-        named_by.append(NamedBy("actuator_names", pattern, tuple(names[i] for i in hits)))
-    return np.asarray(sorted(found), np.int64), tuple(named_by)
+        picked.update(matching)
+        matching_names = tuple(names[i] for i in matching)
+        named_by.append(NamedBy("actuator_names", pattern, matching_names))
+    return np.asarray(sorted(picked), np.int64), tuple(named_by)

@@ -51,8 +51,10 @@ if TYPE_CHECKING:
 
 __all__ = ["EefDeltaPose", "EefPose", "EefTerm"]
 
-_POSITION_TOLERANCE, _ROTATION_TOLERANCE = 1e-3, 1e-2
-"""Error in metres and rad above which a target is flagged that the joints cannot come nearer."""
+_POSITION_TOLERANCE = 1e-3
+"""Error in metres above which a target is out of reach, where joints cannot come nearer."""
+_ROTATION_TOLERANCE = 1e-2
+"""Error in rad, likewise."""
 
 
 class EefTerm(JointTerm):
@@ -82,35 +84,41 @@ class EefTerm(JointTerm):
         self._solver = arm_solver(entity)
         super().__init__(env, moving_joints(entity, self._solver))
         self._count = env.num_envs
-        self._largest: Floats = self._speeds(max_velocity) * env.step_dt
-        self._gain = posture_gain
+        self._largest_change: Floats = self._joint_speeds(max_velocity) * env.step_dt
+        self._posture_gain = posture_gain
         self._measures: dict[str, Floats] = {}
 
-    def _speeds(self, given: PerJoint | None) -> Floats:
+    def _joint_speeds(self, max_velocity: PerJoint | None) -> Floats:
         """(k,) largest speeds of the joints."""
-        if given is not None:
-            speeds = per_joint(given, self.names, "max_velocity", named_by=self._named_by)
-            if not (speeds > 0).all():
-                raise ConfigError([Problem("max_velocity", "must be positive")])
-            return speeds
-        return usual_speeds(self._asset, self._ids, self._solver)
+        if max_velocity is None:
+            return usual_speeds(self._asset, self._ids, self._solver)
+        speeds = per_joint(max_velocity, self.names, "max_velocity", named_by=self._named_by)
+        if not (speeds > 0).all():
+            raise ConfigError([Problem("max_velocity", "must be positive")])
+        return speeds
 
     def _commanded(self) -> Floats:
         """(N, D) joint positions with the moving joints at their targets."""
-        whole: Floats = precise(self._asset.read_qpos().copy())
-        whole[:, self._ids] = self._targets()
-        return whole
+        qpos: Floats = precise(self._asset.read_qpos().copy())
+        qpos[:, self._ids] = self._targets()
+        return qpos
 
     def _follow(self, commanded: Floats, frames: Frames, error: Floats) -> None:
         """Move targets by an error of the pose, (6, N) or (3, N), in the axes of the root."""
-        posture = self._default if self._gain else None
-        step = self._solver.approach(commanded, frames, error, self._largest, posture, self._gain)
+        step = self._solver.approach(
+            commanded,
+            frames,
+            error,
+            largest=self._largest_change,
+            posture=self._default if self._posture_gain else None,
+            gain=self._posture_gain,
+        )
         self._write_targets(commanded[:, self._ids] + step.change)
-        off = (step.distance > _POSITION_TOLERANCE) | (step.angle > _ROTATION_TOLERANCE)
+        is_far = (step.distance > _POSITION_TOLERANCE) | (step.angle > _ROTATION_TOLERANCE)
         self._measures = {
             "position_error": step.distance,
             "rotation_error": step.angle,
-            "unreachable": (off & step.stationary).astype(np.float64),
+            "unreachable": (is_far & step.stationary).astype(np.float64),
         }
         if len(error) == 3:
             del self._measures["rotation_error"]
@@ -131,7 +139,7 @@ class EefTerm(JointTerm):
     @property
     def joint_speeds(self) -> Floats:
         """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
-        return self._largest / self._period
+        return self._largest_change / self._period
 
     def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(N, A) the actions that move the tool, as far as their bounds allow.
@@ -192,16 +200,26 @@ class EefPose(EefTerm):
         posture_gain: UnitInterval = 0.0,
     ) -> None:
         super().__init__(env, entity_cfg, max_velocity, posture_gain)
-        poses = AbsolutePose(self._asset, self._solver, env, frame, rotation, position_range)
-        self._poses, self._world = poses, frame == "world"
-        self.orientation, self.tool_speeds = tool_orientation(rotation), (np.inf, np.inf)
-        self.names, self.low, self.high = poses.names, poses.low, poses.high
+        self._is_world = frame == "world"
+        self._poses = AbsolutePose(
+            asset=self._asset,
+            solver=self._solver,
+            env=env,
+            frame=frame,
+            rotation=rotation,
+            position_range=position_range,
+        )
+        self.names = self._poses.names
+        self.low = self._poses.low
+        self.high = self._poses.high
+        self.orientation = tool_orientation(rotation)
+        self.tool_speeds = (np.inf, np.inf)
 
     def apply(self, action: torch.Tensor) -> None:
         """Move the targets towards the poses of (N, A) actions."""
         commanded = self._commanded()
         pos, quat = self._poses.asked(action, lambda: self._pose(commanded)[1])
-        target = self._solver.to_root(pos, quat) if self._world else Target.of(pos, quat)
+        target = self._solver.to_root(pos, quat) if self._is_world else Target.of(pos, quat)
         frames = self._solver.frames(commanded)
         self._follow(commanded, frames, pose_error(frames, target))
 
@@ -210,8 +228,10 @@ class EefPose(EefTerm):
         return self._poses.action_for(*self.target_pose(), shift, turn)
 
     def _pose(self, qpos: Floats) -> tuple[Floats, Floats]:
-        """The tool's pose in `frame`."""
-        return self._solver.forward(qpos) if self._world else self._solver.forward_in_root(qpos)
+        """The tool's pose in `frame` at joint positions (N, D)."""
+        if self._is_world:
+            return self._solver.forward(qpos)
+        return self._solver.forward_in_root(qpos)
 
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """Of the pose itself, in m and as of `rotation`."""
@@ -219,7 +239,7 @@ class EefPose(EefTerm):
 
     def meaning(self) -> ActionMeaning:
         """Poses of the tool in `frame`."""
-        return meaning_of_poses(self.names, "world" if self._world else "base")
+        return meaning_of_poses(self.names, "world" if self._is_world else "base")
 
     def home(self) -> Floats:
         """(A,) the action that goes to the tool's initial pose."""
@@ -272,27 +292,32 @@ class EefDeltaPose(EefTerm):
         posture_gain: UnitInterval = 0.0,
     ) -> None:
         super().__init__(env, entity_cfg, max_velocity, posture_gain)
-        self._frame, self._rotation = frame, rotation
+        self._frame = frame
+        self._rotation = rotation
         self._measured = reference == "qpos"
-        columns = MotionColumns(env, rotation, scale, clip)
-        self.names, self.low, self.high = columns.names, columns.low, columns.high
-        self._columns, self.orientation = columns, tool_orientation(rotation)
-        self.tool_speeds = columns.largest(1.0 / env.step_dt)
+        self._columns = MotionColumns(env, rotation, scale, clip)
+        self.names = self._columns.names
+        self.low = self._columns.low
+        self.high = self._columns.high
+        self.orientation = tool_orientation(rotation)
+        self.tool_speeds = self._columns.largest(1.0 / env.step_dt)
 
     def target_pose(self) -> tuple[Floats, Floats]:
         """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
-        return self.tool_pose() if self._measured else super().target_pose()
+        if self._measured:
+            return self.tool_pose()
+        return super().target_pose()
 
     def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(N, A) the actions that move the tool; see `EefTerm.action_for`."""
-        quat = self.target_pose()[1]
+        _, quat = self.target_pose()
         shift, turn = in_axes(self._solver, self._frame, quat, shift, turn)
         return self._columns.action_for(shift, turn)
 
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """About the pose measured or targeted, in m and rad."""
-        about = "qpos" if self._measured else "target"
-        return [about] * self.action_dim, self._columns.scale.tolist()
+        reference = "qpos" if self._measured else "target"
+        return [reference] * self.action_dim, self._columns.scale.tolist()
 
     def meaning(self) -> ActionMeaning:
         """Motions of the tool along and about the axes of `frame`."""
@@ -304,13 +329,16 @@ class EefDeltaPose(EefTerm):
         value = contiguous(self._columns.value(action).T, np.float64)
         commanded = self._commanded()
         frames = self._solver.frames(commanded)
-        start = self._solver.frames(self._asset.read_qpos()) if self._measured else frames
+        start = frames
+        if self._measured:
+            start = self._solver.frames(self._asset.read_qpos())
         motion = self._in_root(value.reshape(-1, 3, self._count), start)
         if self._rotation == "keep":
             motion = np.concatenate([motion, np.zeros_like(motion)])
         if self._measured:
-            error = pose_error(frames, _moved(start, motion))
+            error = pose_error(frames, _move(start, motion))
         else:
+            # The targets' own pose plus the motion: their difference is the motion.
             error = motion.reshape(-1, self._count)
         self._follow(commanded, frames, error)
 
@@ -320,12 +348,12 @@ class EefDeltaPose(EefTerm):
             return vectors
         axes = start.rotation
         if self._frame == "world":
-            back = quat_conjugate(self._solver.root_pose()[1])
-            axes = np.moveaxis(quat_to_matrix(back), 0, -1)
+            _, root_quat = self._solver.root_pose()
+            axes = np.moveaxis(quat_to_matrix(quat_conjugate(root_quat)), 0, -1)
         return np.stack([matmul(axes, vector) for vector in vectors])
 
 
-def _moved(start: Frames, motion: Floats) -> Target:
+def _move(start: Frames, motion: Floats) -> Target:
     """The pose of the tool, translated and, if there is one, rotated by a rotation vector."""
     if len(motion) == 1:
         return Target(start.position + motion[0], None)

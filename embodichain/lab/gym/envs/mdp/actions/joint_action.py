@@ -51,6 +51,8 @@ __all__ = [
     "VelocityTargets",
 ]
 
+logger = logging.getLogger(__name__)
+
 
 class Affine:
     """The affine map from an action to values, in float64, and the bounds of the action.
@@ -85,33 +87,42 @@ class Affine:
         named_by: Sequence[NamedBy] = (),
         bounded: bool = True,
     ) -> None:
-        count, put = env.num_envs, env.arrays.put
         self._of = env.arrays.of
         self._scale: Floats = per_joint(scale, names, "scale", what, named_by)
         if (self._scale == 0).any():
             raise ConfigError([Problem("scale", "must not be 0")])
         self._centre: Floats = per_joint(offset, names, "offset", what, named_by) + centre
-        self._clips = clip is not None
-        rest: tuple[Floats, Floats] | None = None
+        self._is_clipped = clip is not None
+        self._is_identity = bool((self._scale == 1).all() and not self._centre.any())
+
+        by_limits: tuple[Floats, Floats] | None = None
         if limits is not None:
             ends = (np.asarray(limits, np.float64) - self._centre) / self._scale
-            rest = np.minimum(*ends), np.maximum(*ends)
+            by_limits = np.minimum(*ends), np.maximum(*ends)  # a scale may be negative
+        # In float64, so that `action_for` does not round; the action space has them in float32.
+        self._lower: Floats
+        self._upper: Floats
         if not bounded:
-            self._most = np.full(len(names), np.inf)
-            self._least = -self._most
+            self._upper = np.full(len(names), np.inf)
+            self._lower = -self._upper
         elif clip is not None:
-            self._least, self._most = joint_clip(clip, names, "clip", what, named_by, rest)
+            self._lower, self._upper = joint_clip(clip, names, "clip", what, named_by, by_limits)
+        elif by_limits is not None:
+            self._lower, self._upper = by_limits
         else:
-            self._most = np.ones(len(names))
-            self._least = -self._most
-            if rest is not None:
-                self._least, self._most = rest
-        self.low: NDArray[np.float32] = self._least.astype(np.float32)
-        self.high: NDArray[np.float32] = self._most.astype(np.float32)
-        self._plain = bool((self._scale == 1).all() and not self._centre.any())
+            self._upper = np.ones(len(names))
+            self._lower = -self._upper
+        self.low: NDArray[np.float32] = self._lower.astype(np.float32)
+        self.high: NDArray[np.float32] = self._upper.astype(np.float32)
+
+        def tile(row: NDArray[Any]) -> Any:
+            return env.arrays.put(np.tile(row, (env.num_envs, 1)))
+
         # With a row for every environment: broadcasting one row takes four times as long.
-        self._bounds = [put(np.tile(bound, (count, 1))) for bound in (self.low, self.high)]
-        self._line = [put(np.tile(part, (count, 1))) for part in (self._centre, self._scale)]
+        self._low_rows = tile(self.low)
+        self._high_rows = tile(self.high)
+        self._centre_rows = tile(self._centre)
+        self._scale_rows = tile(self._scale)
 
     @property
     def centre(self) -> Floats:
@@ -125,12 +136,13 @@ class Affine:
 
     def value(self, action: torch.Tensor) -> Floats:
         """(N, A) the value of an action."""
-        given: Floats = self._of(action)
-        if self._clips:
-            low, high = self._bounds
-            given = np.minimum(np.maximum(given, low), high)  # float32: no conversion
-        centre, scale = self._line
-        return given if self._plain else centre + scale * given.astype(np.float64)
+        value: Floats = self._of(action)
+        if self._is_clipped:
+            # Bounds are float32 as the action is: nothing is converted.
+            value = np.minimum(np.maximum(value, self._low_rows), self._high_rows)
+        if self._is_identity:
+            return value
+        return self._centre_rows + self._scale_rows * value.astype(np.float64)
 
     def value_of(self, action: NDArray[np.float32]) -> Floats:
         """(A,) the value of one action within the bounds."""
@@ -138,10 +150,7 @@ class Affine:
 
     def action_for(self, value: Floats | float) -> Floats:
         """(A,) or (N, A) the action for a value, clamped to the bounds."""
-        return np.clip((value - self._centre) / self._scale, self._least, self._most)
-
-
-logger = logging.getLogger(__name__)
+        return np.clip((value - self._centre) / self._scale, self._lower, self._upper)
 
 
 class JointTerm(ActionTerm):
@@ -164,7 +173,6 @@ class JointTerm(ActionTerm):
         driven: bool = True,
         positions: bool = True,
     ) -> None:
-        self._period, self._arrays = env.step_dt, env.arrays
         asset = entity.asset
         if not hasattr(asset, "parsed"):
             raise ConfigError([Problem("entity_cfg.uid", f"{entity.uid!r} has no joints")])
@@ -175,25 +183,40 @@ class JointTerm(ActionTerm):
         self._ids: NDArray[np.int64] = np.asarray(entity.joint_ids, np.int64)
         self._joints = None if entity.all_joints else self._ids
         self._named_by = entity.joints_by
-        actuators = np.asarray(asset.entity.actuator_ids)[self._ids]
-        undriven = [n for n, a in zip(self.names, actuators, strict=True) if a < 0]
-        if driven and undriven:
-            message = (
-                f"joints {undriven} have no drive and no position servo (drive_type none, mimics, "
-                "or joints of an MJCF that its actuators or drive_pros leave alone)"
-            )
-            own = [name for name in asset.parsed.control_names if name not in self.names]
-            there = [n for n in own if n not in asset.parsed.joint_names]
-            hint = f"Its file's actuators move them: {', '.join(there)}" if there else ""
-            raise ConfigError([Problem("entity_cfg", message, hint)])
-        parsed = asset.parsed
-        speeds = (parsed.servos.drive >= 0) & ~parsed.driven & (parsed.stiffness == 0)
-        fast = [n for n, i in zip(self.names, self._ids, strict=True) if speeds[i]]
-        if driven and positions and fast:
-            names = ", ".join(map(repr, fast))
+        self._period = env.step_dt
+        self._arrays = env.arrays
+        self._default: Floats = np.asarray(asset.parsed.init_qpos, np.float64)[self._ids]
+        if driven:
+            self._check_drives()
+            if positions:
+                self._check_position_drives()
+
+    def _check_drives(self) -> None:
+        """Refuse joints without a drive; name the actuators that move them instead."""
+        parsed = self._asset.parsed
+        has_drive = np.asarray(self._asset.entity.actuator_ids)[self._ids] >= 0
+        undriven = [self.names[i] for i in np.flatnonzero(~has_drive)]
+        if not undriven:
+            return
+        message = (
+            f"joints {undriven} have no drive and no position servo (drive_type none, mimics, "
+            "or joints of an MJCF that its actuators or drive_pros leave alone)"
+        )
+        joint_names = {*self.names, *parsed.joint_names}
+        actuators = [name for name in parsed.control_names if name not in joint_names]
+        hint = f"Its file's actuators move them: {', '.join(actuators)}" if actuators else ""
+        raise ConfigError([Problem("entity_cfg", message, hint)])
+
+    def _check_position_drives(self) -> None:
+        """Refuse joints that a velocity servo of the file drives."""
+        parsed = self._asset.parsed
+        has_velocity_servo = (
+            (parsed.servos.drive >= 0) & ~parsed.driven & (parsed.stiffness == 0)
+        )[self._ids]
+        if has_velocity_servo.any():
+            names = ", ".join(repr(self.names[i]) for i in np.flatnonzero(has_velocity_servo))
             message = f"joints {names} take velocity targets only: use joint_velocity"
             raise ConfigError([Problem("entity_cfg", message)])
-        self._default: Floats = np.asarray(asset.parsed.init_qpos, np.float64)[self._ids]
 
     @property
     def asset(self) -> Articulation:
@@ -236,38 +259,41 @@ class VelocityTargets:
     """
 
     def __init__(self, asset: Any, joints: NDArray[np.int64], period: float) -> None:
-        self._asset, self._joints, self._period = asset, joints, period
-        drives = asset.drives
-        gains = (asset.host.arrays.host(v) for v in (drives.stiffness, drives.damping))
-        stiff, damping = (v[0, joints] > 0 for v in gains)
-        lame = [asset.parsed.joint_names[j] for j in joints[~(stiff | damping)]]
-        if lame:
-            message = f"joints {lame} have neither stiffness nor damping: nothing drives them"
+        self._asset = asset
+        self._joints = joints
+        self._period = period
+        to_host = asset.host.arrays.host
+        has_stiffness = to_host(asset.drives.stiffness)[0, joints] > 0
+        has_damping = to_host(asset.drives.damping)[0, joints] > 0
+        undriven = [asset.parsed.joint_names[j] for j in joints[~(has_stiffness | has_damping)]]
+        if undriven:
+            message = f"joints {undriven} have neither stiffness nor damping: nothing drives them"
             raise ConfigError([Problem("entity_cfg", message)])
-        self._stiff: NDArray[np.int64] = np.flatnonzero(stiff)
-        self._free: NDArray[np.int64] = np.flatnonzero(~stiff)
+        # Columns of the velocities.
+        self._with_stiffness: NDArray[np.int64] = np.flatnonzero(has_stiffness)
+        self._without_stiffness: NDArray[np.int64] = np.flatnonzero(~has_stiffness)
 
     def write(self, velocity: Floats) -> None:
         """Set velocities (N, A), rad/s or m/s, within the drives' `max_velocity`."""
-        most = self._asset.drives.max_velocity[:, self._joints]
-        target = np.minimum(np.maximum(velocity.astype(np.float64), -most), most)
-        if len(self._stiff):
-            self._move(target[:, self._stiff])
-        if len(self._free):
-            joints = self._joints[self._free]
-            self._asset.drives.write_target_qvel(target[:, self._free], joints, None)
+        largest = self._asset.drives.max_velocity[:, self._joints]
+        target = np.minimum(np.maximum(velocity.astype(np.float64), -largest), largest)
+        if len(self._with_stiffness):
+            self._move_position_targets(target[:, self._with_stiffness])
+        if len(self._without_stiffness):
+            joints = self._joints[self._without_stiffness]
+            self._asset.drives.write_target_qvel(target[:, self._without_stiffness], joints, None)
 
-    def _move(self, velocity: Floats) -> None:
+    def _move_position_targets(self, velocity: Floats) -> None:
         """Move the position targets of stiff drives, only as far ahead as the drives can pull."""
-        joints, asset = self._joints[self._stiff], self._asset
-        drives = asset.drives
+        joints = self._joints[self._with_stiffness]
+        drives = self._asset.drives
         target = drives.read_target_qpos()[:, joints] + velocity * self._period
         reach = drives.max_effort[:, joints] / drives.stiffness[:, joints]
-        qpos = asset.read_qpos()[:, joints]
+        qpos = self._asset.read_qpos()[:, joints]
         target = np.minimum(np.maximum(target, qpos - reach), qpos + reach)
         drives.target_qvel[:, joints] = velocity
         drives.has_velocity_target = True
-        asset.write_target(target, joints)
+        self._asset.write_target(target, joints)
 
 
 class Efforts:
@@ -279,14 +305,15 @@ class Efforts:
     """
 
     def __init__(self, asset: Any, joints: NDArray[np.int64]) -> None:
-        self._asset, self._joints = asset, joints
+        self._asset = asset
+        self._joints = joints
         self._dofs = np.asarray(asset.entity.dof_adr, np.int64)[joints]
-        stiff = joints[asset.host.arrays.host(asset.drives.stiffness)[0, joints] > 0]
-        if len(stiff):
+        has_stiffness = asset.host.arrays.host(asset.drives.stiffness)[0, joints] > 0
+        if has_stiffness.any():
             logger.warning(
                 "joint_effort: joints %s have a drive with stiffness that keeps its own target "
                 "beside the effort; drive_pros: {stiffness: 0, damping: 0} leaves the effort alone",
-                ", ".join(asset.parsed.joint_names[j] for j in stiff),
+                ", ".join(asset.parsed.joint_names[j] for j in joints[has_stiffness]),
             )
 
     def write(self, effort: Floats) -> Floats:
@@ -296,13 +323,13 @@ class Efforts:
             (N, A) efforts within `max_effort`.
         """
         drives = self._asset.drives
-        most = drives.max_effort[:, self._joints]
-        within: Floats = np.minimum(np.maximum(effort, -most), most)
+        largest = drives.max_effort[:, self._joints]
+        limited: Floats = np.minimum(np.maximum(effort, -largest), largest)
         strength = drives.strength[:, self._joints]
-        applied = within * strength
-        drives.cut_effort[:, self._joints] = (effort - within) * strength
+        applied = limited * strength
+        drives.cut_effort[:, self._joints] = (effort - limited) * strength
         self._asset.engine.write("qfrc_applied", applied, None, self._dofs)
-        return within
+        return limited
 
 
 Centre = Literal["zero", "home", "qpos", "target", "limits"]
@@ -359,8 +386,12 @@ class JointAction(JointTerm):
         range: Range = (-1.0, 1.0),
         bounds: Literal["clip"] | None = "clip",
     ) -> None:
-        super().__init__(env, entity_cfg, control != "effort", control == "position")
-        self._entity, self._control = entity_cfg, control
+        super().__init__(
+            env,
+            entity_cfg,
+            driven=control != "effort",
+            positions=control == "position",
+        )
         if control != "position" and centre != "zero":
             raise ConfigError([Problem("centre", f"{centre} has a meaning for positions only")])
         if range[0] == range[1]:
@@ -369,90 +400,109 @@ class JointAction(JointTerm):
         if clip is not None and not bounded:
             message = "bounds: null leaves the action without bounds: leave one of them out"
             raise ConfigError([Problem("clip", message)])
-        low, high = finite_limits(self._asset.parsed.qpos_limits, entity_cfg.joint_ids)
-        ends = tuple(np.full(len(self._ids), float(end)) for end in range)
+        self._entity = entity_cfg
+        self._control = control
+        self._centre = centre
+        self.named_by = self._named_by
+
+        # Of `centre: limits`: values from range_low to range_high are mapped to the joints' limits.
+        joint_low, joint_high = finite_limits(self._asset.parsed.qpos_limits, entity_cfg.joint_ids)
+        self._joint_low = joint_low
+        self._range_low: Floats = np.full(len(self._ids), float(range[0]))
+        self._range_high: Floats = np.full(len(self._ids), float(range[1]))
+        self._slope: Floats = (joint_high - joint_low) / (self._range_high - self._range_low)
+
         limits: tuple[Floats, Floats] | None = None
         if centre == "limits":
-            limits = ends[0], ends[1]
+            limits = (self._range_low, self._range_high)
         elif control == "position" and centre == "zero":
-            limits = low, high
+            limits = (joint_low, joint_high)
         elif clip is None and bounded:
             clip = [-1.0, 1.0]
-        home = self._default if centre == "home" else 0.0
-        affine = Affine(
-            *(self.names, env, scale, offset, clip, home, limits),
+        self._affine = Affine(
+            names=self.names,
+            env=env,
+            scale=scale,
+            offset=offset,
+            clip=clip,
+            centre=self._default if centre == "home" else 0.0,
+            limits=limits,
             named_by=self._named_by,
             bounded=bounded,
         )
-        self.low, self.high = affine.low, affine.high
-        self.named_by = self._named_by
-        self._centres, self._scales, self._from = affine.centre, affine.scale, centre
-        self._value, self._action_for = affine.value, affine.action_for
-        self._value_of = affine.value_of
-        self._start, self._end, self._joint_low = *ends, low
-        self._slope: Floats = (high - low) / (ends[1] - ends[0])
-        self._moves = control != "position" or centre in ("qpos", "target")
-        self._maps = centre == "limits"
-        self._write: Callable[[Floats], Any] = self._write_read
+        self.low = self._affine.low
+        self.high = self._affine.high
+
+        self._is_relative = centre in ("qpos", "target")
+        self._is_motion = control != "position" or self._is_relative
         self._reference = self._qpos if centre == "qpos" else self._targets
+        self._write: Callable[[Floats], Any]
         if control == "velocity":
             self._write = VelocityTargets(self._asset, self._ids, env.step_dt).write
         elif control == "effort":
             self._write = Efforts(self._asset, self._ids).write
-        elif centre in ("qpos", "target"):
+        elif self._is_relative:
             self._write = self._write_relative
         elif centre == "limits":
             self._write = self._write_mapped
+        else:
+            self._write = self._write_absolute
 
     def apply(self, action: torch.Tensor) -> None:
         """Write the targets or efforts of (N, A) actions."""
-        self._write(self._value(action))
+        self._write(self._affine.value(action))
 
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """Of targets in rad, m, rad/s or m/s, or of efforts; ``qpos`` or ``target`` in words."""
-        centres, scales = self._centres, self._scales
-        if self._maps:
-            centres = self._joint_low + (centres - self._start) * self._slope
+        centres = self._affine.centre
+        scales = self._affine.scale
+        if self._centre == "limits":
+            centres = self._joint_low + (centres - self._range_low) * self._slope
             scales = scales * self._slope
-        if self._from in ("qpos", "target"):
-            words = [f"{self._from} + {c:g}" if c else self._from for c in centres]
+        if self._is_relative:
+            words = [f"{self._centre} + {c:g}" if c else self._centre for c in centres]
             return words, scales.tolist()
         return centres.tolist(), scales.tolist()
 
-    def _write_read(self, value: Floats) -> None:
-        """Write targets for what encoders read; the joints go there less their `encoder_bias`."""
-        self._write_targets(value - self._asset.drives.encoder_bias[:, self._ids])
-
     def meaning(self) -> ActionMeaning:
         """Positions, velocities or efforts of joints; about ``qpos`` and ``target`` changes."""
-        moves = self._from in ("qpos", "target")
         return ActionMeaning(
             quantity=f"joint {self._control}",
-            mode="delta" if moves else "absolute",
-            reference=self._from if moves else "",
+            mode="delta" if self._is_relative else "absolute",
+            reference=self._centre if self._is_relative else "",
             units=joint_units(self._asset, self._ids, self._control),
         )
 
+    def _write_absolute(self, value: Floats) -> None:
+        """Write targets for what encoders read; the joints go there less their `encoder_bias`."""
+        self._write_targets(value - self._asset.drives.encoder_bias[:, self._ids])
+
     def _write_relative(self, value: Floats) -> None:
+        """Write targets at a distance from measured positions or previous targets."""
         self._write_targets(self._reference() + value)
 
     def _write_mapped(self, value: Floats) -> None:
-        within = np.minimum(np.maximum(value, self._start), self._end)
-        self._write_read(self._joint_low + (within - self._start) * self._slope)
+        """Write targets that lie between the joints' limits as values in the range."""
+        value = np.minimum(np.maximum(value, self._range_low), self._range_high)
+        self._write_absolute(self._joint_low + (value - self._range_low) * self._slope)
 
     def _action_at(self, position: Floats) -> Floats:
         """The action for position targets, clamped to the bounds."""
-        if self._maps:
-            position = self._start + (position - self._joint_low) / self._slope
-        return self._action_for(position)
+        if self._centre == "limits":
+            position = self._range_low + (position - self._joint_low) / self._slope
+        return self._affine.action_for(position)
 
     def home(self) -> Floats:
         """(A,) the action that goes to the initial position, or that causes no motion."""
-        return self._action_for(0.0) if self._moves else self._action_at(self._default)
+        if self._is_motion:
+            return self._affine.action_for(0.0)
+        return self._action_at(self._default)
 
     def hold(self) -> Floats:
         """(N, A) or (A,) the action that keeps the present targets, or that causes no motion."""
-        return self.home() if self._moves else self._action_at(self._targets())
+        if self._is_motion:
+            return self.home()
+        return self._action_at(self._targets())
 
     # -- as `MovesTool`, for position targets ----------------------------------------------------
 
@@ -464,7 +514,7 @@ class JointAction(JointTerm):
         """The kinematics of the tool that the joints move.
 
         Raises:
-            ConfigError: If there is no such tool, or more than one, or it is no position control.
+            ConfigError: If there is no such tool, or more than one, or targets are not positions.
         """
         if self._control != "position":
             message = f"targets are positions, not {self._control}, where a tool follows a path"
@@ -482,14 +532,19 @@ class JointAction(JointTerm):
         """(k,) largest speeds of the joints, rad/s or m/s, from root to tool."""
         columns, joints = self._moving
         speeds = usual_speeds(self._asset, joints, self.solver)
-        if self._reference == self._targets and self._moves:
-            ends = np.abs([self._value_of(self.low), self._value_of(self.high)]).min(axis=0)
-            speeds = np.minimum(speeds, ends[columns] / self._period)
+        if self._is_motion and self._centre != "qpos":
+            # A target moves by no more than the smaller bound in each control step.
+            value_of = self._affine.value_of
+            changes = np.abs([value_of(self.low), value_of(self.high)]).min(axis=0)
+            speeds = np.minimum(speeds, changes[columns] / self._period)
         return speeds
 
     def action_towards(self, pos: Floats, quat: Floats, qpos: Floats) -> Floats:
         """(N, A) the action for joint positions; see `MovesTool`."""
-        now = self._reference() if self._moves else self._targets()
-        target = now.copy()
-        target[:, self._moving[0]] = qpos
-        return self._action_for(target - now) if self._moves else self._action_at(target)
+        columns, _ = self._moving
+        start = self._reference() if self._is_motion else self._targets()
+        target = start.copy()
+        target[:, columns] = qpos
+        if self._is_motion:
+            return self._affine.action_for(target - start)
+        return self._action_at(target)

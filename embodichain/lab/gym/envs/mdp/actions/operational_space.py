@@ -80,9 +80,10 @@ class OperationalSpace(JointTerm):
             a free axis. With `decoupling` in 1/s^2, None is 150; without in N/m and N m/rad, None
             is 1000 and 50.
         damping_ratio: r, likewise; 1 is critical, and that of axes that are not in a map.
-        max_position_error: m: the spring pulls no more than at this error, so that the tool approaches
-            a far pose at about max_position_error sqrt(K) / (2 r), and contact forces are bounded.
-        max_rotation_error: rad, likewise.
+        max_position_error: Error in metres beyond which the spring pulls no more, so that the tool
+            approaches a far pose at about max_position_error sqrt(K) / (2 r), and contact forces are
+            bounded.
+        max_rotation_error: Error in rad, likewise.
         decoupling: Whether L shapes the forces, so that the axes do not disturb each other. Without
             it, the force of the spring is K e, and the damper is critical at r = 1 with L as mass.
         posture_stiffness: 1/s^2 towards the posture, critically damped, in the null space of arms
@@ -122,59 +123,90 @@ class OperationalSpace(JointTerm):
         solver = arm_solver(entity_cfg)
         super().__init__(env, moving_joints(entity_cfg, solver), driven=False)
         self._refuse_drives()
-        count, joints = env.num_envs, self.names
+        joint_names = self.names
         if not decoupling:
             env.arrays.require_host("the modes of its dampers", "decoupling")
-        given = {"scale": scale, "clip": clip, "position_range": position_range}
+
         poses: AbsolutePose | RelativePose
         if command == "pose":
-            _refuse(given, ("scale", "clip"), "pose")
+            _refuse_params(command, scale=scale, clip=clip)
             if frame == "tool":
                 raise ConfigError([Problem("frame", "of a pose it is base or world")])
-            turned = "quat" if rotation == "command" else rotation
-            poses = AbsolutePose(self._asset, solver, env, frame, turned, position_range)
+            columns = "quat" if rotation == "command" else rotation
+            poses = AbsolutePose(
+                asset=self._asset,
+                solver=solver,
+                env=env,
+                frame=frame,
+                rotation=columns,
+                position_range=position_range,
+            )
         else:
-            _refuse(given, ("position_range",), "delta")
+            _refuse_params(command, position_range=position_range)
             if rotation == "quat" or rotation == "rpy":
                 raise ConfigError([Problem("rotation", f"{rotation} is for command: pose")])
-            poses = RelativePose(solver, env, frame, rotation, scale, clip)
-        self._poses, self.names, self.low, self.high = poses, poses.names, poses.low, poses.high
-        self._solver, self._frame = solver, frame
-        self._measured, self._keeps = reference == "qpos", rotation == "keep"
+            poses = RelativePose(
+                solver=solver, env=env, frame=frame, rotation=rotation, scale=scale, clip=clip
+            )
+        self._poses = poses
+        self.names = poses.names
+        self.low = poses.low
+        self.high = poses.high
+        self._solver = solver
+        self._frame = frame
+        self._measured = reference == "qpos"
+        self._keeps_orientation = rotation == "keep"
+        self._is_rotation_free = rotation == "free"
+        self.orientation = tool_orientation(rotation)
+
         axes = _AXES[:3] if rotation == "free" else _AXES
         if stiffness is None:
             stiffness = 150.0 if decoupling else [1000.0] * 3 + [50.0] * (len(axes) - 3)
-        gains = _gains(stiffness, axes, "stiffness"), _gains(damping_ratio, axes, "damping_ratio")
-        target = self._default
-        if posture is not None:
-            target = per_joint(posture, joints, "posture", named_by=self._named_by)
-        pull = posture_stiffness if len(joints) > len(axes) else 0.0
+        gains = _gains(stiffness, axes, "stiffness")
+        ratios = _gains(damping_ratio, axes, "damping_ratio")
+        if posture is None:
+            posture_qpos = self._default
+        else:
+            posture_qpos = per_joint(posture, joint_names, "posture", named_by=self._named_by)
+        is_redundant = len(joint_names) > len(axes)
+        max_errors = (max_position_error, max_rotation_error)
         self._dynamics = ArmDynamics(self._asset, self._ids.tolist(), solver.chain.tool)
-        most = max_position_error, max_rotation_error
-        self._impedance = Impedance(self._dynamics, *gains, most, decoupling, target, pull)
+        self._impedance = Impedance(
+            dynamics=self._dynamics,
+            stiffness=gains,
+            ratio=ratios,
+            most=max_errors,
+            decoupling=decoupling,
+            posture=posture_qpos,
+            pull=posture_stiffness if is_redundant else 0.0,
+        )
         self._efforts = Efforts(self._asset, self._ids)
+        if not decoupling:
+            # The rate at which the spring pulls depends on the mass then: the default's is taken.
+            gains = np.full(6, 150.0)
+            ratios = np.ones(6)
+        self.tool_speeds = self._largest_speeds(max_errors, gains, ratios)
+
+        count = env.num_envs
         full = env.arrays.full
         self._pos: Floats = full((count, 3), 0.0)
         self._quat: Floats = env.arrays.put(np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)))
         self._begins = full(count, True, np.bool_)  # no pose was asked for in this episode
-        self._free = rotation == "free"
-        self.orientation = tool_orientation(rotation)
-        self.tool_speeds = self._largest_speeds(most, *gains, decoupling)
         self._error: Floats = full((len(axes), count), 0.0)
         self._saturated = full(count, False, np.bool_)
 
     def _largest_speeds(
-        self, most: tuple[float, float], stiffness: Floats, ratio: Floats, decoupling: bool
+        self, max_errors: tuple[float, float], stiffness: Floats, ratio: Floats
     ) -> tuple[float, float]:
         """Speeds in m/s and rad/s at which the spring pulls the tool behind a target."""
-        if not decoupling:  # then the rate depends on the mass: that of the default is taken
-            stiffness, ratio = np.full(6, 150.0), np.ones(6)
         rate = np.sqrt(stiffness) / (2.0 * np.maximum(ratio, 0.1))
-        ahead = most
+        distance, angle = max_errors
         if isinstance(self._poses, RelativePose):
-            step = self._poses.largest(1.0)
-            ahead = min(most[0], step[0]), min(most[1], step[1])
-        return ahead[0] * float(rate[:3].max()), ahead[1] * float(rate[3:].max(initial=0.0))
+            # A target that is set anew in each step is no farther ahead than one motion.
+            longest_shift, longest_turn = self._poses.largest(1.0)
+            distance = min(distance, longest_shift)
+            angle = min(angle, longest_turn)
+        return distance * float(rate[:3].max()), angle * float(rate[3:].max(initial=0.0))
 
     @property
     def solver(self) -> ArmSolver:
@@ -193,19 +225,20 @@ class OperationalSpace(JointTerm):
     def _refuse_drives(self) -> None:
         """Refuse joints with a drive that pulls or damps."""
         drives = self._asset.drives
-        driven = np.asarray(self._asset.entity.actuator_ids)[self._ids] >= 0
-        gains = (self._arrays.host(g) for g in (drives.stiffness, drives.damping))
-        stiff, damped = (g[0, self._ids] > 0 for g in gains)
-        on = driven & (stiff | damped)
-        if on.any():
-            names = [name for name, yes in zip(self.names, on, strict=True) if yes]
-            off = f"{{{', '.join(f'{name}: 0' for name in names)}}}"
-            message = (
-                f"joints {names} have drives, which would act against the efforts of this term; "
-                f"switch them off: drive_pros: {{stiffness: {off}, damping: {off}}}, or "
-                "drive_pros: {stiffness: 0, damping: 0} for the whole robot"
-            )
-            raise ConfigError([Problem("entity_cfg", message)])
+        has_drive = np.asarray(self._asset.entity.actuator_ids)[self._ids] >= 0
+        has_stiffness = self._arrays.host(drives.stiffness)[0, self._ids] > 0
+        has_damping = self._arrays.host(drives.damping)[0, self._ids] > 0
+        acts = has_drive & (has_stiffness | has_damping)
+        if not acts.any():
+            return
+        names = [self.names[i] for i in np.flatnonzero(acts)]
+        off = ", ".join(f"{name}: 0" for name in names)
+        message = (
+            f"joints {names} have drives, which would act against the efforts of this term; "
+            f"switch them off: drive_pros: {{stiffness: {{{off}}}, damping: {{{off}}}}}, or "
+            "drive_pros: {stiffness: 0, damping: 0} for the whole robot"
+        )
+        raise ConfigError([Problem("entity_cfg", message)])
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Forget the poses asked for in these environments."""
@@ -213,63 +246,71 @@ class OperationalSpace(JointTerm):
 
     def apply(self, action: torch.Tensor) -> None:
         """Set the poses that the tool is pulled to, from (N, A) actions."""
-        (now, asked), poses = self._poses_now(), self._poses
+        pose = self.tool_pose()
+        requested_pos, requested_quat = self._requested_pose(pose)
+        poses = self._poses
         if isinstance(poses, AbsolutePose):
-            frame = poses.in_frame
-            pos, quat = poses.in_world(*poses.asked(action, lambda: frame(*asked)[1]))
+            in_frame = poses.in_frame
+            asked_pose = poses.asked(action, lambda: in_frame(requested_pos, requested_quat)[1])
+            pos, quat = poses.in_world(*asked_pose)
         else:
-            start, turn = now if self._measured else asked
-            pos, quat = poses.asked(action, start, asked[1] if self._keeps else turn)
+            start_pos, start_quat = pose if self._measured else (requested_pos, requested_quat)
+            if self._keeps_orientation:
+                start_quat = requested_quat
+            pos, quat = poses.asked(action, start_pos, start_quat)
         self._pos[:] = pos
-        self._quat[:] = asked[1] if quat is None else quat
+        self._quat[:] = requested_quat if quat is None else quat
         self._begins[:] = False
         self._saturated[:] = False
 
-    def _poses_now(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-        """Position (N, 3) and orientation (N, 4) measured, and asked for; the same at first."""
-        pose, new = self._dynamics.pose(), self._begins[:, None]
-        pos, quat = pose[:, :3], pose[:, 3:]
-        return (pos, quat), (np.where(new, pos, self._pos), np.where(new, quat, self._quat))
-
     def tool_pose(self) -> tuple[Floats, Floats]:
         """Measured position (N, 3) and orientation (N, 4) of the tool, in the environment."""
-        return self._poses_now()[0]
+        pose = self._dynamics.pose()
+        return pose[:, :3], pose[:, 3:]
+
+    def _requested_pose(self, tool_pose: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+        """The pose that actions last asked for, (N, 3) and (N, 4); at first the measured one."""
+        pos, quat = tool_pose
+        begins = self._begins[:, None]
+        return np.where(begins, pos, self._pos), np.where(begins, quat, self._quat)
 
     def target_pose(self) -> tuple[Floats, Floats]:
         """The pose that a motion is added to, (N, 3) and (N, 4), in the environment."""
-        now, asked = self._poses_now()
-        measured = self._measured and not isinstance(self._poses, AbsolutePose)
-        return now if measured else asked
+        pose = self.tool_pose()
+        if self._measured and isinstance(self._poses, RelativePose):
+            return pose
+        return self._requested_pose(pose)
 
     def action_for(self, shift: Floats, turn: Floats) -> Floats:
         """(N, A) the actions that move the tool; arguments as of `EefTerm.action_for`."""
-        poses, (pos, quat) = self._poses, self.target_pose()
-        if isinstance(poses, AbsolutePose):
-            return poses.action_for(pos, quat, shift, turn)
-        return poses.motion_for(quat, shift, turn)
+        pos, quat = self.target_pose()
+        if isinstance(self._poses, AbsolutePose):
+            return self._poses.action_for(pos, quat, shift, turn)
+        return self._poses.motion_for(quat, shift, turn)
 
     def before_physics(self) -> None:
         """Apply the efforts for the current state."""
-        quat = None if self._free else self._quat
+        quat = None if self._is_rotation_free else self._quat
         self._error = self._impedance.error(self._pos, quat)
         axes: Floats | None = None
         if self._frame == "base":
-            axes = self._solver.root_pose()[1]
+            _, axes = self._solver.root_pose()
         elif self._frame == "tool":
-            axes = self._dynamics.pose()[:, 3:]
-        wanted = contiguous(self._impedance.efforts(self._error, axes).T)
-        self._saturated |= (self._efforts.write(wanted) != wanted).any(axis=1)
+            _, axes = self.tool_pose()
+        efforts = contiguous(self._impedance.efforts(self._error, axes).T)
+        applied = self._efforts.write(efforts)
+        self._saturated |= (applied != efforts).any(axis=1)
 
     def metrics(self) -> Mapping[str, Floats]:
         """Errors in m and rad before the last physics step; whether an effort limit was reached."""
         squares = self._error * self._error
-        found = {
+        metrics = {
             "position_error": np.sqrt(squares[0] + squares[1] + squares[2]),
             "saturated": self._saturated.astype(np.float64),
         }
         if len(squares) > 3:
-            found["rotation_error"] = np.sqrt(squares[3] + squares[4] + squares[5])
-        return found
+            metrics["rotation_error"] = np.sqrt(squares[3] + squares[4] + squares[5])
+        return metrics
 
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """Of ``delta``, about the measured or the previous pose; of ``pose`` the pose itself."""
@@ -282,33 +323,38 @@ class OperationalSpace(JointTerm):
         """Poses of the tool in `frame`, or motions along and about its axes."""
         if isinstance(self._poses, AbsolutePose):
             return meaning_of_poses(self.names, self._frame)
-        return meaning_of_motions(self.names, self._frame, "qpos" if self._measured else "target")
+        reference = "qpos" if self._measured else "target"
+        return meaning_of_motions(self.names, self._frame, reference)
 
     def home(self) -> Floats:
         """(A,) the action for the tool's initial pose; of ``delta``, no motion."""
-        poses = self._poses
-        return poses.home if isinstance(poses, AbsolutePose) else super().home()
+        if isinstance(self._poses, AbsolutePose):
+            return self._poses.home
+        return super().home()
 
     def hold(self) -> Floats:
         """(N, A) the action for the pose that was asked for; of ``delta``, (A,), no motion."""
         poses = self._poses
-        if not isinstance(poses, AbsolutePose):
+        if isinstance(poses, RelativePose):
             return self.home()
-        return poses.action_at(*poses.in_frame(*self._poses_now()[1]))
+        pos, quat = self._requested_pose(self.tool_pose())
+        return poses.action_at(*poses.in_frame(pos, quat))
 
 
-def _refuse(given: Mapping[str, object], names: tuple[str, ...], command: str) -> None:
-    """Refuse parameters that the command does not have."""
-    strange = [name for name in names if given[name] is not None]
-    if strange:
-        raise ConfigError([Problem(n, f"has no meaning with command: {command}") for n in strange])
+def _refuse_params(command: str, **params: object) -> None:
+    """Refuse parameters that the command does not have, where they are set."""
+    names = [name for name, value in params.items() if value is not None]
+    if names:
+        message = f"has no meaning with command: {command}"
+        raise ConfigError([Problem(name, message) for name in names])
 
 
 def _gains(value: PerJoint, axes: tuple[str, ...], name: str) -> Floats:
     """(6 or 3,) gains of the axes."""
     if name == "damping_ratio" and isinstance(value, dict):
+        # Axes that are not in a map are critically damped; a later key of a map wins.
         value = {".*": 1.0, **value}
-    found = per_joint(value, axes, name, "column")
-    if (found < 0).any():
+    gains = per_joint(value, axes, name, "column")
+    if (gains < 0).any():
         raise ConfigError([Problem(name, "must not be negative")])
-    return found
+    return gains

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import reduce
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -59,9 +60,9 @@ class ParallelGripper(JointTerm):
         actuator_names: Regexes over the names of controls, in place of joints.
         width: Openings in metres at the lower and the upper command: actions are openings then, not
             numbers from -1 to 1; the opening is linear in the command.
-        force: N (N m of hinges): most that a finger presses with. At the start of a control step
-            the target is never further ahead than force / stiffness of the servo.
-        speed: Units of the command a second: the target moves no faster.
+        force: Largest force in N, of hinges in N m, that a finger presses with. At the start of a
+            control step the target is never further ahead than force / stiffness of the servo.
+        speed: Largest speed of the target, in units of the command a second.
         finger_axis: ``x``, ``y`` or a vector in the frame of the arm's tool: the line along which
             the fingers move, to which steps of an expert align. None reads it from the model.
 
@@ -92,86 +93,100 @@ class ParallelGripper(JointTerm):
         self._controls: _Controls | None = None
         if actuator_names is not None:
             self._controls = _Controls(self._asset, actuator_names, force is not None)
-            self.names, self._default = self._controls.names, self._controls.initial
-        self._binary = command_mode == "binary"
-        ends = {"lower_command": lower_command, "upper_command": upper_command}
-        states = {"close_command": close_command, "open_command": open_command}
-        wanted, other = (states, ends) if self._binary else (ends, states)
-        strange = [name for name, value in other.items() if value is not None]
-        if self._binary and use_joint_limits:
-            strange.append("use_joint_limits")
-        if self._binary and width is not None:
-            strange.append("width")
-        if strange:
-            raise ConfigError(
-                [Problem(n, f"has no meaning in mode {command_mode}") for n in strange]
-            )
-        if use_joint_limits is None:
-            use_joint_limits = not self._binary and lower_command is upper_command is None
-        if use_joint_limits:
-            self._low, self._high = self._limits(wanted)
+            self.names = self._controls.names
+            self._default = self._controls.initial
+
+        # Each map from the command at the lower end to the one at the upper end.
+        limit_commands = {"lower_command": lower_command, "upper_command": upper_command}
+        state_commands = {"close_command": close_command, "open_command": open_command}
+        self._is_binary = command_mode == "binary"
+        if self._is_binary:
+            commands = state_commands
+            unused: dict[str, Any] = {
+                **limit_commands,
+                "use_joint_limits": use_joint_limits or None,
+                "width": width,
+            }
         else:
-            self._low, self._high = self._commands(wanted)
+            commands = limit_commands
+            unused = state_commands
+        contradictions = [name for name, value in unused.items() if value is not None]
+        if contradictions:
+            message = f"has no meaning in mode {command_mode}"
+            raise ConfigError([Problem(name, message) for name in contradictions])
+        if use_joint_limits is None:
+            use_joint_limits = not self._is_binary and lower_command is upper_command is None
+        if use_joint_limits:
+            self._low, self._high = self._read_limits(commands)
+        else:
+            self._low, self._high = self._read_commands(commands)
         self._span: Floats = self._high - self._low
         if not self._span.any():
-            raise ConfigError([Problem(next(iter(wanted)), "both ends are the same")])
+            raise ConfigError([Problem(next(iter(commands)), "both ends are the same")])
+
         self._ends = (-1.0, 1.0) if width is None else (float(width[0]), float(width[1]))
         if self._ends[0] == self._ends[1]:
             raise ConfigError([Problem("width", "both ends are the same")])
         self._force = force
-        self.finger_axis: Floats | None = _direction(finger_axis)
+        self.finger_axis: Floats | None = _read_direction(finger_axis)
         self._step: float | None = None if speed is None else speed * env.step_dt
         self.low: NDArray[np.float32] = np.full(1, self._ends[0], np.float32)
         self.high: NDArray[np.float32] = np.full(1, self._ends[1], np.float32)
-        self._names, self.names = self.names, ("gripper",)
+        self.names = ("gripper",)
 
-    def _limits(self, commands: dict[str, Any]) -> tuple[Floats, Floats]:
-        given = [name for name, value in commands.items() if value is not None]
-        if given:
-            raise ConfigError([Problem(n, "contradicts use_joint_limits: true") for n in given])
-        limits = np.asarray(self._asset.parsed.qpos_limits, np.float64)[self._ids]
-        what = "joints"
-        if self._controls is not None:
-            limits, what = self._controls.limits, "controls"
+    def _read_limits(self, commands: Mapping[str, Any]) -> tuple[Floats, Floats]:
+        """(A,) each: the limits of the joints or controls, in place of commands."""
+        contradictions = [name for name, value in commands.items() if value is not None]
+        if contradictions:
+            message = "contradicts use_joint_limits: true"
+            raise ConfigError([Problem(name, message) for name in contradictions])
+        if self._controls is None:
+            kind = "joints"
+            limits = np.asarray(self._asset.parsed.qpos_limits, np.float64)[self._ids]
+        else:
+            kind = "controls"
+            limits = self._controls.limits
         if not np.isfinite(limits).all():
-            message = f"{what} {list(self.names)} need limits, or give lower_ and upper_command"
+            message = f"{kind} {list(self.names)} need limits, or give lower_ and upper_command"
             raise ConfigError([Problem("use_joint_limits", message)])
         return finite_limits(limits, np.arange(len(limits)))
 
-    def _commands(self, commands: dict[str, Any]) -> tuple[Floats, Floats]:
+    def _read_commands(self, commands: Mapping[str, Any]) -> tuple[Floats, Floats]:
+        """(A,) each: the commands at the lower and the upper end."""
         missing = [name for name, value in commands.items() if value is None]
         if missing:
             raise ConfigError([Problem(name, "missing; this mode needs it") for name in missing])
-        named_by, what = self._named_by, "joint"
+        named_by = self._named_by
+        kind = "joint"
         if self._controls is not None:
-            named_by, what = self._controls.named_by, "actuator"
+            named_by = self._controls.named_by
+            kind = "actuator"
         low, high = (
-            per_joint(value, self.names, name, what, named_by) for name, value in commands.items()
+            per_joint(value, self.names, name, kind, named_by) for name, value in commands.items()
         )
         return low, high
 
     def apply(self, action: torch.Tensor) -> None:
         """Write the targets of (N, 1) actions."""
-        given = np.minimum(
-            np.maximum(self._arrays.of(action).astype(np.float64), self.low), self.high
-        )
-        if self._binary:
-            target = np.where(given < 0.0, self._low, self._high)
+        value = self._arrays.of(action).astype(np.float64)
+        value = np.minimum(np.maximum(value, self.low), self.high)
+        if self._is_binary:
+            target = np.where(value < 0.0, self._low, self._high)
         else:
             start, end = self._ends
-            target = self._low + self._span * ((given - start) / (end - start))
+            target = self._low + self._span * ((value - start) / (end - start))
         if self._step is not None:
-            now = self._current()
-            target = np.minimum(np.maximum(target, now - self._step), now + self._step)
+            current = self._current_command()
+            target = np.minimum(np.maximum(target, current - self._step), current + self._step)
         if self._force is not None:
-            place, ahead = self._reach(self._force)
-            target = np.minimum(np.maximum(target, place - ahead), place + ahead)
+            rest, reach = self._reach(self._force)
+            target = np.minimum(np.maximum(target, rest - reach), rest + reach)
         if self._controls is None:
             self._write_targets(target)
         else:
             self._asset.write_ctrl(target, self._controls.which)
 
-    def _current(self) -> Floats:
+    def _current_command(self) -> Floats:
         """(N, A) present targets or controls."""
         if self._controls is None:
             return self._targets()
@@ -189,7 +204,9 @@ class ParallelGripper(JointTerm):
         start, end = self._ends
         value: Floats = start + (end - start) * self._share(position)
         value = np.clip(value, start, end)
-        return np.where(value < 0.0, -1.0, 1.0)[..., None] if self._binary else value[..., None]
+        if self._is_binary:
+            value = np.where(value < 0.0, -1.0, 1.0)
+        return value[..., None]
 
     def opening(self) -> Floats | None:
         """(N,) measured share of the way from closed (0) to open (1); None if it is unknown.
@@ -210,20 +227,21 @@ class ParallelGripper(JointTerm):
         model: mujoco.MjModel = self._asset.engine.model
         if self._controls is not None:
             return self._controls.force(self._asset, model, data, np.sign(self._span))
-        found = np.zeros(model.nv)
-        found[np.asarray(self._asset.entity.dof_adr)[self._ids]] = np.sign(self._span)
-        return found
+        force = np.zeros(model.nv)
+        force[np.asarray(self._asset.entity.dof_adr)[self._ids]] = np.sign(self._span)
+        return force
 
     def _share(self, position: Floats) -> Floats:
         """Share of the way from low to high of positions (..., A): the mean of those that move."""
         moving = np.flatnonzero(self._span)
         shares = ((position - self._low)[..., moving] / self._span[moving]).T
+        # One after the other, so that rounding does not depend on the number of environments.
         total: Floats = reduce(np.add, shares)
         return total / len(moving)
 
     def centre_and_scale(self) -> tuple[Sequence[float | str], Sequence[float | str]]:
         """Of the fingers' commands: a number, or one for each finger where they differ."""
-        if self._binary:
+        if self._is_binary:
             return [f"below 0: {_in_words(self._low)}; else {_in_words(self._high)}"], [""]
         scale = self._span / (self._ends[1] - self._ends[0])
         centre = self._low - self._ends[0] * scale
@@ -248,7 +266,7 @@ class ParallelGripper(JointTerm):
 
     def hold(self) -> Floats:
         """(N, 1) the action nearest to the present targets."""
-        return self._action_at(self._current())
+        return self._action_at(self._current_command())
 
 
 class _Controls:
@@ -273,17 +291,17 @@ class _Controls:
         self.names = tuple(parsed.control_names[i] for i in self.which)
         self.limits: Floats = np.asarray(parsed.ctrl_limits, np.float64)[self.which]
         self.initial: Floats = np.asarray(parsed.init_ctrl, np.float64)[self.which]
-        self._servos = True
+        self._are_servos = True
         try:
-            rows = [_servo(parsed, name) for name in self.names]
+            servos = [_read_servo(parsed, name) for name in self.names]
         except ConfigError:
             if forced:
                 raise
-            self._servos = False
+            self._are_servos = False
             return
-        self._gain: Floats = np.array([gain for gain, *_ in rows])
-        self._bias: Floats = np.array([bias for _, bias, _ in rows])
-        levers = np.array([lever for *_, lever in rows])
+        self._gain: Floats = np.array([servo.gain for servo in servos])
+        self._bias: Floats = np.array([servo.bias for servo in servos])
+        levers = np.array([servo.levers for servo in servos])
         moving = np.flatnonzero(levers.any(axis=0)).tolist()
         self._levers = [(joint, levers[:, joint]) for joint in moving]
 
@@ -292,25 +310,29 @@ class _Controls:
     ) -> Floats:
         """(nv,) generalized forces of controls that are raised (1) or lowered (-1), (A,)."""
         columns = np.asarray(asset.entity.own_ctrl_ids)[self.which]
-        found: Floats = np.zeros(model.nv)
+        force: Floats = np.zeros(model.nv)
         for actuator in range(model.nu):
             first = model.actuator_ctrladr[actuator]
-            mine = (columns >= first) & (columns < first + model.actuator_ctrlnum[actuator])
-            if not mine.any():
+            is_of_actuator = columns >= first
+            is_of_actuator &= columns < first + model.actuator_ctrlnum[actuator]
+            if not is_of_actuator.any():
                 continue
-            fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
-            pulls = fixed and model.actuator_gainprm[actuator, 0] < 0
-            sign = (-1.0 if pulls else 1.0) * signs[mine].sum()
-            out = model.actuator_outadr[actuator]
-            for row in range(out, out + model.actuator_outnum[actuator]):
+            has_fixed_gain = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+            is_reversed = has_fixed_gain and model.actuator_gainprm[actuator, 0] < 0
+            sign = (-1.0 if is_reversed else 1.0) * signs[is_of_actuator].sum()
+            first_output = model.actuator_outadr[actuator]
+            for row in range(first_output, first_output + model.actuator_outnum[actuator]):
                 start = data.moment_rowadr[row]
-                there = slice(start, start + data.moment_rownnz[row])
-                found[data.moment_colind[there]] += sign * data.actuator_moment[there]
-        return found
+                entries = slice(start, start + data.moment_rownnz[row])
+                force[data.moment_colind[entries]] += sign * data.actuator_moment[entries]
+        return force
 
     def at_rest(self, asset: Any) -> Floats | None:
-        """Controls (N, A) at which servos have no force; None if they are no servos."""
-        return self.reach(asset.read_qpos(), 0.0)[0] if self._servos else None
+        """Controls (N, A) at which servos have no force; None if they are not servos."""
+        if not self._are_servos:
+            return None
+        rest, _ = self.reach(asset.read_qpos(), 0.0)
+        return rest
 
     def reach(self, qpos: Floats, force: float) -> tuple[Floats, Floats]:
         """Controls (N, A) without force at positions (N, D), and the distance (A,) to `force`."""
@@ -327,42 +349,71 @@ def _in_words(values: Floats) -> str:
     return ", ".join(f"{value:g}" for value in shown)
 
 
-def _direction(axis: str | Sequence[float] | None) -> Floats | None:
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
+
+
+def _read_direction(axis: str | Sequence[float] | None) -> Floats | None:
     """(3,) a direction in the tool's frame."""
     if axis is None:
         return None
-    named = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
-    found: Floats = np.asarray(named[axis] if isinstance(axis, str) else axis, np.float64)
-    if np.hypot(found[0], found[1]) <= 0.1 * np.abs(found[2]):
+    direction: Floats = np.asarray(_AXES[axis] if isinstance(axis, str) else axis, np.float64)
+    if np.hypot(direction[0], direction[1]) <= 0.1 * np.abs(direction[2]):
         message = "must be across the tool's z axis, which points out of a gripper"
-        raise ConfigError([Problem("finger_axis", f"{message}, got {found.tolist()}")])
-    return found
+        raise ConfigError([Problem("finger_axis", f"{message}, got {direction.tolist()}")])
+    return direction
 
 
-def _servo(parsed: Any, name: str) -> tuple[float, Floats, Floats]:
-    """Gain, bias (2,) and length per joint position (D,) of an actuator's servo."""
+@dataclass(frozen=True)
+class _Servo:
+    """A position servo: force = gain x ctrl + bias[0] + bias[1] x length.
+
+    Attributes:
+        gain: Not 0.
+        bias: (2,); the second is negative.
+        levers: (D,) length per position of each joint.
+    """
+
+    gain: float
+    bias: Floats
+    levers: Floats
+
+
+def _read_servo(parsed: Any, name: str) -> _Servo:
+    """Read an actuator of a robot's file.
+
+    Raises:
+        ConfigError: If it is not a position servo of joints or of a fixed tendon.
+    """
     model: mujoco.MjModel = parsed.model
-    lever: Floats = np.zeros(len(parsed.joint_names))
-    numbers = {model.joint(joint).id: i for i, joint in enumerate(parsed.joint_names)}
     actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
-    kind, target = -1, -1
-    if actuator >= 0 and model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE:
-        kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
-    if kind == mujoco.mjtTrn.mjTRN_JOINT and target in numbers:
-        lever[numbers[target]] = 1.0
-    elif kind == mujoco.mjtTrn.mjTRN_TENDON:
+    levers = _read_levers(parsed, actuator)
+    if levers.any() and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED:
+        levers *= model.actuator_gear[model.actuator_outadr[actuator], 0]
+        gain = float(model.actuator_gainprm[actuator, 0])
+        bias = model.actuator_biasprm[actuator, :2]
+        if gain != 0.0 and bias[1] < 0.0:
+            return _Servo(gain, bias, levers)
+    message = f"{name!r} is not a position servo of joints or of a fixed tendon"
+    raise ConfigError([Problem("force", message)])
+
+
+def _read_levers(parsed: Any, actuator: int) -> Floats:
+    """(D,) length of an actuator's transmission per position of each joint, without its gear.
+
+    It is 0 where an actuator does not exist, has a state of its own, or has another transmission.
+    """
+    model: mujoco.MjModel = parsed.model
+    levers: Floats = np.zeros(len(parsed.joint_names))
+    if actuator < 0 or model.actuator_dyntype[actuator] != mujoco.mjtDyn.mjDYN_NONE:
+        return levers
+    joint_numbers = {model.joint(joint).id: i for i, joint in enumerate(parsed.joint_names)}
+    transmission = int(model.actuator_trntype[actuator])
+    target = int(model.actuator_trnid[actuator, 0])
+    if transmission == mujoco.mjtTrn.mjTRN_JOINT and target in joint_numbers:
+        levers[joint_numbers[target]] = 1.0
+    elif transmission == mujoco.mjtTrn.mjTRN_TENDON:
         first = int(model.tendon_adr[target])
         for i in range(first, first + int(model.tendon_num[target])):
             if model.wrap_type[i] == mujoco.mjtWrap.mjWRAP_JOINT:
-                lever[numbers[int(model.wrap_objid[i])]] = model.wrap_prm[i]
-    gain, bias = 0.0, np.zeros(2)
-    if lever.any() and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED:
-        lever *= model.actuator_gear[model.actuator_outadr[actuator], 0]
-        gain, bias = (
-            float(model.actuator_gainprm[actuator, 0]),
-            model.actuator_biasprm[actuator, :2],
-        )
-    if gain == 0.0 or not bias[1] < 0.0:
-        message = f"{name!r} is no position servo of joints or of a fixed tendon"
-        raise ConfigError([Problem("force", message)])
-    return gain, bias, lever
+                levers[joint_numbers[int(model.wrap_objid[i])]] = model.wrap_prm[i]
+    return levers

@@ -20,8 +20,17 @@ if TYPE_CHECKING:
 
 __all__ = ["RandomizeCameraFovy", "RandomizeCameraIntrinsics", "RandomizeCameraPose"]
 
+_FX = 0
+"""Column of the focal length along x in intrinsics."""
+_FY = 1
 
-def _camera(env: TermContext, name: str) -> int:
+
+def _camera_id(env: TermContext, name: str) -> int:
+    """MuJoCo's id of a camera.
+
+    Raises:
+        ConfigError: If there is none with this name.
+    """
     model = env.sim.engine.model
     cameras = [model.camera(i).name for i in range(model.ncam)]
     if name not in cameras:
@@ -55,40 +64,49 @@ class RandomizeCameraPose(Term):
         rotation_range: Box3 | None = None,
         camera: str = "default",
     ) -> None:
-        self._id, self._engine = _camera(env, camera), env.sim.engine
+        self._id = _camera_id(env, camera)
+        self._engine = env.sim.engine
         sensor = env.sensors.get(camera)
-        self._pair: Any = sensor if len(getattr(sensor, "eyes", ())) > 1 else None
-        model = self._engine.model
-        self._pos0: Floats = np.array(model.cam_pos[self._id], np.float64)
-        self._quat0: Floats = np.tile(model.cam_quat[self._id], (env.num_envs, 1))
-        if self._pair is not None:
-            pos, self._quat0 = self._pair.read_local_pose()
+        is_stereo = len(getattr(sensor, "eyes", ())) > 1
+        self._stereo: Any = sensor if is_stereo else None
+        self._pos0: Floats
+        self._quat0: Floats
+        if self._stereo is not None:
+            pos, self._quat0 = self._stereo.read_local_pose()
             self._pos0 = pos[0]
+        else:
+            model = self._engine.model
+            self._pos0 = np.array(model.cam_pos[self._id], np.float64)
+            self._quat0 = np.tile(model.cam_quat[self._id], (env.num_envs, 1))
         self._move = Uniform.within("position", position_range)
         self._turn = Uniform.within("rotation", rotation_range, degrees=True)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the camera's pose in these environments."""
-        draws, engine = env.event_manager, self._engine
-        if self._pair is not None:
-            self._move_pair(draws, env_ids)
+        draws = env.event_manager
+        if self._stereo is not None:
+            self._move_stereo(draws, env_ids)
             return
         if self._move is not None:
-            moved = self._pos0 + self._move(draws, env_ids)
-            engine.write_model("cam_pos", moved, env_ids, slice(3 * self._id, 3 * self._id + 3))
+            pos = self._pos0 + self._move(draws, env_ids)
+            columns = slice(3 * self._id, 3 * self._id + 3)
+            self._engine.write_model("cam_pos", pos, env_ids, columns)
         if self._turn is not None:
             turn = euler_xyz_to_quat(self._turn(draws, env_ids))
             quat = quat_multiply(self._quat0[: len(turn)], turn)
-            engine.write_model("cam_quat", quat, env_ids, slice(4 * self._id, 4 * self._id + 4))
+            columns = slice(4 * self._id, 4 * self._id + 4)
+            self._engine.write_model("cam_quat", quat, env_ids, columns)
 
-    def _move_pair(self, draws: EventDraws, env_ids: EnvIndex | None) -> None:
+    def _move_stereo(self, draws: EventDraws, env_ids: EnvIndex | None) -> None:
+        """Draw and write the pose of a stereo camera, both eyes together."""
         count = len(self._quat0) if env_ids is None else len(env_ids)
-        pos, quat = np.tile(self._pos0, (count, 1)), self._quat0[:count]
+        pos = np.tile(self._pos0, (count, 1))
+        quat = self._quat0[:count]
         if self._move is not None:
             pos = pos + self._move(draws, env_ids)
         if self._turn is not None:
             quat = quat_multiply(quat, euler_xyz_to_quat(self._turn(draws, env_ids)))
-        self._pair.write_local_pose(pos, quat, env_ids)
+        self._stereo.write_local_pose(pos, quat, env_ids)
 
 
 @register_term("event", name="randomize_camera_fovy")
@@ -108,7 +126,8 @@ class RandomizeCameraFovy(Term):
         low, high = fovy_range
         if not 0 < low <= high < 180:
             raise ConfigError([Problem("fovy_range", f"within (0, 180), got {list(fovy_range)}")])
-        self._id, self._engine = _camera(env, camera), env.sim.engine
+        self._id = _camera_id(env, camera)
+        self._engine = env.sim.engine
         if self._engine.model.cam_sensorsize[self._id].any():
             message = f"{camera!r} has intrinsics, which MuJoCo takes instead of a field of view"
             raise ConfigError([Problem("camera", message, "Use randomize_camera_intrinsics.")])
@@ -152,35 +171,39 @@ class RandomizeCameraIntrinsics(Term):
         if not all(model.cam_sensorsize[camera].any() for camera in sensor.eyes):
             message = f"{sensor.uid!r} has a field of view: use randomize_camera_fovy"
             raise ConfigError([Problem("sensor", message)])
-        given = {
+        # In the order of the columns of intrinsics.
+        ranges = {
             "focal_x": focal_x_range,
             "focal_y": focal_y_range,
             "cx": cx_range,
             "cy": cy_range,
         }
-        if all(bounds is None for bounds in given.values()):
+        if all(bounds is None for bounds in ranges.values()):
             raise ConfigError([Problem("focal_x_range", "missing: nothing is to change")])
-        self._lenses = [sensor.read_intrinsics(side) for side in range(len(sensor.eyes))]
-        for column, name in enumerate(("focal_x", "focal_y")):
-            bounds = given[name]
-            least = min(float(env.arrays.host(lens)[0, column]) for lens in self._lenses)
-            if bounds is not None and least + bounds[0] <= 0:
-                message = f"the declared one is {least:g} pixels: it would not stay positive"
+        self._declared = [sensor.read_intrinsics(side) for side in range(len(sensor.eyes))]
+        for column, name in ((_FX, "focal_x"), (_FY, "focal_y")):
+            bounds = ranges[name]
+            shortest = min(float(env.arrays.host(eye)[0, column]) for eye in self._declared)
+            if bounds is not None and shortest + bounds[0] <= 0:
+                message = f"the declared one is {shortest:g} pixels: it would not stay positive"
                 raise ConfigError([Problem(f"{name}_range", message)])
-        self._parts = {
+        self._change_of_column = {
             column: Uniform(name, [bounds[0]], [bounds[1]])
-            for column, (name, bounds) in enumerate(given.items())
+            for column, (name, bounds) in enumerate(ranges.items())
             if bounds is not None
         }
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the intrinsics in these environments."""
-        drawn = {c: part(env.event_manager, env_ids)[:, 0] for c, part in self._parts.items()}
+        changes = {
+            column: change(env.event_manager, env_ids)[:, 0]
+            for column, change in self._change_of_column.items()
+        }
         count = env.num_envs if env_ids is None else len(env_ids)
-        for side, declared in enumerate(self._lenses):
-            lens = declared[:count].copy()
-            for column, change in drawn.items():
-                lens[:, column] += change
-            if 0 in drawn and 1 not in drawn:
-                lens[:, 1] *= lens[:, 0] / declared[:count, 0]
-            self._sensor.write_intrinsics(lens, env_ids, side)
+        for side, declared in enumerate(self._declared):
+            intrinsics = declared[:count].copy()
+            for column, change in changes.items():
+                intrinsics[:, column] += change
+            if _FX in changes and _FY not in changes:
+                intrinsics[:, _FY] *= intrinsics[:, _FX] / declared[:count, _FX]
+            self._sensor.write_intrinsics(intrinsics, env_ids, side)

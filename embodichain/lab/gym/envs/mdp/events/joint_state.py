@@ -56,16 +56,17 @@ class ResetJoints(Term):
         self._joints: NDArray[np.int64] = np.asarray(entity_cfg.joint_ids, np.int64)
         count = len(self._joints)
         self._dofs = np.asarray(asset.entity.dof_adr, np.int64)[self._joints]
-        self._home = entity_cfg.initial_qpos
-        start: Floats = np.asarray(asset.parsed.init_qvel, np.float64)[self._joints]
-        self._start: Any = start if start.any() else 0.0
+        self._initial_qpos = entity_cfg.initial_qpos
+        initial_qvel: Floats = np.asarray(asset.parsed.init_qvel, np.float64)[self._joints]
+        # A plain 0 where no keyframe has velocities, so that one number is written for all joints.
+        self._initial_qvel: Any = initial_qvel if initial_qvel.any() else 0.0
         self._limits: Floats = np.asarray(asset.parsed.qpos_limits, np.float64)[self._joints]
-        driven = np.asarray(asset.entity.actuator_ids)[self._joints] >= 0
-        self._driven: NDArray[np.int64] = np.flatnonzero(driven)
+        has_drive = np.asarray(asset.entity.actuator_ids)[self._joints] >= 0
+        self._driven: NDArray[np.int64] = np.flatnonzero(has_drive)
         self._operation = operation
         rows: Any = position_range
-        listed = isinstance(rows, (list, tuple)) and isinstance(rows[0], (list, tuple))
-        if listed and any(len(row) != count for row in rows):
+        has_rows = isinstance(rows, (list, tuple)) and isinstance(rows[0], (list, tuple))
+        if has_rows and any(len(row) != count for row in rows):
             message = f"needs [low, high] or two rows of {count} values, got {rows}"
             raise ConfigError([Problem("position_range", message)])
         low, high = ranges_in_columns(
@@ -74,19 +75,23 @@ class ResetJoints(Term):
         self._position = Uniform("position", low, high)
         self._velocity: Uniform | None = None
         if tuple(velocity_range) != (0.0, 0.0):
-            self._velocity = Uniform("velocity", *(np.full(count, b) for b in velocity_range))
+            lowest, highest = velocity_range
+            self._velocity = Uniform("velocity", np.full(count, lowest), np.full(count, highest))
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the joint states of these environments."""
-        qpos, asset = self._position(env.event_manager, env_ids), self._asset
-        if self._operation != "abs":
-            qpos = self._home + qpos if self._operation == "add" else self._home * qpos
-        qpos = np.clip(qpos, self._limits[:, 0], self._limits[:, 1])
+        asset = self._asset
+        qpos = self._position(env.event_manager, env_ids)
         qvel: Any = 0.0
         if self._velocity is not None:
             qvel = self._velocity(env.event_manager, env_ids)
-        if self._operation != "abs":
-            qvel = self._start + qvel if self._operation == "add" else self._start * qvel
+        if self._operation == "add":
+            qpos = self._initial_qpos + qpos
+            qvel = self._initial_qvel + qvel
+        elif self._operation == "scale":
+            qpos = self._initial_qpos * qpos
+            qvel = self._initial_qvel * qvel
+        qpos = np.clip(qpos, self._limits[:, 0], self._limits[:, 1])
         asset.write_qpos(qpos, self._joints, env_ids)
         asset.engine.write("qvel", qvel, env_ids, self._dofs)
         if len(self._driven):

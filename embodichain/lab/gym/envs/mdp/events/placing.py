@@ -78,8 +78,8 @@ def read_root_velocity(asset: Any) -> Floats:
     """(N, 6) linear velocity of the root's origin in m/s, then angular in rad/s; a copy."""
     start = asset.entity.free_qvel_adr
     qvel = asset.engine.state("qvel")[:, start : start + 6]
-    turned = quat_rotate(asset.read_pose()[1], qvel[:, 3:])
-    return np.concatenate([qvel[:, :3], turned], axis=1)
+    _, quat = asset.read_pose()
+    return np.concatenate([qvel[:, :3], quat_rotate(quat, qvel[:, 3:])], axis=1)
 
 
 def write_root_velocity(asset: Any, velocity: Floats, env_ids: EnvIndex | None) -> None:
@@ -91,10 +91,12 @@ def write_root_velocity(asset: Any, velocity: Floats, env_ids: EnvIndex | None) 
         env_ids: (n,) environments, or None for all.
     """
     start = asset.entity.free_qvel_adr
-    quat = asset.read_pose()[1]
-    local = quat_rotate(quat_conjugate(quat if env_ids is None else quat[env_ids]), velocity[:, 3:])
-    values = np.concatenate([velocity[:, :3], local], axis=1)
-    asset.engine.write("qvel", values, env_ids, slice(start, start + 6))
+    _, quat = asset.read_pose()
+    if env_ids is not None:
+        quat = quat[env_ids]
+    angular = quat_rotate(quat_conjugate(quat), velocity[:, 3:])
+    qvel = np.concatenate([velocity[:, :3], angular], axis=1)
+    asset.engine.write("qvel", qvel, env_ids, slice(start, start + 6))
 
 
 @register_term("event")
@@ -144,18 +146,18 @@ class ResetRootStateUniform(Term):
         self._velocity = six_axes("velocity", velocity_range)
         if self._velocity is not None:
             need_free_root(entity_cfg)
-        self._asset = asset = entity_cfg.asset
+        self._asset = entity_cfg.asset
         self._ground = ground_of(env)
-        index = asset.entity
-        self._floats = index.free_qvel_adr >= 0
-        count, put = env.num_envs, env.arrays.put
-        self._pos0: Floats = put(np.tile(np.asarray(index.pos0, np.float64), (count, 1)))
-        self._quat0: Floats = put(np.tile(np.asarray(index.quat0, np.float64), (count, 1)))
+        index = entity_cfg.asset.entity
+        self._has_velocity = index.free_qvel_adr >= 0
+        self._pos0 = _rows_of(index.pos0, env)
+        self._quat0 = _rows_of(index.quat0, env)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the root states of these environments."""
         count = env.num_envs if env_ids is None else len(env_ids)
-        pos, quat = self._pos0[:count], self._quat0[:count]
+        pos = self._pos0[:count]
+        quat = self._quat0[:count]
         if self._pose is not None:
             drawn = self._pose(env.event_manager, env_ids)
             pos = pos + drawn[:, :3]
@@ -165,8 +167,13 @@ class ResetRootStateUniform(Term):
         if self._velocity is not None:
             velocity = self._velocity(env.event_manager, env_ids)
             write_root_velocity(asset, velocity, env_ids)
-        elif self._floats:
+        elif self._has_velocity:
             write_root_velocity(asset, np.zeros_like(pos[:, :1]) * np.zeros(6), env_ids)
+
+
+def _rows_of(row: Any, env: TermContext) -> Floats:
+    """(N, K) the same row (K,) for every environment."""
+    return env.arrays.put(np.tile(np.asarray(row, np.float64), (env.num_envs, 1)))
 
 
 @register_term("event", name="randomize_pose")
@@ -205,28 +212,32 @@ class RandomizePose(Term):
         relative_to: Body | None = None,
         physics_update_step: Annotated[int, Field(ge=-1)] = -1,
     ) -> None:
-        self._asset = asset = entity_cfg.asset
+        asset = entity_cfg.asset
+        self._asset = asset
         if hasattr(asset, "parsed"):
             self._stop = asset.clear_dynamics
+        elif asset.is_non_dynamic:
+            self._stop = None
         else:
-            self._stop = None if asset.is_non_dynamic else asset.stop
+            self._stop = asset.stop
         self._steps = physics_update_step
         if physics_update_step > 0:
             env.arrays.require_host("physics steps of some environments", "physics_update_step")
         if relative_to is not None and not relative_position:
             message = "relative_to needs relative_position: true"
             raise ConfigError([Problem("relative_position", message)])
-        base = np.asarray(asset.entity.pos0, np.float64)
-        count, put = env.num_envs, env.arrays.put
-        self._pos0: Floats = put(np.tile(base, (count, 1)))
-        quat0 = np.asarray(asset.entity.quat0, np.float64)
-        self._quat0: Floats = put(np.tile(quat0, (count, 1)))
-        self._near = relative_to
+        self._pos0 = _rows_of(asset.entity.pos0, env)
+        self._quat0 = _rows_of(asset.entity.quat0, env)
+        self._relative_to = relative_to
         self._ground = ground_of(env) if relative_to is None else None
         self._position: Uniform | None = None
         if position_range is not None:
-            shift = base if relative_position and relative_to is None else 0.0
-            self._position = Uniform("position", *(np.asarray(b) + shift for b in position_range))
+            shift: Any = 0.0
+            if relative_position and relative_to is None:
+                # Added to the bounds, so that what is drawn and logged is the position.
+                shift = np.asarray(asset.entity.pos0, np.float64)
+            low, high = (np.asarray(bound) + shift for bound in position_range)
+            self._position = Uniform("position", low, high)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
         self._relative_rotation = relative_rotation
 
@@ -234,30 +245,34 @@ class RandomizePose(Term):
         """Draw and write the poses of these environments."""
         quat0 = self._quat0 if env_ids is None else self._quat0[: len(env_ids)]
         quat: Floats | None = quat0
-        if self._rotation is None and self._is_turned_so(quat0, env_ids):
+        if self._rotation is None and self._has_orientation(quat0, env_ids):
             quat = None
         pos = self._pos0[: len(quat0)]
         if self._position is not None:
             pos = self._position(env.event_manager, env_ids)
-        if self._near is not None:
-            origin = self._near.position()
-            origin = origin if env_ids is None else origin[env_ids]
+        if self._relative_to is not None:
+            origin = self._relative_to.position()
+            if env_ids is not None:
+                origin = origin[env_ids]
             pos = origin + (0.0 if self._position is None else pos)
         if self._rotation is not None:
-            turn = euler_xyz_to_quat(self._rotation(env.event_manager, env_ids))
-            quat = quat_multiply(quat0, turn) if self._relative_rotation else turn
+            quat = euler_xyz_to_quat(self._rotation(env.event_manager, env_ids))
+            if self._relative_rotation:
+                quat = quat_multiply(quat0, quat)
         self._asset.write_pose(above_ground(self._ground, pos, env_ids), quat, env_ids)
         if self._stop is not None:
             self._stop(env_ids)
         if self._steps > 0:
             self._asset.engine.step(self._steps, env_ids)
 
-    def _is_turned_so(self, wanted: Floats, env_ids: EnvIndex | None) -> bool:
+    def _has_orientation(self, quat: Floats, env_ids: EnvIndex | None) -> bool:
         """Whether the orientations are already set: a write would only enlarge the log."""
-        if self._stop is not None or not self._asset.engine.listeners or not is_host(wanted):
+        if self._stop is not None or not self._asset.engine.listeners or not is_host(quat):
             return False
-        now = self._asset.read_pose()[1]
-        return bool(((now if env_ids is None else now[env_ids]) == wanted).all())
+        _, current_quat = self._asset.read_pose()
+        if env_ids is not None:
+            current_quat = current_quat[env_ids]
+        return bool((current_quat == quat).all())
 
 
 _RIGHT_ANGLE = 1.5707963267948966
@@ -290,39 +305,38 @@ class RandomizeObjectPositionInShell(Term):
         azimuth_range: Range = (-3.141592653589793, 3.141592653589793),
         elevation_range: Range = (-_RIGHT_ANGLE, _RIGHT_ANGLE),
     ) -> None:
-        problems = []
+        problems: list[Problem] = []
         if not hasattr(entity_cfg.asset, "is_non_dynamic"):
             problems.append(Problem("entity_cfg.uid", f"{entity_cfg.uid!r} is not a rigid object"))
         if radius_range[0] < 0:
-            problems.append(
-                Problem("radius_range", f"must not be negative, got {list(radius_range)}")
-            )
+            message = f"must not be negative, got {list(radius_range)}"
+            problems.append(Problem("radius_range", message))
         if max(map(abs, elevation_range)) > _RIGHT_ANGLE + 1e-9:
-            problems.append(
-                Problem("elevation_range", f"is within +-pi/2, got {list(elevation_range)}")
-            )
+            message = f"is within +-pi/2, got {list(elevation_range)}"
+            problems.append(Problem("elevation_range", message))
         if problems:
             raise ConfigError(problems)
         self._asset = entity_cfg.asset
         self._centre = relative_to
-        bounds = [
+        low, high = (
             [radius_range[i] ** 3, azimuth_range[i], np.sin(elevation_range[i])] for i in (0, 1)
-        ]
-        self._shell = Uniform("shell", *bounds)
-        quat = np.asarray(self._asset.entity.quat0, np.float64)
-        self._quat: Floats = env.arrays.put(np.tile(quat, (env.num_envs, 1)))
+        )
+        self._shell = Uniform("shell", low, high)
+        self._quat = _rows_of(self._asset.entity.quat0, env)
         self._stop = None if self._asset.is_non_dynamic else self._asset.stop
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the positions of these environments."""
         drawn = self._shell(env.event_manager, env_ids)
         # Contiguous columns: numpy may round a strided transcendental function differently.
-        radius, azimuth, rise = (contiguous(drawn[:, i]) for i in range(3))
-        radius = np.cbrt(radius)
-        flat = radius * np.sqrt(np.maximum(0.0, 1.0 - rise * rise))
-        offset = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), radius * rise], axis=1)
+        radius_cubed, azimuth, sine = (contiguous(drawn[:, i]) for i in range(3))
+        radius = np.cbrt(radius_cubed)
+        flat = radius * np.sqrt(np.maximum(0.0, 1.0 - sine * sine))
+        offset = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), radius * sine], axis=1)
         origin = self._centre.position()
-        pos = (origin if env_ids is None else origin[env_ids]) + offset
+        if env_ids is not None:
+            origin = origin[env_ids]
+        pos = origin + offset
         self._asset.write_pose(pos, self._quat[: len(pos)], env_ids)
         if self._stop is not None:
             self._stop(env_ids)
@@ -356,27 +370,30 @@ class RandomizeRobotEefPose(Term):
         rotation_range: Box3 | None = None,
     ) -> None:
         env.arrays.require_host("searches for joint positions")
-        self._asset = asset = entity_cfg.asset
+        self._asset = entity_cfg.asset
         self._arm = arm_solver(entity_cfg)
         self._position = Uniform.within("position", position_range)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
-        index = asset.entity
+        index = self._asset.entity
         self._dofs = np.asarray(index.dof_adr, np.int64)
         self._driven = np.flatnonzero(np.asarray(index.actuator_ids) >= 0)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw, solve and write the joint positions of these environments."""
-        asset, engine, tool = self._asset, self._asset.engine, self._arm.chain.tool
+        asset = self._asset
+        engine = asset.engine
+        tool = self._arm.chain.tool
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
-        pos, quat = tool.positions(engine)[ids], tool.orientations(engine)[ids]
+        pos = tool.positions(engine)[ids]
+        quat = tool.orientations(engine)[ids]
         if self._position is not None:
             pos = pos + self._position(env.event_manager, env_ids)
         if self._rotation is not None:
             angles = self._rotation(env.event_manager, env_ids)
             quat = quat_multiply(quat, euler_xyz_to_quat(angles))
         qpos = asset.read_qpos()[ids]
-        found, solved = self._arm.inverse(qpos, pos, quat, ids, restarts=False)
-        qpos = np.where(solved[:, None], found, qpos)
+        solution, is_solved = self._arm.inverse(qpos, pos, quat, ids, restarts=False)
+        qpos = np.where(is_solved[:, None], solution, qpos)
         asset.write_qpos(qpos, None, env_ids)
         engine.write("qvel", 0.0, env_ids, self._dofs)
         if len(self._driven):

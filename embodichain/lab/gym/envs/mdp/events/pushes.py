@@ -36,15 +36,17 @@ class EpisodeTimer:
     """
 
     def __init__(self, env: TermContext) -> None:
-        self._env, self._arrays = env, env.arrays
+        self._env = env
+        self._arrays = env.arrays
         self._timer = Timer(env.num_envs, env.step_dt, env.arrays)
+        # Control steps of the episode that have been counted.
         self._seen: NDArray[np.int64] = env.arrays.full(env.num_envs, 0, np.int64)
-        """Counted control steps of the episode."""
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Stop the timer of these environments."""
-        where: Any = slice(None) if env_ids is None else env_ids
-        self._timer.left[where] = self._seen[where] = 0
+        rows: Any = slice(None) if env_ids is None else env_ids
+        self._timer.left[rows] = 0
+        self._seen[rows] = 0
 
     def stopped(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Return those environments whose timer has not been started in this episode."""
@@ -54,10 +56,9 @@ class EpisodeTimer:
     def advance(self, env_ids: EnvIndex | None) -> EnvIndex:
         """Count the control steps since the last call; return environments that are due."""
         ids = self._arrays.every(len(self._seen)) if env_ids is None else env_ids
-        elapsed = self._arrays.of(self._env.elapsed_steps)
-        step = elapsed[ids].astype(np.int64)
-        passed = step - self._seen[ids]
-        self._seen[ids] = step
+        elapsed = self._arrays.of(self._env.elapsed_steps)[ids].astype(np.int64)
+        passed = elapsed - self._seen[ids]
+        self._seen[ids] = elapsed
         return self._timer.advance(ids, passed)
 
     def start(self, seconds: Uniform, env_ids: EnvIndex) -> None:
@@ -71,7 +72,8 @@ class EpisodeTimer:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
-        self._timer.left[:], self._seen[:] = state["left"], state["seen"]
+        self._timer.left[:] = state["left"]
+        self._seen[:] = state["seen"]
 
     @staticmethod
     def seconds(name: str, param: str, bounds: Range) -> Uniform:
@@ -110,10 +112,11 @@ class PushBySettingVelocity(Term):
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Push these environments' entities."""
-        drawn = self._push(env.event_manager, env_ids)
-        now = read_root_velocity(self._asset)
-        now = now if env_ids is None else now[env_ids]
-        write_root_velocity(self._asset, now + drawn, env_ids)
+        push = self._push(env.event_manager, env_ids)
+        velocity = read_root_velocity(self._asset)
+        if env_ids is not None:
+            velocity = velocity[env_ids]
+        write_root_velocity(self._asset, velocity + push, env_ids)
 
 
 @register_term("event", name="apply_external_force_torque")
@@ -149,34 +152,36 @@ class ApplyExternalForceTorque(Term):
                 "pick links by link_names, sites or geoms, or a dynamic object"
             )
             raise ConfigError([Problem("entity_cfg", message)])
-        frames = self._frames = entity_cfg.frames
-        bodies = np.atleast_1d(np.arange(asset.engine.model.nbody)[frames.bodies])
+        self._engine = asset.engine
+        self._frames = entity_cfg.frames
+        bodies = np.atleast_1d(np.arange(asset.engine.model.nbody)[self._frames.bodies])
         if len(np.unique(bodies)) < len(bodies):
             message = f"several {entity_cfg.kind}s of one link: its forces would be the last one's"
             raise ConfigError([Problem(f"entity_cfg.{entity_cfg.frame_key}", message)])
         self._columns: NDArray[np.int64] = np.concatenate(
             [6 * int(body) + np.arange(6, dtype=np.int64) for body in bodies]
         )
-        ends = [[force_range[i]] * 3 + [torque_range[i]] * 3 for i in (0, 1)]
-        self._wrench = Uniform("wrench", *(np.tile(end, len(bodies)) for end in ends))
-        self._engine = asset.engine
+        low, high = ([force_range[i]] * 3 + [torque_range[i]] * 3 for i in (0, 1))
+        count = len(bodies)
+        self._wrench = Uniform("wrench", np.tile(low, count), np.tile(high, count))
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the forces of these environments."""
-        drawn = self._wrench(env.event_manager, env_ids)
+        wrenches = self._wrench(env.event_manager, env_ids)
         if self._frames.kind != "link":
-            drawn = drawn + self._moments(drawn, env_ids)
-        self._engine.write("xfrc_applied", drawn, env_ids, self._columns)
+            wrenches = wrenches + self._moments(wrenches, env_ids)
+        self._engine.write("xfrc_applied", wrenches, env_ids, self._columns)
 
     def _moments(self, wrenches: Floats, env_ids: EnvIndex | None) -> Floats:
         """(n, 6 k) no forces, and the moments of the drawn forces about the centres of mass."""
-        engine, frames = self._engine, self._frames
+        engine = self._engine
+        frames = self._frames
         rows: Any = slice(None) if env_ids is None else env_ids
-        arm = frames.positions(engine)[rows] - engine.derived("xipos")[rows][:, frames.bodies]
+        lever = frames.positions(engine)[rows] - engine.derived("xipos")[rows][:, frames.bodies]
         forces = wrenches.reshape(len(wrenches), -1, 6)[..., :3]
-        moments = cross(arm, forces)
-        both = np.concatenate([np.zeros_like(moments), moments], axis=2)
-        return both.reshape(len(wrenches), -1)
+        moments = cross(lever, forces)
+        no_forces = np.zeros_like(moments)
+        return np.concatenate([no_forces, moments], axis=2).reshape(len(wrenches), -1)
 
 
 @register_term("event", name="apply_body_impulse")
@@ -224,7 +229,8 @@ class ApplyBodyImpulse(ApplyExternalForceTorque):
         timer = self._timer
         timer.start(self._cooldown, timer.stopped(env_ids))
         due = timer.advance(env_ids)
-        ends, begins = due[self._pushes[due]], due[~self._pushes[due]]
+        ends = due[self._pushes[due]]
+        begins = due[~self._pushes[due]]
         if len(ends):
             self._engine.write("xfrc_applied", 0.0, ends, self._columns)
             timer.start(self._cooldown, ends)

@@ -56,7 +56,9 @@ def _declared_draws(
     operation: Operation | None,
 ) -> Iterator[PhysicsDraw]:
     """Yield the parameters that may make drives chatter, or that move centres of mass."""
-    entities = [*([] if entity_cfg is None else [entity_cfg]), *(entity_cfgs or [])]
+    entities = list(entity_cfgs or [])
+    if entity_cfg is not None:
+        entities.insert(0, entity_cfg)
     ranges: dict[Quantity, Any] = {
         "stiffness": stiffness,
         "damping": damping,
@@ -164,10 +166,34 @@ class Randomize:
         fixed_density: bool = True,
         shared_sample: bool = False,
     ) -> None:
-        given = {k: v for k, v in locals().items() if k in FIELDS or k in SCENE_FIELDS}
-        self._ranges = {name: value for name, value in given.items() if value is not None}
+        # In the order in which they are drawn and written.
+        ranges: dict[str, Any] = {
+            "scale": scale,
+            "mass": mass,
+            "com": com,
+            "inertia": inertia,
+            "friction": friction,
+            "torsional_friction": torsional_friction,
+            "rolling_friction": rolling_friction,
+            "stiffness": stiffness,
+            "damping": damping,
+            "effort_limit": effort_limit,
+            "joint_friction": joint_friction,
+            "armature": armature,
+            "joint_damping": joint_damping,
+            "lower_limit": lower_limit,
+            "upper_limit": upper_limit,
+            "strength": strength,
+            "gravity": gravity,
+        }
+        self._ranges = {name: bounds for name, bounds in ranges.items() if bounds is not None}
         self._operation = operation
-        self._options = Options(recompute_inertia, min_mass, same_scale_all_axes, fixed_density)
+        self._options = Options(
+            recompute_inertia=recompute_inertia,
+            min_mass=min_mass,
+            same_scale_all_axes=same_scale_all_axes,
+            fixed_density=fixed_density,
+        )
         if entity_cfgs is not None and not entity_cfgs:
             raise ConfigError([Problem("entity_cfgs", "names no object")])
         if scale is not None and same_scale_all_axes and np.shape(scale) == (2, 3):
@@ -175,23 +201,32 @@ class Randomize:
             raise ConfigError([Problem("scale", message)])
         if shared_sample and set(self._ranges) - {"scale"}:
             raise ConfigError([Problem("shared_sample", "only objects' scales may be shared")])
-        self._quantities: dict[str, DrawnField] = {}
+
+        # Name in the log -> what is drawn; for each of them the functions that write it.
+        self._drawn_fields: dict[str, DrawnField] = {}
         self._writes: list[list[Write]] = []
-        entities = [*([] if entity_cfg is None else [entity_cfg]), *(entity_cfgs or [])]
+        entities = list(entity_cfgs or [])
+        if entity_cfg is not None:
+            entities.insert(0, entity_cfg)
         if not entities:
             self._add_scene(env)
-        for group in [entities] if shared_sample and entities else [[e] for e in entities]:
-            prefix = f"{group[0].uid}." if len(entities) > len(group) else ""
-            self._add_entities(env, group, prefix)
-        self._draw = Draw(self._quantities, distribution)
+        elif shared_sample:
+            self._add_entities(env, entities, prefix="")
+        else:
+            for entity in entities:
+                prefix = f"{entity.uid}." if len(entities) > 1 else ""
+                self._add_entities(env, [entity], prefix)
+        self._draw = Draw(self._drawn_fields, distribution)
 
     def _add_scene(self, env: TermContext) -> None:
+        """Add the fields of the scene."""
         for name in self._ranges:
             if name not in SCENE_FIELDS:
                 message = f"missing: of which entity is {name!r} randomized?"
                 raise ConfigError([Problem("entity_cfg", message)])
-            find, usual = SCENE_FIELDS[name]
-            self._add(env, name, name, [find(env.sim.engine)], self._operation or usual)
+            read_values, default_operation = SCENE_FIELDS[name]
+            operation = self._operation or default_operation
+            self._add_field(env, name, name, [read_values(env.sim.engine)], operation)
 
     def _add_entities(
         self, env: TermContext, entities: Sequence[ResolvedEntity], prefix: str
@@ -206,32 +241,38 @@ class Randomize:
                 message = f"{name} is always of operation {field.operation!r}"
                 raise ConfigError([Problem("operation", message)])
             values = [field.values(entity, self._options) for entity in entities]
-            self._add(env, prefix + name, name, values, self._operation or field.operation)
-        sides = [self._quantities.get(f"{prefix}{side}_limit") for side in ("lower", "upper")]
-        _check_limits(entities[0], sides)
+            operation = self._operation or field.operation
+            self._add_field(env, prefix + name, name, values, operation)
+        _check_limits(
+            entities[0],
+            lower=self._drawn_fields.get(f"{prefix}lower_limit"),
+            upper=self._drawn_fields.get(f"{prefix}upper_limit"),
+        )
 
-    def _add(
+    def _add_field(
         self,
         env: TermContext,
         label: str,
         param: str,
-        values: Sequence[Values],
+        values_of_entities: Sequence[Values],
         operation: Operation,
     ) -> None:
-        """Add a quantity that is written to each of the entities with these values."""
-        first, given = values[0], self._ranges[param]
-        quantity = DrawnField(param, given, operation, first)
-        for one in values:
-            if len(one.geoms):
-                names, geoms = (
-                    [one.names[i] for i in quantity.ids],
-                    [one.geoms[i] for i in quantity.ids],
+        """Add a field that is drawn once and written to each of the entities."""
+        ranges = self._ranges[param]
+        drawn = DrawnField(param, ranges, operation, values_of_entities[0])
+        for values in values_of_entities:
+            if len(values.geoms):
+                check_friction_acts(
+                    env,
+                    param,
+                    names=[values.names[i] for i in drawn.ids],
+                    geoms=[values.geoms[i] for i in drawn.ids],
+                    axis=values.axis,
+                    highest=np.maximum(drawn.low, drawn.high),
+                    each=isinstance(ranges, Mapping),
                 )
-                highest = np.maximum(quantity.low, quantity.high)
-                each = isinstance(given, Mapping)
-                check_friction_acts(env, param, names, geoms, one.axis, highest, each)
-        self._quantities[label] = quantity
-        self._writes.append([one.write(quantity.ids) for one in values])
+        self._drawn_fields[label] = drawn
+        self._writes.append([values.write(drawn.ids) for values in values_of_entities])
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the fields of these environments."""
@@ -240,26 +281,31 @@ class Randomize:
                 write(values, env_ids)
 
 
-def _check_limits(entity: ResolvedEntity, sides: Sequence[DrawnField | None]) -> None:
+def _check_limits(
+    entity: ResolvedEntity, lower: DrawnField | None, upper: DrawnField | None
+) -> None:
     """Refuse ranges in which a lower position limit may exceed the upper one.
 
     Args:
         entity: The articulation.
-        sides: The drawn lower and upper limits, None where not drawn.
+        lower: The drawn lower limits, if they are drawn.
+        upper: The drawn upper limits, likewise.
     """
-    drawn = [quantity for quantity in sides if quantity is not None]
-    if not drawn:
+    first_drawn = lower or upper
+    if first_drawn is None:
         return
-    parsed, joints = entity.asset.parsed, np.asarray(entity.joint_ids, np.int64)
-    lower, upper = np.asarray(parsed.qpos_limits, np.float64)[joints].T.copy()
-    if sides[0] is not None:
-        lower[sides[0].ids] = np.maximum(sides[0].low, sides[0].high)
-    if sides[1] is not None:
-        upper[sides[1].ids] = np.minimum(sides[1].low, sides[1].high)
-    crossed = [parsed.joint_names[joints[i]] for i in np.flatnonzero(lower >= upper)]
-    if crossed:
-        message = f"a lower limit may exceed the upper one: {', '.join(crossed)}"
-        raise ConfigError([Problem(drawn[0].param, message)])
+    parsed = entity.asset.parsed
+    joints = np.asarray(entity.joint_ids, np.int64)
+    highest_lower, lowest_upper = np.asarray(parsed.qpos_limits, np.float64)[joints].T.copy()
+    if lower is not None:
+        highest_lower[lower.ids] = np.maximum(lower.low, lower.high)
+    if upper is not None:
+        lowest_upper[upper.ids] = np.minimum(upper.low, upper.high)
+    crossed = np.flatnonzero(highest_lower >= lowest_upper)
+    if len(crossed):
+        names = ", ".join(parsed.joint_names[joints[i]] for i in crossed)
+        message = f"a lower limit may exceed the upper one: {names}"
+        raise ConfigError([Problem(first_drawn.param, message)])
 
 
 class DrawnField:
@@ -282,88 +328,113 @@ class DrawnField:
     """
 
     def __init__(self, param: str, ranges: Any, operation: Operation, values: Values) -> None:
-        self.param, self.operation = param, operation
-        names, lowest = values.names, values.lowest
-        low, high = _by_name(param, ranges, names)
+        self.param = param
+        self.operation = operation
+        low, high = _read_ranges(param, ranges, values.names)
         self.ids: NDArray[np.int64] = np.flatnonzero(~np.isnan(low))
-        self.factors = low[self.ids], high[self.ids]
+        self.factors = (low[self.ids], high[self.ids])
         self.default: Floats = np.array(values.default, np.float64)[self.ids]
-        endless = [names[int(i)] for i in self.ids if not np.isfinite(values.default[i])]
-        if endless and (operation != "abs" or values.needs_default):
-            message = f"{values.unlimited}: {', '.join(endless)}"
-            message += "" if values.needs_default else "; use operation: abs"
-            raise ConfigError([Problem(param, message)])
-        ends = [self.apply(f) for f in self.factors]
-        self.low, self.high = constant(ends[0]), constant(ends[1])
-        least = np.minimum(self.low, self.high)
-        if lowest is not None and (least < lowest).any():
-            worst = int(np.argmin(least))
-            message = f"would give {names[int(self.ids[worst])]} {least[worst]:g}, below {lowest:g}"
-            raise ConfigError([Problem(param, message)])
+        if operation != "abs" or values.needs_default:
+            self._check_defaults(values)
+        self.low = constant(self.apply(self.factors[0]))
+        self.high = constant(self.apply(self.factors[1]))
+        if values.lowest is not None:
+            self._check_lowest(values, values.lowest)
+
+    def _check_defaults(self, values: Values) -> None:
+        """Refuse drawn values whose compiled ones are infinite."""
+        unlimited = [values.names[int(i)] for i in self.ids if not np.isfinite(values.default[i])]
+        if not unlimited:
+            return
+        message = f"{values.unlimited}: {', '.join(unlimited)}"
+        if not values.needs_default:
+            message += "; use operation: abs"
+        raise ConfigError([Problem(self.param, message)])
+
+    def _check_lowest(self, values: Values, lowest: float) -> None:
+        """Refuse a range that allows values that are too small."""
+        smallest = np.minimum(self.low, self.high)
+        if (smallest < lowest).any():
+            worst = int(np.argmin(smallest))
+            name = values.names[int(self.ids[worst])]
+            message = f"would give {name} {smallest[worst]:g}, below {lowest:g}"
+            raise ConfigError([Problem(self.param, message)])
 
     def apply(self, drawn: Floats) -> Floats:
         """Values (..., m) of drawn numbers (..., m)."""
         if self.operation == "add":
             return self.default + drawn
-        return self.default * drawn if self.operation == "scale" else drawn
+        if self.operation == "scale":
+            return self.default * drawn
+        return drawn
 
 
-def _by_name(param: str, ranges: Any, names: Sequence[str]) -> tuple[Floats, Floats]:
+def _read_ranges(param: str, ranges: Any, names: Sequence[str]) -> tuple[Floats, Floats]:
     """Lower and upper bounds (k,) each; NaN for names that no key matches. Later keys win."""
-    low, high = np.full(len(names), np.nan), np.full(len(names), np.nan)
+    low = np.full(len(names), np.nan)
+    high = np.full(len(names), np.nan)
     if not isinstance(ranges, Mapping):
         bounds = np.asarray(ranges, np.float64).reshape(2, -1)
         low[:], high[:] = np.tile(bounds, (1, len(names) // bounds.shape[1]))
         return low, high
-    for pattern, (least, most) in ranges.items():
-        found, problems = match_every(pattern, names, "name", f"{param}.{pattern}")
-        if problems:
-            raise ConfigError(problems)
-        low[list(found)], high[list(found)] = least, most
     if not ranges:
         raise ConfigError([Problem(param, f"names nothing; there are: {', '.join(names)}")])
+    for pattern, (lower, upper) in ranges.items():
+        matching, problems = match_every(pattern, names, "name", f"{param}.{pattern}")
+        if problems:
+            raise ConfigError(problems)
+        low[list(matching)] = lower
+        high[list(matching)] = upper
     return low, high
 
 
 class Draw:
-    """Draws the quantities of one term together: the overhead of a draw is that of 1000 numbers.
+    """Draws all fields of one term in one call: a call takes as long as 1000 of its numbers.
 
     Args:
-        quantities: Name in the log -> field.
+        fields: Name in the log -> field.
         distribution: See `Distribution`.
 
     Raises:
         ConfigError: If there is nothing to draw, or a bound of ``log_uniform`` is not positive.
     """
 
-    def __init__(self, quantities: Mapping[str, DrawnField], distribution: Distribution) -> None:
-        if not quantities:
+    def __init__(self, fields: Mapping[str, DrawnField], distribution: Distribution) -> None:
+        if not fields:
             raise ConfigError([Problem("", "randomizes nothing: give it at least one range")])
-        self._quantities = list(quantities.values())
-        self._normal = distribution == "gaussian"
-        self._log = distribution == "log_uniform"
-        edges = np.cumsum([0, *(len(q.ids) for q in self._quantities)]).tolist()
-        slices = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
-        prefix = "log_" if self._log else ""
-        self._columns = {prefix + n: s for n, s in zip(quantities, slices, strict=True)}
-        if not self._log:
-            self._low = constant(np.concatenate([q.low for q in self._quantities]))
-            self._high = constant(np.concatenate([q.high for q in self._quantities]))
+        self._fields = list(fields.values())
+        self._is_normal = distribution == "gaussian"
+        self._is_log = distribution == "log_uniform"
+        # The columns of each field in what is drawn.
+        self._columns: dict[str, slice] = {}
+        start = 0
+        for name, field in fields.items():
+            end = start + len(field.ids)
+            self._columns[f"log_{name}" if self._is_log else name] = slice(start, end)
+            start = end
+        if not self._is_log:
+            self._low = constant(np.concatenate([field.low for field in self._fields]))
+            self._high = constant(np.concatenate([field.high for field in self._fields]))
             return
-        for q in self._quantities:
-            if (q.factors[0] <= 0).any():
-                message = f"log_uniform needs positive bounds, got {q.factors[0].min():g}"
-                raise ConfigError([Problem(q.param, message)])
-        self._bounds = [np.concatenate([q.factors[i] for q in self._quantities]) for i in (0, 1)]
-        self._low, self._high = (constant(np.log(bound)) for bound in self._bounds)
+        for field in self._fields:
+            lowest = field.factors[0].min(initial=np.inf)
+            if lowest <= 0:
+                message = f"log_uniform needs positive bounds, got {lowest:g}"
+                raise ConfigError([Problem(field.param, message)])
+        self._lowest_factor = np.concatenate([field.factors[0] for field in self._fields])
+        self._highest_factor = np.concatenate([field.factors[1] for field in self._fields])
+        self._low = constant(np.log(self._lowest_factor))
+        self._high = constant(np.log(self._highest_factor))
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> list[Floats]:
-        """Values (n, m) of every quantity; do not write into them."""
-        manager, slices = env.event_manager, self._columns.values()
-        drawn = manager.draw_columns(self._columns, self._low, self._high, env_ids, self._normal)
-        if not self._log:
-            return [drawn[:, where] for where in slices]
+        """Values (n, m) of every field; do not write into them."""
+        drawn = env.event_manager.draw_columns(
+            self._columns, self._low, self._high, env_ids, self._is_normal
+        )
+        slices = self._columns.values()
+        if not self._is_log:
+            return [drawn[:, columns] for columns in slices]
         # Rounding of log and exp must not leave the range.
-        factors = np.clip(np.exp(contiguous(drawn)), *self._bounds)
-        pairs = zip(self._quantities, slices, strict=True)
-        return [quantity.apply(factors[:, where]) for quantity, where in pairs]
+        factors = np.clip(np.exp(contiguous(drawn)), self._lowest_factor, self._highest_factor)
+        pairs = zip(self._fields, slices, strict=True)
+        return [field.apply(factors[:, columns]) for field, columns in pairs]

@@ -77,23 +77,26 @@ class RecordCameraData(Term):
         need_encoder()
         if not name or Path(name).name != name:
             raise ConfigError([Problem("name", f"is not part of a file's name: {name!r}")])
-        self._env, self._name, self._count = env, name, max_env_num
+        self._env = env
+        self._name = name
+        self._count = max_env_num
         width, height = resolution or (640, 480)
-        self._size = width, height
+        self._size = (width, height)
+        self._view: Callable[[], View]
         if camera is None:
             view = filmed_from(self._size, eye, target, up, intrinsics)
-            self._view: Callable[[], View] = lambda: view
+            self._view = lambda: view
         else:
             from embodichain.lab.sim.drawing.views import camera_id, view_of
 
             engine = env.sim.engine
             try:
-                index = camera_id(engine.model, camera)
+                camera_number = camera_id(engine.model, camera)
             except ValueError as error:
                 raise ConfigError([Problem("camera", str(error))]) from error
-            self._view = partial(view_of, engine, index, width, height, look="full")
-        self._folder = Path(save_path) if save_path is not None else None
-        self._fps = fps if fps is not None else env.control_frequency
+            self._view = partial(view_of, engine, camera_number, width, height, look="full")
+        self._folder = None if save_path is None else Path(save_path)
+        self._fps = env.control_frequency if fps is None else fps
         self._videos: dict[int, VideoFile] = {}
         _finish_at_close(env, self)
 
@@ -103,19 +106,20 @@ class RecordCameraData(Term):
         ids = ids[ids < self._count]
         if not len(ids):
             return
-        pictures = env.sim.draw([self._view()], ids)[0]["color"][..., :3]
-        for i, picture in zip(ids.tolist(), pictures, strict=True):
-            video = self._videos.get(i)
-            if video is None:
-                path = self._where() / f"{self._name}_env{i}_episode{int(env.episode_ids[i])}.mp4"
-                video = self._videos[i] = VideoFile(path, self._size, self._fps)
-            video.write(picture)
+        (drawn,) = env.sim.draw([self._view()], ids)
+        for i, picture in zip(ids.tolist(), drawn["color"][..., :3], strict=True):
+            if i not in self._videos:
+                file_name = f"{self._name}_env{i}_episode{int(env.episode_ids[i])}.mp4"
+                self._videos[i] = VideoFile(self._video_folder() / file_name, self._size, self._fps)
+            self._videos[i].write(picture)
 
-    def _where(self) -> Path:
+    def _video_folder(self) -> Path:
+        """The folder of the files; a run's folder may be set after this term is built."""
         if self._folder is not None:
             return self._folder
-        run = self._env.run_dir
-        return Path("outputs/videos") if run is None else run / "videos"
+        if self._env.run_dir is None:
+            return Path("outputs/videos")
+        return self._env.run_dir / "videos"
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Finish the files of these environments' episodes."""
@@ -146,10 +150,11 @@ def filmed_from(
         message = f"focal lengths must be positive, got {fx} and {fy}"
         raise ConfigError([Problem("intrinsics", message)])
     try:
-        at = Viewpoint.look_at(eye or [0, 0, 2], target or [0, 0, 0], up or [0, 0, 1])
+        viewpoint = Viewpoint.look_at(eye or [0, 0, 2], target or [0, 0, 0], up or [0, 0, 1])
     except ValueError as error:
         raise ConfigError([Problem("target", str(error))]) from error
-    return View(Optics(width, height, (fx, fy), (cx, cy)), at.position, at.axes, look="full")
+    optics = Optics(width, height, (fx, fy), (cx, cy))
+    return View(optics, viewpoint.position, viewpoint.axes, look="full")
 
 
 def _finish_at_close(env: TermContext, term: RecordCameraData) -> None:

@@ -96,63 +96,73 @@ class WaitForDynamicObjectsToSettle(Term):
             handles = [o for o in env.sim.rigid_objects.values() if not o.is_non_dynamic]
             self._assets: list[Any] = [*handles, *env.sim.articulations.values()]
         else:
-            self._assets = [_settling(e, i) for i, e in enumerate(entity_cfgs)]
+            self._assets = [_need_dynamic(entity, i) for i, entity in enumerate(entity_cfgs)]
         if not self._assets:
             message = "there is nothing to wait for: no dynamic object and no articulation"
             raise ConfigError([Problem("entity_cfgs", message)])
         if max_steps < min_steps:
             message = f"is less than min_steps, {min_steps}: got {max_steps}"
             raise ConfigError([Problem("max_steps", message)])
-        self._linear, self._angular = linear_velocity_threshold, angular_velocity_threshold
-        self._min, self._max, self._every = min_steps, max_steps, check_interval_steps
-        self._needed = required_stable_checks
+        self._linear_threshold = linear_velocity_threshold
+        self._angular_threshold = angular_velocity_threshold
+        self._min_steps = min_steps
+        self._max_steps = max_steps
+        self._check_interval = check_interval_steps
+        self._required_checks = required_stable_checks
         self._raises = timeout_behavior == "raise"
 
     def __call__(self, env: TermContext, env_ids: EnvIds | None) -> None:
         """Step these environments until they are at rest."""
         engine = env.sim.engine
         ids: EnvIds = np.arange(env.num_envs) if env_ids is None else env_ids
-        stable: NDArray[np.int64] = np.zeros(len(ids), np.int64)
-        steps = self._min
+        stable_checks: NDArray[np.int64] = np.zeros(len(ids), np.int64)
+        steps = self._min_steps
         if steps:
             engine.step(steps, ids)
         while True:
-            stable = np.where(self._rests()[ids], stable + 1, 0)
-            waiting = stable < self._needed
-            ids, stable = ids[waiting], stable[waiting]
-            if not len(ids) or steps >= self._max:
+            stable_checks = np.where(self._are_slow()[ids], stable_checks + 1, 0)
+            is_moving = stable_checks < self._required_checks
+            ids = ids[is_moving]
+            stable_checks = stable_checks[is_moving]
+            if not len(ids) or steps >= self._max_steps:
                 break
-            now = min(self._every, self._max - steps)
-            engine.step(now, ids)
-            steps += now
+            next_steps = min(self._check_interval, self._max_steps - steps)
+            engine.step(next_steps, ids)
+            steps += next_steps
         if len(ids):
-            self._complain(ids)
+            self._report_motion(ids)
 
-    def _complain(self, ids: EnvIds) -> None:
+    def _report_motion(self, ids: EnvIds) -> None:
+        """Raise an error or log a warning for environments that do not come to rest."""
         names = ", ".join(asset.uid for asset in self._assets)
+        shown_ids = f"{ids[:8].tolist()}{'...' if len(ids) > 8 else ''}"
         message = (
-            f"{names} did not come to rest within {self._max} physics steps in environments "
-            f"{ids[:8].tolist()}{'...' if len(ids) > 8 else ''}"
+            f"{names} did not come to rest within {self._max_steps} physics steps in environments "
+            f"{shown_ids}"
         )
         if self._raises:
             raise NotAtRestError(message)
         logger.warning(message)
 
-    def _rests(self) -> NDArray[np.bool_]:
+    def _are_slow(self) -> NDArray[np.bool_]:
         """(N,) whether every object is slow enough now."""
-        rests: NDArray[np.bool_] | None = None
+        all_slow: NDArray[np.bool_] | None = None
         for asset in self._assets:
             for velocity in _velocities(asset):
-                slow = (norm(velocity[:, :3]) <= self._linear) & (
-                    norm(velocity[:, 3:]) <= self._angular
-                )
-                rests = slow if rests is None else rests & slow
-        if rests is None:
+                is_slow = norm(velocity[:, :3]) <= self._linear_threshold
+                is_slow &= norm(velocity[:, 3:]) <= self._angular_threshold
+                all_slow = is_slow if all_slow is None else all_slow & is_slow
+        if all_slow is None:
             raise RuntimeError("an articulation without links cannot be waited for")
-        return rests
+        return all_slow
 
 
-def _settling(entity: ResolvedEntity, number: int) -> Any:
+def _need_dynamic(entity: ResolvedEntity, number: int) -> Any:
+    """Return the handle of an entity that can come to rest.
+
+    Raises:
+        ConfigError: If it never moves by itself.
+    """
     if getattr(entity.asset, "is_non_dynamic", False):
         message = f"{entity.uid!r} is not dynamic: it never moves by itself"
         raise ConfigError([Problem(f"entity_cfgs.{number}.uid", message)])

@@ -42,30 +42,37 @@ class _Surface:
 
     def __init__(self, entity: ResolvedEntity) -> None:
         asset = entity.asset
-        self._engine = engine = asset.engine
-        model = engine.model
-        own = np.asarray(asset.entity.geom_ids)
+        self._engine = asset.engine
+        model = asset.engine.model
+        geoms = np.asarray(asset.entity.geom_ids)
         if entity.kind == "geom":
-            own = np.arange(model.ngeom)[entity.frames.ids]
+            geoms = np.arange(model.ngeom)[entity.frames.ids]
         elif entity.link_ids:
-            own = own[np.isin(model.geom_bodyid[own], np.arange(model.nbody)[entity.frames.bodies])]
-        geoms = [int(g) for g in own if model.geom_group[g] < _HIDDEN_GROUP]
-        self.is_object = not hasattr(asset, "parsed") and entity.kind != "geom"
-        if not geoms:
+            picked_bodies = np.arange(model.nbody)[entity.frames.bodies]
+            geoms = geoms[np.isin(model.geom_bodyid[geoms], picked_bodies)]
+        visible_geoms = [int(geom) for geom in geoms if model.geom_group[geom] < _HIDDEN_GROUP]
+        if not visible_geoms:
             raise ConfigError([Problem("entity_cfg", f"nothing of {entity.uid!r} is visible")])
-        self._materials = sorted({int(model.geom_matid[g]) for g in geoms})
-        self._field = "mat_rgba" if self.is_object else "geom_rgba"
-        ids = self._materials if self.is_object else geoms
-        self._columns: NDArray[np.int64] = np.concatenate([4 * i + np.arange(3) for i in ids])
+        self._materials = sorted({int(model.geom_matid[geom]) for geom in visible_geoms})
+        self.is_object = not hasattr(asset, "parsed") and entity.kind != "geom"
+        if self.is_object:
+            self._color_field = "mat_rgba"
+            rows = self._materials
+        else:
+            self._color_field = "geom_rgba"
+            rows = visible_geoms
+        # Red, green and blue, of four columns each: opacity does not change.
+        self._columns: NDArray[np.int64] = np.concatenate([4 * row + np.arange(3) for row in rows])
 
     def paint(self, rgb: Floats, env_ids: EnvIndex | None) -> None:
         """Set the colours (n, 3) of all shapes; opacity does not change."""
         count = len(self._columns) // 3
-        self._engine.write_model(self._field, np.tile(rgb, (1, count)), env_ids, self._columns)
+        colors = np.tile(rgb, (1, count))
+        self._engine.write_model(self._color_field, colors, env_ids, self._columns)
 
     def fade(self, alpha: float, env_ids: EnvIndex | None) -> None:
         """Set an object's opacity."""
-        self._write("mat_rgba", alpha, env_ids, 4, 3)
+        self._write("mat_rgba", alpha, env_ids, width=4, column=3)
 
     def finish(
         self,
@@ -94,8 +101,8 @@ class _Surface:
     ) -> None:
         """Write one column of a field with `width` columns per material."""
         for material in self._materials:
-            at = width * material + column
-            self._engine.write_model(field, values, env_ids, slice(at, at + 1))
+            start = width * material + column
+            self._engine.write_model(field, values, env_ids, slice(start, start + 1))
 
 
 @register_term("event", name="randomize_texture")
@@ -114,10 +121,10 @@ class RandomizeTexture(Term):
     def __init__(self, env: TermContext, entity_cfg: Whole) -> None:
         from embodichain.lab.sim.compiler.geoms.textures import declared_textures  # imports MuJoCo
 
-        uid, self._engine = entity_cfg.uid, env.sim.engine
-        ids, self._column = declared_textures(self._engine.model, uid)
+        self._engine = env.sim.engine
+        ids, self._column = declared_textures(self._engine.model, entity_cfg.uid)
         if not ids:
-            message = f"{uid!r} has no shape.visual_material.textures"
+            message = f"{entity_cfg.uid!r} has no shape.visual_material.textures"
             raise ConfigError([Problem("entity_cfg.uid", message)])
         self._ids = np.array(ids, np.float64)
         self._index = Uniform("texture", [0.0], [float(len(ids))])
@@ -130,7 +137,8 @@ class RandomizeTexture(Term):
         self._engine.write_model("mat_texid", ids, env_ids, slice(self._column, self._column + 1))
 
 
-def _within_one(name: str, values: Any) -> None:
+def _check_unit_interval(name: str, values: Any) -> None:
+    """Refuse values outside of [0, 1]."""
     array = np.asarray(values, np.float64)
     if (array < 0).any() or (array > 1).any():
         raise ConfigError([Problem(name, f"must be within [0, 1], got {values}")])
@@ -168,26 +176,24 @@ class RandomizeVisualMaterial(Term):
         texture_path: str | None = None,
         ior_range: Range | None = None,
     ) -> None:
-        unavailable = {
-            "texture_path": (texture_path, "textures are compiled into the model: there are none"),
-            "ior_range": (ior_range, "MuJoCo's renderer has no refraction"),
-        }
-        for name, (value, why) in unavailable.items():
-            if value is not None:
-                raise ConfigError([Problem(name, f"not available: {why}; leave it out")])
+        if texture_path is not None:
+            reason = "textures are compiled into the model: there are none"
+            raise ConfigError([Problem("texture_path", f"not available: {reason}; leave it out")])
+        if ior_range is not None:
+            reason = "MuJoCo's renderer has no refraction"
+            raise ConfigError([Problem("ior_range", f"not available: {reason}; leave it out")])
         self._surface = _Surface(entity_cfg)
-        ranges = {"metallic": metallic_range, "roughness": roughness_range}
-        if base_color_range is None and not any(r is not None for r in ranges.values()):
+        if base_color_range is None and metallic_range is None and roughness_range is None:
             message = "missing: nothing is to change (or metallic_range, roughness_range)"
             raise ConfigError([Problem("base_color_range", message)])
         if base_color_range is not None:
-            _within_one("base_color_range", base_color_range)
+            _check_unit_interval("base_color_range", base_color_range)
         self._color = Uniform.within("base_color", base_color_range)
         self._finish: list[Uniform] = []
-        for name, bounds in ranges.items():
+        for name, bounds in (("metallic", metallic_range), ("roughness", roughness_range)):
             if bounds is None:
                 continue
-            _within_one(f"{name}_range", bounds)
+            _check_unit_interval(f"{name}_range", bounds)
             if not self._surface.is_object:
                 message = "only of whole rigid objects: geoms and links share materials"
                 raise ConfigError([Problem(f"{name}_range", message)])
@@ -223,12 +229,13 @@ class SetRigidObjectVisualMaterial(Term):
             message = f"RGBA has 4 values, got {mat_cfg.base_color}"
             raise ConfigError([Problem("mat_cfg.base_color", message)])
         for name in ("base_color", "metallic", "roughness", "emissive"):
-            _within_one(f"mat_cfg.{name}", getattr(mat_cfg, name))
+            _check_unit_interval(f"mat_cfg.{name}", getattr(mat_cfg, name))
         self._cfg = mat_cfg
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Write the material in these environments."""
-        cfg, surface = self._cfg, self._surface
+        cfg = self._cfg
+        surface = self._surface
         count = env.num_envs if env_ids is None else len(env_ids)
         surface.paint(np.tile(np.asarray(cfg.base_color[:3], np.float64), (count, 1)), env_ids)
         surface.fade(float(cfg.base_color[3]), env_ids)
@@ -264,7 +271,8 @@ class RandomizeLight(Term):
         intensity_range: Range | None = None,
         direction_range: Box3 | None = None,
     ) -> None:
-        lights, uid = env.sim.lights, entity_cfg.uid
+        uid = entity_cfg.uid
+        lights = env.sim.lights
         if uid not in lights:
             message = f"no light is called {uid!r}; there are: {', '.join(lights) or 'none'}"
             hint = did_you_mean(uid, lights).strip()
@@ -272,8 +280,8 @@ class RandomizeLight(Term):
         if color_range is not None and not all(0 <= c <= 1 for row in color_range for c in row):
             raise ConfigError([Problem("color_range", f"RGB in [0, 1], got {color_range}")])
         self._light = lights[uid]
-        cfg, model = self._light.cfg, env.sim.engine.model
-        self._pos0: Floats = np.array(model.light(uid).pos, np.float64)
+        cfg = self._light.cfg
+        self._pos0: Floats = np.array(env.sim.engine.model.light(uid).pos, np.float64)
         self._dir0: Floats = np.asarray(cfg.direction, np.float64)
         self._color0: Floats = np.asarray(cfg.color, np.float64)
         self._intensity0 = float(cfg.intensity)
