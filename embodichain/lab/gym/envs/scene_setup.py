@@ -36,11 +36,8 @@ from embodichain.lab.sim.compiler.geoms.poses import check_pose, initial_pose
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.compiler.robot.articulation import parse_with_problems
-from embodichain.lab.sim.compiler.robot.drives.pd_drives import (
-    DriveChange,
-    PhysicsStep,
-    physics_step,
-)
+from embodichain.lab.sim.compiler.robot.drives.chatter import PhysicsStep, physics_step
+from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange
 from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.scene.appearance import check_ground, check_light
 from embodichain.lab.sim.compiler.scene.furniture import check_furniture, furniture_of
