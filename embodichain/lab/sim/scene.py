@@ -16,7 +16,8 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.compile_scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
-from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveChange, physics_step
+from embodichain.lab.sim.compiler.robot.drives.chatter import physics_step
+from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange
 from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.scene.known import known_entities
 from embodichain.lab.sim.compiler.scene.world import World, read_world

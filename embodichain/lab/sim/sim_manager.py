@@ -24,7 +24,7 @@ from embodichain.lab.sim.cfg import (
     choose_engine,
 )
 from embodichain.lab.sim.compiler.compile_scene import CompiledScene
-from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveChange
+from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange
 from embodichain.lab.sim.configs.sensor_cfg import SENSORS, SensorCfg
 from embodichain.lab.sim.engine.cpu.cpu_engine import CpuEngine
 from embodichain.lab.sim.engine.room import LEAST_BYTES, bytes_of

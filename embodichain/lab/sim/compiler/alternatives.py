@@ -35,15 +35,16 @@ def _unmatched(before: str, group: str, after: str, names: Sequence[str]) -> lis
         names: The names.
     """
     alternatives, inner = _parts(group)
-    found: list[str] = []
+    unmatched: list[str] = []
     for alternative, groups in zip(alternatives, inner, strict=True):
         if len(alternatives) > 1 and not _matches(before + alternative + after, names):
-            found.append(alternative)
+            unmatched.append(alternative)
             continue
         for start, stop in groups:
-            left, right = before + alternative[:start], alternative[stop:] + after
-            found += _unmatched(left, alternative[start:stop], right, names)
-    return found
+            left = before + alternative[:start]
+            right = alternative[stop:] + after
+            unmatched += _unmatched(left, alternative[start:stop], right, names)
+    return unmatched
 
 
 def _matches(pattern: str, names: Sequence[str]) -> bool:
@@ -58,7 +59,8 @@ def _parts(group: str) -> tuple[list[str], list[list[tuple[int, int]]]]:
     bars: list[int] = []
     inner: list[list[tuple[int, int]]] = [[]]
     opened: list[tuple[int, bool]] = []  # where the inside begins, whether it is looked into
-    at, first = 0, 0
+    at = 0
+    first = 0  # where the present alternative begins
     while at < len(group):
         character = group[at]
         if character == "\\":
@@ -71,8 +73,8 @@ def _parts(group: str) -> tuple[list[str], list[list[tuple[int, int]]]]:
             opened.append((at + len(text), text not in _LEFT_ALONE))
             at += len(text) - 1
         elif character == ")" and opened:
-            start, seen = opened.pop()
-            if seen and not opened:
+            start, is_looked_into = opened.pop()
+            if is_looked_into and not opened:
                 inner[-1].append((start - first, at - first))
         elif character == "|" and not opened:
             bars.append(at)

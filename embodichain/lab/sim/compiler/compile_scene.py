@@ -16,6 +16,7 @@ from embodichain.lab.sim.compiler.geoms.poses import initial_pose
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
 from embodichain.lab.sim.compiler.model_size import reported
 from embodichain.lab.sim.compiler.names import GROUND, check_uid
+from embodichain.lab.sim.compiler.robot.files.initial_state import Keyframe
 from embodichain.lab.sim.compiler.robot.files.robot_files import (
     MUJOCO_ERRORS,
     as_line,
@@ -110,120 +111,153 @@ def compile_scene(parts: SceneParts) -> CompiledScene:
     Raises:
         ConfigError: If names clash, an object is wrong, or MuJoCo refuses the model.
     """
-    sim_cfg, world = parts.sim_cfg, parts.world
-    articulations, objects = parts.articulations, parts.objects
-    lights, sensors = parts.lights, parts.sensors
-    inside = () if world is None else tuple(world.objects)
-    _check(articulations, objects, (*lights, *sensors, *inside))
+    _check_parts(parts)
+    sim_cfg = parts.sim_cfg
     spec = mujoco.MjSpec()
     spec.modelname = "embodichain"
     spec.compiler.degree = False
     apply_options(spec, sim_cfg)
-    notes: list[str] = []
-    if world is not None:
-        child = world.spec.copy()
-        notes += [
-            *world.notes,
-            *replace_options(child, spec, f"scene.fpath: {world.path}", world.options),
-        ]
-        add_world(spec, child)
+    notes = _add_world(spec, parts.world)
     set_look(spec, sim_cfg.scene)
-    add_lights(spec, lights)
-    for parsed in articulations:
+    add_lights(spec, parts.lights)
+    for parsed in parts.articulations:
         notes += _attach(spec, parsed.spec.copy(), parsed)
-    terrain = None
-    if sim_cfg.scene.terrain is not None:
-        from embodichain.lab.sim.compiler.scene.terrain import add_terrain  # few scenes have one
-
-        terrain = add_terrain(spec, sim_cfg.scene.terrain, sim_cfg.scene.ground or GroundCfg())
-    elif sim_cfg.has_ground:
-        add_ground(spec, sim_cfg.scene.ground or GroundCfg())
-    notes += _bind_floors(spec, sim_cfg, articulations, world)
-    for number, (uid, cfg) in enumerate(objects.items()):
-        add_object(spec, uid, cfg, number)
-    table = sim_cfg.scene.table
-    if table is not None and "table" in objects:
-        from embodichain.lab.sim.compiler.scene.furniture import finish_table  # few scenes have one
-
-        finish_table(spec, table)
-    roots = {p.uid: f"{p.uid}/{p.root_link_name}" for p in articulations}
-    roots |= {uid: f"{PREFIX}{uid}" for uid in inside}
-    jointed = {parsed.uid: parsed for parsed in articulations}
-    known = known_entities(jointed, objects, lights, world, table)
-    add_views(spec, sim_cfg.views, roots, known)
-    for plan in sensors.values():
+    terrain = _add_ground(spec, sim_cfg)
+    notes += _bind_floors(spec, sim_cfg, parts.articulations, parts.world)
+    _add_objects(spec, parts)
+    _add_views(spec, parts)
+    for plan in parts.sensors.values():
         add_sensor(spec, plan)
-    try:
-        with reported(f"compiling the scene of {len(spec.bodies):,} bodies"):
-            model = compile_quietly(spec)
-    except MUJOCO_ERRORS as error:
-        message = f"MuJoCo cannot compile the scene: {as_line(error)[0]}"
-        raise ConfigError(_broken_meshes(objects) or message) from error
-    for plan in sensors.values():
+
+    model = _compile(spec, parts.objects)
+    for plan in parts.sensors.values():
         notes += notes_on_sensor(model, plan)
-    entities = {p.uid: _index_articulation(model, p) for p in articulations}
-    for uid, cfg in objects.items():
-        index = entities[uid] = _index_object(model, spec, uid, cfg)
-        if index.free_qvel_adr >= 0:
-            dofs = slice(index.free_qvel_adr, index.free_qvel_adr + 6)
-            model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
-    if world is not None:
-        entities |= _index_world(model, world)
+    entities = _index_entities(model, spec, parts)
+    _set_damping(model, entities, parts.objects)
     if sim_cfg.has_ground:
         notes += _strangers_to_ground(model, entities)
-    data = _start(model, articulations, entities, world)
+
+    data = _start(model, parts.articulations, entities, parts.world)
     row = np.zeros(mujoco.mj_stateSize(model, _STATE))
     mujoco.mj_getState(model, data, row, _STATE)
+    row.flags.writeable = False  # all simulations of this scene start from it
+
     mujoco.mj_kinematics(model, data)
     center, radius = scene_bounds(model, data)
     for stat in (model.stat, spec.stat):
-        stat.extent, stat.center = max(2.0 * radius, 1.0), center
-    place_lights(spec, model, lights, center, radius)
+        stat.extent = max(2.0 * radius, 1.0)
+        stat.center = center
+    place_lights(spec, model, parts.lights, center, radius)
     place_views(spec, model, data, sim_cfg.views)
-    columns = {uid: index_sensor(model, plan, entities) for uid, plan in sensors.items()}
-    row.flags.writeable = False  # all simulations of this scene start from it
     return CompiledScene(
         model=model,
         spec=spec,
         parts=parts,
         entities=entities,
         initial_row=row,
-        sensors=columns,
+        sensors={uid: index_sensor(model, plan, entities) for uid, plan in parts.sensors.items()},
         notes=tuple(notes),
         terrain=terrain,
     )
 
 
-def _check(
-    articulations: Sequence[ParsedArticulation],
-    objects: Mapping[str, RigidObjectCfg],
-    others: Sequence[str],
-) -> None:
+def _check_parts(parts: SceneParts) -> None:
+    """Refuse names that clash, and objects that are wrong."""
     problems: list[Problem] = []
-    taken = {GROUND: "the ground plane"}
-    for uid in (*(p.uid for p in articulations), *objects, *others):
-        problems += check_uid(uid, uid, taken)
-        taken[uid] = "another entity"
-    for uid, cfg in objects.items():
+    used_names = {GROUND: "the ground plane"}
+    uids = [parsed.uid for parsed in parts.articulations]
+    uids += [*parts.objects, *parts.lights, *parts.sensors]
+    if parts.world is not None:
+        uids += parts.world.objects
+    for uid in uids:
+        problems += check_uid(uid, uid, used_names)
+        used_names[uid] = "another entity"
+    for uid, cfg in parts.objects.items():
         problems += [p.below(uid) for p in check_object(cfg)]
     if problems:
         raise ConfigError(problems)
+
+
+# ------------------------------------------------------------------------------- parts to a spec
+
+
+def _add_world(spec: mujoco.MjSpec, world: World | None) -> list[str]:
+    """Add the elements of the scene's file; return messages for the user."""
+    if world is None:
+        return []
+    child = world.spec.copy()
+    replaced = replace_options(child, spec, f"scene.fpath: {world.path}", world.options)
+    add_world(spec, child)
+    return [*world.notes, *replaced]
+
+
+def _add_ground(spec: mujoco.MjSpec, sim_cfg: SimulationManagerCfg) -> Terrain | None:
+    """Add the terrain or the ground plane, if the scene has one of them."""
+    ground = sim_cfg.scene.ground or GroundCfg()
+    if sim_cfg.scene.terrain is not None:
+        from embodichain.lab.sim.compiler.scene.terrain import add_terrain  # few scenes have one
+
+        return add_terrain(spec, sim_cfg.scene.terrain, ground)
+    if sim_cfg.has_ground:
+        add_ground(spec, ground)
+    return None
+
+
+def _add_objects(spec: mujoco.MjSpec, parts: SceneParts) -> None:
+    """Add the rigid objects, and the legs of the table."""
+    for number, (uid, cfg) in enumerate(parts.objects.items()):
+        add_object(spec, uid, cfg, number)
+    table = parts.sim_cfg.scene.table
+    if table is not None and "table" in parts.objects:
+        from embodichain.lab.sim.compiler.scene.furniture import finish_table  # few scenes have one
+
+        finish_table(spec, table)
+
+
+def _add_views(spec: mujoco.MjSpec, parts: SceneParts) -> None:
+    """Add the cameras of views, once all that they may follow is there."""
+    roots = {parsed.uid: f"{parsed.uid}/{parsed.root_link_name}" for parsed in parts.articulations}
+    if parts.world is not None:
+        roots |= {uid: f"{PREFIX}{uid}" for uid in parts.world.objects}
+    known = known_entities(
+        {parsed.uid: parsed for parsed in parts.articulations},
+        parts.objects,
+        parts.lights,
+        parts.world,
+        parts.sim_cfg.scene.table,
+    )
+    add_views(spec, parts.sim_cfg.views, roots, known)
+
+
+def _compile(spec: mujoco.MjSpec, objects: Mapping[str, RigidObjectCfg]) -> mujoco.MjModel:
+    """Compile a scene.
+
+    Raises:
+        ConfigError: If MuJoCo refuses it; names the objects whose meshes are the reason.
+    """
+    try:
+        with reported(f"compiling the scene of {len(spec.bodies):,} bodies"):
+            return compile_quietly(spec)
+    except MUJOCO_ERRORS as error:
+        message = f"MuJoCo cannot compile the scene: {as_line(error)[0]}"
+        raise ConfigError(_broken_meshes(objects) or message) from error
 
 
 def _broken_meshes(objects: Mapping[str, RigidObjectCfg]) -> list[Problem]:
     """Return a problem for each mesh that MuJoCo cannot compile, with paths below its object."""
     problems: list[Problem] = []
     for uid, cfg in objects.items():
-        for name, one in shapes_of(cfg).items():
-            if not isinstance(one.shape, MeshCfg):
+        for name, variant in shapes_of(cfg).items():
+            if not isinstance(variant.shape, MeshCfg):
                 continue
             alone = mujoco.MjSpec()
-            add_object(alone, uid, one, 0)
+            add_object(alone, uid, variant, 0)
             try:
                 compile_quietly(alone)
             except MUJOCO_ERRORS as error:
-                why = as_line(error)[0].removesuffix(f" (element '{uid}/mesh')")
-                message = f"{get_data_path(one.shape.fpath)}: MuJoCo cannot compile it: {why}"
+                reason = as_line(error)[0].removesuffix(f" (element '{uid}/mesh')")
+                file = get_data_path(variant.shape.fpath)
+                message = f"{file}: MuJoCo cannot compile it: {reason}"
                 path = f"{uid}.any_of.{name}" if name else uid
                 problems.append(Problem(f"{path}.shape.fpath", message))
     return problems
@@ -251,21 +285,25 @@ def _bind_floors(
     ground = GROUND if sim_cfg.has_ground else None
     if ground is None and world is not None and world.floors:
         ground = f"{PREFIX}{world.floors[0]}"
+    is_declared = sim_cfg.scene.terrain is not None or sim_cfg.scene.ground is not None
+    ground_cfg = sim_cfg.scene.terrain or sim_cfg.scene.ground or GroundCfg()
+    decided: Collection[str] | None = given_parameters(ground_cfg)
+    if not sim_cfg.has_ground:
+        decided = None  # a floor of the scene's file keeps all its parameters
     notes: list[str] = []
-    declared = sim_cfg.scene.terrain or sim_cfg.scene.ground
-    chosen = declared is not None
-    given: Collection[str] | None = given_parameters(declared or GroundCfg())
-    given = given if sim_cfg.has_ground else None
     for parsed in articulations:
-        at_height = not chosen and given is not None and parsed.placement.is_unmoved
-        floors, attached = (
-            [f"{parsed.uid}/{name}" for name in names]
-            for names in (parsed.floors, parsed.attached_floors)
+        floors = [f"{parsed.uid}/{name}" for name in parsed.floors]
+        messages = bind_floors(
+            spec,
+            ground,
+            floors,
+            [f"{parsed.uid}/{name}" for name in parsed.attached_floors],
+            decided,
+            at_height=not is_declared and decided is not None and parsed.placement.is_unmoved,
         )
-        said = bind_floors(spec, ground, floors, attached, given, at_height=at_height)
-        notes += [f"{parsed.uid}: {message}" for message in said]
+        notes += [f"{parsed.uid}: {message}" for message in messages]
         if floors:
-            given = None  # the ground has the parameters of the first file's floor
+            decided = None  # the ground has the parameters of the first file's floor
     return notes
 
 
@@ -280,20 +318,51 @@ def _strangers_to_ground(
         yield f"{uid}: no shape of it can touch the ground, whose bits are {bits}"
 
 
+# ------------------------------------------------------------------------------ parts in a model
+
+
+def _index_entities(
+    model: mujoco.MjModel, spec: mujoco.MjSpec, parts: SceneParts
+) -> dict[str, EntityIndex]:
+    """Return where each robot and object is in the model, by uid."""
+    entities = {parsed.uid: _index_articulation(model, parsed) for parsed in parts.articulations}
+    for uid, cfg in parts.objects.items():
+        entities[uid] = _index_object(model, spec, uid, cfg)
+    if parts.world is not None:
+        entities |= _index_world(model, parts.world)
+    return entities
+
+
+def _set_damping(
+    model: mujoco.MjModel,
+    entities: Mapping[str, EntityIndex],
+    objects: Mapping[str, RigidObjectCfg],
+) -> None:
+    """Set the damping of free objects, which MJCF cannot give for each axis."""
+    for uid, cfg in objects.items():
+        start = entities[uid].free_qvel_adr
+        if start >= 0:
+            damping = damping_of(model, entities[uid].root_body_id, cfg)
+            model.dof_damping[start : start + 6] = damping
+
+
 def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> EntityIndex:
     prefix = f"{parsed.uid}/"
     bodies = np.array([model.body(prefix + name).id for name in parsed.link_names], np.int64)
     joints = np.array([model.joint(prefix + name).id for name in parsed.joint_names], np.int64)
-    own = [i for i in range(model.nactuator) if model.actuator(i).name.startswith(prefix)]
-    actuators = {model.actuator(i).name.removeprefix(prefix): i for i in own}
-    targets: Ids = np.array([actuators.get(name, -1) for name in parsed.drives], np.int64)
-    alone = parsed.model
-    speeds: Ids = np.array(
-        [actuators[alone.actuator(int(a)).name] if a >= 0 else -1 for a in parsed.servos.velocity],
-        np.int64,
-    )
+    actuators: dict[str, int] = {}
+    for i in range(model.nactuator):
+        name = model.actuator(i).name
+        if name.startswith(prefix):
+            actuators[name.removeprefix(prefix)] = i
+    own_actuators = list(actuators.values())
+    drives: Ids = np.array([actuators.get(name, -1) for name in parsed.drives], np.int64)
+    velocity_servos: Ids = np.full(len(parsed.servos.velocity), -1, np.int64)
+    for row, servo in enumerate(parsed.servos.velocity.tolist()):
+        if servo >= 0:
+            velocity_servos[row] = actuators[parsed.model.actuator(servo).name]
     root = int(model.body(prefix + parsed.root_link_name).id)
-    free = -1 if parsed.fixed_base else int(model.body_jntadr[root])
+    free_joint = -1 if parsed.fixed_base else int(model.body_jntadr[root])
     return EntityIndex(
         uid=parsed.uid,
         kind="articulation",
@@ -303,25 +372,45 @@ def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> En
         quat0=parsed.placement.root_quat,
         geom_ids=np.flatnonzero(np.isin(model.geom_bodyid, bodies)).astype(np.int64),
         mocap_id=int(model.body_mocapid[root]),
-        free_qpos_adr=int(model.jnt_qposadr[free]) if free >= 0 else -1,
-        free_qvel_adr=int(model.jnt_dofadr[free]) if free >= 0 else -1,
+        free_qpos_adr=_qpos_start(model, free_joint),
+        free_qvel_adr=_qvel_start(model, free_joint),
         qpos_adr=model.jnt_qposadr[joints].astype(np.int64),
         dof_adr=model.jnt_dofadr[joints].astype(np.int64),
-        actuator_ids=targets,
-        ctrl_ids=_first_controls(model, targets),
-        velocity_ctrl_ids=_first_controls(model, speeds),
-        own_actuator_ids=np.array(own, np.int64),
-        own_ctrl_ids=_ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
-        own_act_ids=_ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
+        actuator_ids=drives,
+        ctrl_ids=_first_controls(model, drives),
+        velocity_ctrl_ids=_first_controls(model, velocity_servos),
+        own_actuator_ids=np.array(own_actuators, np.int64),
+        own_ctrl_ids=_controls_of(model, own_actuators),
+        own_act_ids=_activations_of(model, own_actuators),
     )
+
+
+def _qpos_start(model: mujoco.MjModel, joint: int) -> int:
+    """Return the first column of a joint in qpos; -1 for -1."""
+    return int(model.jnt_qposadr[joint]) if joint >= 0 else -1
+
+
+def _qvel_start(model: mujoco.MjModel, joint: int) -> int:
+    """Return the first column of a joint in qvel; -1 for -1."""
+    return int(model.jnt_dofadr[joint]) if joint >= 0 else -1
 
 
 def _first_controls(model: mujoco.MjModel, actuators: Ids) -> Ids:
     """Return the first control of each actuator; -1 for -1."""
     columns: Ids = np.full(len(actuators), -1, np.int64)
-    known = actuators >= 0
-    columns[known] = model.actuator_ctrladr[actuators[known]]
+    exists = actuators >= 0
+    columns[exists] = model.actuator_ctrladr[actuators[exists]]
     return columns
+
+
+def _controls_of(model: mujoco.MjModel, actuators: Sequence[int] | Ids) -> Ids:
+    """Return all controls of actuators, in their order."""
+    return _ranges(model.actuator_ctrladr[actuators], model.actuator_ctrlnum[actuators])
+
+
+def _activations_of(model: mujoco.MjModel, actuators: Sequence[int] | Ids) -> Ids:
+    """Return all activations of actuators, in their order."""
+    return _ranges(model.actuator_actadr[actuators], model.actuator_actnum[actuators])
 
 
 def _index_object(
@@ -348,8 +437,8 @@ def _index_object(
         geom_ids=geoms,
         variants=variants,
         mocap_id=int(model.body_mocapid[body]),
-        free_qpos_adr=int(model.jnt_qposadr[joint]) if joint >= 0 else -1,
-        free_qvel_adr=int(model.jnt_dofadr[joint]) if joint >= 0 else -1,
+        free_qpos_adr=_qpos_start(model, joint),
+        free_qvel_adr=_qvel_start(model, joint),
     )
 
 
@@ -358,13 +447,13 @@ def _index_world(model: mujoco.MjModel, world: World) -> dict[str, EntityIndex]:
 
     Bodies and joints below an object belong to it.
     """
-    found = {}
+    entities: dict[str, EntityIndex] = {}
     for uid, cfg in world.objects.items():
         root = int(model.body(PREFIX + uid).id)
         bodies: Ids = np.flatnonzero(model.body_rootid == root).astype(np.int64)
-        own = _actuators_on(model, np.flatnonzero(np.isin(model.jnt_bodyid, bodies)))
+        actuators = _actuators_on(model, np.flatnonzero(np.isin(model.jnt_bodyid, bodies)))
         joint = int(model.body_jntadr[root]) if cfg.body_type == "dynamic" else -1
-        found[uid] = EntityIndex(
+        entities[uid] = EntityIndex(
             uid=uid,
             kind="object",
             body_ids=bodies,
@@ -373,13 +462,13 @@ def _index_world(model: mujoco.MjModel, world: World) -> dict[str, EntityIndex]:
             quat0=np.asarray(cfg.init_quat, np.float64),
             geom_ids=np.flatnonzero(np.isin(model.geom_bodyid, bodies)).astype(np.int64),
             mocap_id=int(model.body_mocapid[root]),
-            free_qpos_adr=int(model.jnt_qposadr[joint]) if joint >= 0 else -1,
-            free_qvel_adr=int(model.jnt_dofadr[joint]) if joint >= 0 else -1,
-            own_actuator_ids=own,
-            own_ctrl_ids=_ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
-            own_act_ids=_ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
+            free_qpos_adr=_qpos_start(model, joint),
+            free_qvel_adr=_qvel_start(model, joint),
+            own_actuator_ids=actuators,
+            own_ctrl_ids=_controls_of(model, actuators),
+            own_act_ids=_activations_of(model, actuators),
         )
-    return found
+    return entities
 
 
 def _actuators_on(model: mujoco.MjModel, joints: Ids) -> Ids:
@@ -394,8 +483,13 @@ def _actuators_on(model: mujoco.MjModel, joints: Ids) -> Ids:
 
 def _ranges(starts: Ids, counts: Ids) -> Ids:
     """Return the concatenation of ``start + arange(count)``."""
-    parts = [np.arange(a, a + n) for a, n in zip(starts, counts, strict=True)]
-    return np.concatenate([np.zeros(0), *parts]).astype(np.int64)
+    ids: list[int] = []
+    for start, count in zip(starts.tolist(), counts.tolist(), strict=True):
+        ids += range(start, start + count)
+    return np.array(ids, np.int64)
+
+
+# --------------------------------------------------------------------------------- initial state
 
 
 def _start(
@@ -409,27 +503,47 @@ def _start(
     if world is not None:
         start_world(data, world)
     for index in entities.values():
-        pose: F64 = np.concatenate([index.pos0, index.quat0])
+        start = index.free_qpos_adr
         if index.mocap_id >= 0:
-            data.mocap_pos[index.mocap_id], data.mocap_quat[index.mocap_id] = pose[:3], pose[3:]
-        elif index.free_qpos_adr >= 0:
-            data.qpos[index.free_qpos_adr : index.free_qpos_adr + 7] = pose
+            data.mocap_pos[index.mocap_id] = index.pos0
+            data.mocap_quat[index.mocap_id] = index.quat0
+        elif start >= 0:
+            data.qpos[start : start + 3] = index.pos0
+            data.qpos[start + 3 : start + 7] = index.quat0
     for parsed in articulations:
         index = entities[parsed.uid]
-        data.qpos[index.qpos_adr], data.qvel[index.dof_adr] = parsed.init_qpos, parsed.init_qvel
-        data.ctrl[index.own_ctrl_ids], data.act[index.own_act_ids] = (
-            parsed.init_ctrl,
-            parsed.init_act,
-        )
-        if parsed.keyframe is None:
-            continue
-        start = index.free_qvel_adr
-        if start >= 0:
-            velocity = parsed.keyframe.root_qvel
-            data.qvel[start : start + 3] = quat_rotate(parsed.placement.turn, velocity[:3])
-            data.qvel[start + 3 : start + 6] = velocity[3:]
-        for name, (quat, speed) in parsed.keyframe.balls.items():
-            joint = model.joint(f"{parsed.uid}/{name}")
-            data.qpos[joint.qposadr[0] : joint.qposadr[0] + 4] = quat
-            data.qvel[joint.dofadr[0] : joint.dofadr[0] + 3] = speed
+        data.qpos[index.qpos_adr] = parsed.init_qpos
+        data.qvel[index.dof_adr] = parsed.init_qvel
+        data.ctrl[index.own_ctrl_ids] = parsed.init_ctrl
+        data.act[index.own_act_ids] = parsed.init_act
+        if parsed.keyframe is not None:
+            _start_at_keyframe(model, data, parsed, parsed.keyframe, index.free_qvel_adr)
     return data
+
+
+def _start_at_keyframe(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    parsed: ParsedArticulation,
+    keyframe: Keyframe,
+    root_dof: int,
+) -> None:
+    """Set the root's velocity and the ball joints, which joint arrays leave out.
+
+    Args:
+        model: The scene.
+        data: The initial state; changed.
+        parsed: The articulation.
+        keyframe: The keyframe of its file.
+        root_dof: First column of its root in qvel; -1 if it is fixed.
+    """
+    if root_dof >= 0:
+        velocity = keyframe.root_qvel
+        data.qvel[root_dof : root_dof + 3] = quat_rotate(parsed.placement.turn, velocity[:3])
+        data.qvel[root_dof + 3 : root_dof + 6] = velocity[3:]
+    for name, (quat, speed) in keyframe.balls.items():
+        joint = model.joint(f"{parsed.uid}/{name}")
+        qpos_start = joint.qposadr[0]
+        qvel_start = joint.dofadr[0]
+        data.qpos[qpos_start : qpos_start + 4] = quat
+        data.qvel[qvel_start : qvel_start + 3] = speed

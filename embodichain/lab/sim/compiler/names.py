@@ -26,6 +26,7 @@ __all__ = [
     "Known",
     "KnownObject",
     "NamedBy",
+    "ObjectModel",
     "Picked",
     "check_uid",
     "exact_pattern",
@@ -65,11 +66,11 @@ def match(
         path: Key path of the pattern.
     """
     try:
-        found = tuple(i for i, name in enumerate(names) if re.fullmatch(pattern, name))
+        ids = tuple(i for i, name in enumerate(names) if re.fullmatch(pattern, name))
     except re.error as error:
         return (), [Problem(path, f"malformed regex {pattern!r}: {error}")]
-    if found:
-        return found, []
+    if ids:
+        return ids, []
     message = f"no {what} matches {pattern!r}; there are: {listing(names, pattern)}"
     return (), [Problem(path, message, _closest(pattern, names))]
 
@@ -78,18 +79,16 @@ def match_every(
     pattern: str, names: Sequence[str], what: str, path: str
 ) -> tuple[tuple[int, ...], list[Problem]]:
     """Do as `match`, and report each alternative of a ``|`` that matches nothing."""
-    found, problems = match(pattern, names, what, path)
+    ids, problems = match(pattern, names, what, path)
     if problems:
-        return found, problems
-    return found, [
-        Problem(
-            path,
-            f"no {what} matches the alternative {one!r} of {pattern!r}; "
-            f"there are: {listing(names, one)}",
-            _closest(one, names),
+        return ids, problems
+    for alternative in unmatched_alternatives(pattern, names):
+        message = (
+            f"no {what} matches the alternative {alternative!r} of {pattern!r}; "
+            f"there are: {listing(names, alternative)}"
         )
-        for one in unmatched_alternatives(pattern, names)
-    ]
+        problems.append(Problem(path, message, _closest(alternative, names)))
+    return ids, problems
 
 
 def no_such(what: str, name: str, names: Sequence[str], path: str) -> Problem:
@@ -102,18 +101,18 @@ def _closest(name: str, names: Sequence[str]) -> str:
     """A hint: the closest name, or that nothing is attached under the first part of the name."""
     first, slash, _ = name.partition("/")
     if slash and first.isidentifier() and not any(n.startswith(f"{first}/") for n in names):
-        there = dict.fromkeys(n.partition("/")[0] for n in names if "/" in n)
-        return f"Nothing is attached as {first!r}.{did_you_mean(first, list(there))}"
+        attached = dict.fromkeys(n.partition("/")[0] for n in names if "/" in n)
+        return f"Nothing is attached as {first!r}.{did_you_mean(first, list(attached))}"
     return did_you_mean(name, names).strip()
 
 
 def exact_pattern(name: str) -> str:
     """Return a name as a regex that matches it."""
     try:
-        plain = re.fullmatch(name, name) is not None
+        matches_itself = re.fullmatch(name, name) is not None
     except re.error:
-        plain = False
-    return name if plain else re.escape(name)
+        matches_itself = False
+    return name if matches_itself else re.escape(name)
 
 
 def check_uid(uid: str, path: str, taken: Mapping[str, str]) -> list[Problem]:
@@ -160,6 +159,37 @@ class Jointed(Protocol):
         """Part -> joints."""
 
 
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A model with a rigid object in it.
+
+    Attributes:
+        model: The model.
+        body_id: The object's body.
+        prefix: Names of the object's geoms and sites begin with it.
+    """
+
+    model: mujoco.MjModel
+    body_id: int
+    prefix: str
+
+    def names(self, kind: Literal["site", "geom"]) -> tuple[str, ...]:
+        """Return the names of the object's sites or geoms that have one, without the prefix."""
+        model = self.model
+        if kind == "site":
+            elements = [model.site(i) for i in range(model.nsite)]
+        else:
+            elements = [model.geom(i) for i in range(model.ngeom)]
+        root = model.body_rootid[self.body_id]
+        names: list[str] = []
+        for element in elements:
+            owner = int(element.bodyid[0])
+            is_of_world = owner == 0
+            if element.name and not is_of_world and model.body_rootid[owner] == root:
+                names.append(element.name.removeprefix(self.prefix))
+        return tuple(names)
+
+
 @dataclass(frozen=True)
 class KnownObject:
     """A rigid object: one link, of its own name, with geoms and sites.
@@ -169,29 +199,23 @@ class KnownObject:
         body: Its body in the compiled scene.
         prefix: Names of its geoms and sites in the compiled scene begin with it; references leave
             it out.
-        alone: Returns a model with the object, the id of its body there, and the prefix of names
-            there; None if its config is wrong. Called only for references to geoms and sites.
+        compile_alone: Returns a model with the object; None if its config is wrong. Called only for
+            references to geoms and sites.
     """
 
     uid: str
     body: str
     prefix: str
-    alone: Callable[[], tuple[mujoco.MjModel, int, str] | None]
+    compile_alone: Callable[[], ObjectModel | None]
 
     def names(self, kind: FrameKind) -> tuple[str, ...] | None:
         """Its frames of a kind that have a name; None if its config is wrong."""
         if kind == "link":
             return (self.uid,)
-        compiled = self.alone()
-        if compiled is None:
+        alone = self.compile_alone()
+        if alone is None:
             return None
-        model, top, prefix = compiled
-        owner = model.site_bodyid if kind == "site" else model.geom_bodyid
-        count = model.nsite if kind == "site" else model.ngeom
-        one = model.site if kind == "site" else model.geom
-        root = model.body_rootid
-        found = [one(i).name for i in range(count) if root[owner[i]] == root[top] and owner[i]]
-        return tuple(name.removeprefix(prefix) for name in found if name)
+        return alone.names(kind)
 
 
 Known = Mapping[str, Jointed | KnownObject | str | None]
@@ -257,9 +281,13 @@ def frame_in_model(
     entity: Jointed | KnownObject | str, uid: str, kind: FrameKind, name: str
 ) -> str:
     """The name in the compiled scene of an entity's frame."""
-    if isinstance(entity, KnownObject):
-        return entity.body if kind == "link" else f"{entity.prefix}{name}"
-    return uid if isinstance(entity, str) else f"{uid}/{name}"
+    if isinstance(entity, str):
+        return uid
+    if not isinstance(entity, KnownObject):
+        return f"{uid}/{name}"
+    if kind == "link":
+        return entity.body
+    return f"{entity.prefix}{name}"
 
 
 def find_frame(
@@ -278,31 +306,41 @@ def find_frame(
     Returns:
         Kind and name (None if there is no such frame, or names are not known), and the problem.
     """
+    kinds: tuple[FrameKind, ...] = FRAME_KINDS
+    wanted_name = name
     prefix, colon, rest = name.partition(":")
-    said = next((kind for kind in FRAME_KINDS if colon and prefix == kind), None)
-    wanted, kinds = (rest, (said,)) if said is not None else (name, FRAME_KINDS)
-    there: dict[FrameKind, Sequence[str]] = {}
+    for kind in FRAME_KINDS:
+        if colon and prefix == kind:
+            kinds = (kind,)
+            wanted_name = rest
+
+    names_of: dict[FrameKind, Sequence[str]] = {}
     for kind in kinds:
-        own = names(kind)
-        if own is None:
+        names_of_kind = names(kind)
+        if names_of_kind is None:
             return None, []
-        if wanted in own:
-            return (kind, wanted), []
-        there[kind] = own
+        if wanted_name in names_of_kind:
+            return (kind, wanted_name), []
+        names_of[kind] = names_of_kind
+
     first = kinds[0]
     what = f"no {first} of {uid!r} matches" if uid else f"no {first} is called"
-    message = f"{what} {wanted!r}; there are: {listing(there[first], wanted)}"
+    message = f"{what} {wanted_name!r}; there are: {listing(names_of[first], wanted_name)}"
     for kind in kinds[1:]:
-        message += f"; {kind}s: {listing(there[kind], wanted)}" if there[kind] else ""
-    every = [one for own in there.values() for one in own]
-    return None, [Problem(path, message, _closest(wanted, every))]
+        if names_of[kind]:
+            message += f"; {kind}s: {listing(names_of[kind], wanted_name)}"
+    all_names: list[str] = []
+    for kind in kinds:
+        all_names += names_of[kind]
+    return None, [Problem(path, message, _closest(wanted_name, all_names))]
 
 
 def names_in_spec(spec: mujoco.MjSpec, kind: FrameKind) -> Sequence[str]:
     """The names of a spec's links, sites or geoms; of links those of the world's are left out."""
     if kind == "link":
         return [body.name for body in spec.bodies[1:]]  # the first is the world
-    return [one.name for one in (spec.sites if kind == "site" else spec.geoms) if one.name]
+    elements = spec.sites if kind == "site" else spec.geoms
+    return [element.name for element in elements if element.name]
 
 
 def find_in_spec(
@@ -328,168 +366,215 @@ def pick(
     """
     uid = str(fields.get("uid") or "")
     entity = known.get(uid)
-    picked = Picked()
+    if entity is None:
+        if uid in known or (open_scene and uid):
+            return Picked(), []
+        return Picked(), [_no_entity(uid, known).below(path)]
+    reference = _Reference(uid, entity, fields)
     if isinstance(entity, (str, KnownObject)):
-        picked, problems = _pick_of_body(entity, uid, fields)
-    elif entity is not None:
-        picked, problems = _pick_of_articulation(entity, uid, fields)
-    elif uid in known or (open_scene and uid):
-        problems = []
+        picked, problems = _pick_of_body(reference, entity)
     else:
-        there = [name for name, what in known.items() if what != "light"]
-        what = f"no entity is called {uid!r}" if uid else "name an entity"
-        hint = did_you_mean(uid, there).strip()
-        problems = [Problem("uid", f"{what}; there are: {listing(there, uid)}", hint)]
-    return Picked() if problems else picked, [p.below(path) for p in problems]
+        picked, problems = _pick_of_articulation(reference, entity)
+    if problems:
+        return Picked(), [problem.below(path) for problem in problems]
+    return picked, []
+
+
+def _no_entity(uid: str, known: Known) -> Problem:
+    """Return the problem that a reference names no entity of the scene."""
+    uids = [name for name, entity in known.items() if entity != "light"]
+    what = f"no entity is called {uid!r}" if uid else "name an entity"
+    hint = did_you_mean(uid, uids).strip()
+    return Problem("uid", f"{what}; there are: {listing(uids, uid)}", hint)
+
+
+@dataclass(frozen=True)
+class _Match:
+    """One name or regex of a reference, and the indices of the names that it matches."""
+
+    key: str
+    text: str
+    ids: tuple[int, ...]
+
+    def named_by(self, names: Sequence[str]) -> NamedBy:
+        """Return the entry with the names that it picks."""
+        return NamedBy(self.key, self.text, tuple(names[i] for i in self.ids))
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """A reference as it is written, and the entity that it names.
+
+    Attributes:
+        uid: The entity's name.
+        entity: The entity.
+        fields: The keys of the reference.
+    """
+
+    uid: str
+    entity: Jointed | KnownObject | str
+    fields: Mapping[str, Any]
+
+    def match_names(
+        self, key: str, names: Sequence[str], what: str
+    ) -> tuple[list[_Match] | None, list[Problem]]:
+        """Match each name or regex of a key; None if the reference does not have the key."""
+        if self.fields.get(key) is None:
+            return None, []
+        matches: list[_Match] = []
+        problems: list[Problem] = []
+        for pattern in _as_list(self.fields[key]):
+            # The short key is one name as it is, which may hold characters of a regex.
+            if key == what and pattern in names:
+                return [_Match(key, pattern, (names.index(pattern),))], []
+            ids, mistakes = match_every(str(pattern), names, f"{what} of {self.uid!r}", key)
+            matches.append(_Match(key, str(pattern), ids))
+            problems += mistakes
+        return matches, problems
+
+    def read_numbers(
+        self, key: str, count: int, what: str
+    ) -> tuple[list[int] | None, list[Problem]]:
+        """Check indices that are written as numbers; None if the reference has none."""
+        ids = self.fields.get(key)
+        if ids is None:
+            return None, []
+        wrong_ids = [i for i in ids if not 0 <= i < count]
+        if wrong_ids:
+            message = f"{self.uid!r} has {count} {what}, numbered from 0; got {wrong_ids}"
+            return [], [Problem(key, message)]
+        return list(ids), []
+
+    def sort(self, ids: Sequence[int]) -> tuple[int, ...]:
+        """Return each index once: in the entity's order, or as written with `preserve_order`."""
+        unique = list(dict.fromkeys(ids))
+        if not self.fields.get("preserve_order"):
+            unique.sort()
+        return tuple(unique)
+
+    def frame_keys(self) -> dict[FrameKind, list[str]]:
+        """Return the keys that name frames, by their kind."""
+        keys_of: dict[FrameKind, list[str]] = {}
+        for kind, keys in _FRAME_KEYS.items():
+            keys_of[kind] = [key for key in keys if self.fields.get(key) is not None]
+        return keys_of
+
+    def with_other_kind(self, problem: Problem, key: str, kind: FrameKind) -> Problem:
+        """Return a problem with the other kind of which a frame has the name, if there is one."""
+        for other in FRAME_KINDS:
+            if other == kind:
+                continue
+            names = frame_names(self.entity, self.uid, other) or ()
+            for value in _as_list(self.fields[key]):
+                name = str(value)
+                if name in names and name in problem.message:
+                    hint = f"A {other} is called so: write {other}: {name}, or {other}_names."
+                    return Problem(problem.path, problem.message, hint)
+        return problem
+
+
+def _as_list(value: Any) -> Sequence[Any]:
+    """Return a list as it is, and one name as a list."""
+    return [value] if isinstance(value, str) else value
 
 
 def _pick_of_articulation(
-    entity: Jointed, uid: str, fields: Mapping[str, Any]
+    reference: _Reference, articulation: Jointed
 ) -> tuple[Picked, list[Problem]]:
-    names, there = entity.joint_names, list(entity.control_parts)
-    active = [i for i in range(len(names)) if i not in entity.mimic_ids]
-    parts, problems = _matching("control_parts", fields, there, "control part", uid)
-    joints, found = _matching("joint_names", fields, names, "joint", uid)
-    problems += found
-    ids, found = _numbered("joint_ids", fields, len(names), "joints", uid)
-    problems += found
-    by: list[NamedBy] = []
-    chosen = [there[i] for _, hits in parts or () for i in hits]
-    if ids is not None:
-        by = [NamedBy("joint_ids", str(i), (names[i],)) for i in ids]
-    elif parts is None and joints is None:
-        ids = active
+    joint_names = articulation.joint_names
+    part_names = list(articulation.control_parts)
+    active = [i for i in range(len(joint_names)) if i not in articulation.mimic_ids]
+    part_matches, problems = reference.match_names("control_parts", part_names, "control part")
+    joint_matches, mistakes = reference.match_names("joint_names", joint_names, "joint")
+    problems += mistakes
+    numbers, mistakes = reference.read_numbers("joint_ids", len(joint_names), "joints")
+    problems += mistakes
+
+    parts = [part_names[i] for part_match in part_matches or () for i in part_match.ids]
+    joints: tuple[int, ...]
+    joints_by: list[NamedBy] = []
+    if numbers is not None:
+        joints = tuple(numbers)
+        joints_by = [NamedBy("joint_ids", str(i), (joint_names[i],)) for i in numbers]
+    elif part_matches is None and joint_matches is None:
+        joints = tuple(active)
     else:
-        of_parts = {p: [i for i in entity.control_parts[p] if i in active] for p in chosen}
-        by = [NamedBy("control_parts", p, _named(of_parts[p], names)) for p in chosen]
-        by += [NamedBy("joint_names", text, _named(hits, names)) for text, hits in joints or ()]
-        picked = [i for own in of_parts.values() for i in own] + _flat(joints)
-        ids = _ordered(picked, fields)
-        if not ids and not problems:
-            key = "joint_names" if parts is None else "control_parts"
-            problems.append(Problem(key, f"picks no joint of {uid!r}; leave it out for all"))
-    frames, found = _frames(entity, uid, fields)
-    picked_all = replace(frames, joints=tuple(ids), parts=tuple(chosen), joints_by=tuple(by))
-    return picked_all, problems + found
+        picked: list[int] = []
+        for part in parts:
+            of_part = [i for i in articulation.control_parts[part] if i in active]
+            picked += of_part
+            names = tuple(joint_names[i] for i in of_part)
+            joints_by.append(NamedBy("control_parts", part, names))
+        for joint_match in joint_matches or ():
+            picked += joint_match.ids
+            joints_by.append(joint_match.named_by(joint_names))
+        joints = reference.sort(picked)
+        if not joints and not problems:
+            key = "joint_names" if part_matches is None else "control_parts"
+            message = f"picks no joint of {reference.uid!r}; leave it out for all"
+            problems.append(Problem(key, message))
+
+    frames, mistakes = _pick_frames(reference)
+    problems += mistakes
+    return replace(frames, joints=joints, parts=tuple(parts), joints_by=tuple(joints_by)), problems
 
 
-def _pick_of_body(
-    entity: KnownObject | str, uid: str, fields: Mapping[str, Any]
-) -> tuple[Picked, list[Problem]]:
+def _pick_of_body(reference: _Reference, entity: KnownObject | str) -> tuple[Picked, list[Problem]]:
+    uid = reference.uid
     what = "rigid object" if isinstance(entity, KnownObject) else entity
     if what == "light":
         return Picked(), [Problem("uid", f"{uid!r} is a light: terms act on robots and objects")]
     problems = [
-        Problem(name, f"{uid!r} is a {what} without joints")
-        for name in ("joint_names", "control_parts", "joint_ids")
-        if fields.get(name)
+        Problem(key, f"{uid!r} is a {what} without joints")
+        for key in ("joint_names", "control_parts", "joint_ids")
+        if reference.fields.get(key)
     ]
-    frames, found = _frames(entity, uid, fields)
-    return frames, problems + found
+    frames, mistakes = _pick_frames(reference)
+    return frames, problems + mistakes
 
 
-def _frames(
-    entity: Jointed | KnownObject | str, uid: str, fields: Mapping[str, Any]
-) -> tuple[Picked, list[Problem]]:
+def _pick_frames(reference: _Reference) -> tuple[Picked, list[Problem]]:
     """The picked links, sites or geoms."""
-    given = {k: [key for key in keys if fields.get(key) is not None] for k, keys in _KEYS}
-    kinds = [kind for kind, keys in given.items() if keys]
+    keys_of = reference.frame_keys()
+    kinds = [kind for kind in FRAME_KINDS if keys_of[kind]]
     if len(kinds) > 1:
-        first, second = given[kinds[0]][0], given[kinds[1]][0]
+        first = keys_of[kinds[0]][0]
+        second = keys_of[kinds[1]][0]
         message = f"{first} is given as well: a reference names links, sites or geoms, of one kind"
         return Picked(), [Problem(second, message)]
     kind = kinds[0] if kinds else "link"
-    key = given[kind][0] if kinds else "link_names"
-    if kind in given[kind] and len(given[kind]) > 1:
-        other = next(key for key in given[kind] if key != kind)
+    keys = keys_of[kind]
+    first_key = keys[0] if keys else "link_names"
+    if kind in keys and len(keys) > 1:
+        other = next(key for key in keys if key != kind)
         return Picked(), [Problem(kind, f"{other} is given as well: leave one of them out")]
-    names = frame_names(entity, uid, kind)
+
+    names = frame_names(reference.entity, reference.uid, kind)
     if names is None:
-        return Picked(kind=kind, key=key), []
-    ids, problems = _numbered("body_ids", fields, len(names), "links", uid)
-    if ids is not None:
-        numbers = tuple(NamedBy("body_ids", str(i), (names[i],)) for i in ids)
-        return Picked(kind=kind, frames=tuple(ids), key=key, frames_by=numbers), problems
+        return Picked(kind=kind, key=first_key), []
+    numbers, problems = reference.read_numbers("body_ids", len(names), "links")
+    if numbers is not None:
+        by_number = tuple(NamedBy("body_ids", str(i), (names[i],)) for i in numbers)
+        frames = Picked(kind=kind, frames=tuple(numbers), key=first_key, frames_by=by_number)
+        return frames, problems
+
     picked: list[int] = []
-    by: list[NamedBy] = []
-    for name in given[kind]:
-        entries, found = _matching(name, fields, names, kind, uid)
-        matched = None if entries is None else _flat(entries)
-        by += [NamedBy(name, text, _named(hits, names)) for text, hits in entries or ()]
-        if name == kind and len(matched or ()) > 1:
-            matching = ", ".join(names[i] for i in matched or ())
-            found.append(Problem(name, f"one {kind} is wanted, these match: {matching}"))
-        picked += matched or ()
-        problems += [_with_other_kind(p, entity, uid, fields[name], kind) for p in found]
-        if kind != "link" and matched == [] and not found:
-            problems.append(Problem(name, f"names no {kind}; leave it out for the root"))
-    ordered = tuple(_ordered(picked, fields))
-    return Picked(kind=kind, frames=ordered, key=key, frames_by=tuple(by)), problems
-
-
-_KEYS = _FRAME_KEYS.items()
-
-
-def _with_other_kind(
-    problem: Problem,
-    entity: Jointed | KnownObject | str,
-    uid: str,
-    wanted: Any,
-    kind: FrameKind,
-) -> Problem:
-    """The problem, with the other kind of which a frame has the name, if there is one."""
-    wanted = [wanted] if isinstance(wanted, str) else wanted
-    for other in FRAME_KINDS:
-        there = () if other == kind else frame_names(entity, uid, other) or ()
-        called = [str(name) for name in wanted if str(name) in there and name in problem.message]
-        if called:
-            keys = f"{other}: {called[0]}, or {other}_names"
-            return Problem(problem.path, problem.message, f"A {other} is called so: write {keys}.")
-    return problem
-
-
-_Entries = list[tuple[str, tuple[int, ...]]]
-"""Entries of a list of names, and the indices of what each matches."""
-
-
-def _matching(
-    key: str, fields: Mapping[str, Any], names: Sequence[str], what: str, uid: str
-) -> tuple[_Entries | None, list[Problem]]:
-    """Each name or regex of a key with the indices of the names that it matches."""
-    wanted = fields.get(key)
-    if wanted is None:
-        return None, []
-    entries: _Entries = []
-    problems: list[Problem] = []
-    for pattern in [wanted] if isinstance(wanted, str) else wanted:
-        if key == what and pattern in names:  # one name, as it is
-            return [(pattern, (names.index(pattern),))], []
-        found, wrong = match_every(str(pattern), names, f"{what} of {uid!r}", key)
-        entries.append((str(pattern), found))
-        problems += wrong
-    return entries, problems
-
-
-def _flat(entries: _Entries | None) -> list[int]:
-    return [i for _, hits in entries or () for i in hits]
-
-
-def _named(ids: Sequence[int], names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(names[i] for i in ids)
-
-
-def _numbered(
-    key: str, fields: Mapping[str, Any], count: int, what: str, uid: str
-) -> tuple[list[int] | None, list[Problem]]:
-    """Check indices that are given directly."""
-    ids = fields.get(key)
-    wrong = [i for i in ids or () if not 0 <= i < count]
-    if wrong:
-        message = f"{uid!r} has {count} {what}, numbered from 0; got {wrong}"
-        return [], [Problem(key, message)]
-    return None if ids is None else list(ids), []
-
-
-def _ordered(picked: list[int], fields: Mapping[str, Any]) -> list[int]:
-    unique = list(dict.fromkeys(picked))
-    return unique if fields.get("preserve_order") else sorted(unique)
+    frames_by: list[NamedBy] = []
+    for key in keys:
+        matches, mistakes = reference.match_names(key, names, kind)
+        ids = [i for frame_match in matches or () for i in frame_match.ids]
+        if key == kind and len(ids) > 1:
+            matching = ", ".join(names[i] for i in ids)
+            mistakes.append(Problem(key, f"one {kind} is wanted, these match: {matching}"))
+        if kind != "link" and not ids and not mistakes:
+            mistakes.append(Problem(key, f"names no {kind}; leave it out for the root"))
+        picked += ids
+        frames_by += [frame_match.named_by(names) for frame_match in matches or ()]
+        problems += [reference.with_other_kind(problem, key, kind) for problem in mistakes]
+    frames = Picked(
+        kind=kind,
+        frames=reference.sort(picked),
+        key=first_key,
+        frames_by=tuple(frames_by),
+    )
+    return frames, problems

@@ -31,11 +31,8 @@ from embodichain.lab.sim.cfg import (
 from embodichain.lab.sim.compiler.compile_scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.names import Known
 from embodichain.lab.sim.compiler.robot.articulation import parse_with_problems
-from embodichain.lab.sim.compiler.robot.drives.pd_drives import (
-    DriveChange,
-    PhysicsStep,
-    physics_step,
-)
+from embodichain.lab.sim.compiler.robot.drives.chatter import PhysicsStep, physics_step
+from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange
 from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.scene.appearance import check_light
 from embodichain.lab.sim.compiler.scene.known import known_entities

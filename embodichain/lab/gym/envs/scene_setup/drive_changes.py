@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from embodichain.lab.gym.envs.cfg import EventCfg
 from embodichain.lab.gym.envs.managers.terms.physics_draws import PhysicsDraw, physics_draws
-from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveChange
+from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange
 
 __all__ = ["drive_changes"]
 

@@ -74,8 +74,8 @@ class ContactParameters:
         """Return the parameters that a config gives."""
         if cfg is None:
             return cls()
-        given = {field.name: getattr(cfg, field.name) for field in dataclasses.fields(ContactCfg)}
-        return cls(**{name: _plain(name, value) for name, value in given.items()})
+        names = [field.name for field in dataclasses.fields(ContactCfg)]
+        return cls(**{name: _plain(name, getattr(cfg, name)) for name in names})
 
     @classmethod
     def of_geom(cls, geom: mujoco.MjsGeom) -> ContactParameters:
@@ -85,42 +85,46 @@ class ContactParameters:
 
     def over(self, other: ContactParameters) -> ContactParameters:
         """Return these parameters, with those of `other` where they are None."""
-        own = {name: value for name, value in vars(self).items() if value is not None}
-        return dataclasses.replace(other, **own)
+        return dataclasses.replace(other, **self.values())
+
+    def values(self) -> dict[str, Any]:
+        """Return the fields that are to be set, by name."""
+        return {name: value for name, value in vars(self).items() if value is not None}
 
 
 def _plain(name: str, value: Any) -> Any:
     """A number, or a tuple of numbers; one friction is a tuple of one."""
     if isinstance(value, (Sequence, np.ndarray)):
         return tuple(float(x) for x in value)
-    return (float(value),) if name == "friction" and value is not None else value
+    if name == "friction" and value is not None:
+        return (float(value),)
+    return value
 
 
 def set_contact_parameters(geoms: Sequence[mujoco.MjsGeom], parameters: ContactParameters) -> None:
     """Set fields of geoms. Of a list that is shorter than the field, the rest stays."""
     for geom in geoms:
-        for name, value in vars(parameters).items():
-            if value is None:
-                continue
-            now = getattr(geom, name)
-            if isinstance(now, np.ndarray):
-                now[: len(value)] = value
+        for name, value in parameters.values().items():
+            current = getattr(geom, name)
+            if isinstance(current, np.ndarray):
+                current[: len(value)] = value
             else:
                 setattr(geom, name, value)
 
 
 def fixed_contact(cfg: ContactCfg | None) -> ContactParameters:
     """Return the parameters of a collider that does not move, of which its config gives some."""
-    given = ContactParameters.of_config(cfg)
-    return given.over(ContactParameters(priority=FIXED_PRIORITY if given.friction is None else 0))
+    parameters = ContactParameters.of_config(cfg)
+    priority = FIXED_PRIORITY if parameters.friction is None else 0
+    return parameters.over(ContactParameters(priority=priority))
 
 
 def given_parameters(cfg: ContactCfg) -> frozenset[str]:
     """Return the names of the parameters that a config of a collider that does not move decides."""
-    given = {
-        name for name, value in vars(ContactParameters.of_config(cfg)).items() if value is not None
-    }
-    return frozenset(given | {"priority"} if "friction" in given else given)
+    names = set(ContactParameters.of_config(cfg).values())
+    if "friction" in names:
+        names.add("priority")
+    return frozenset(names)
 
 
 def bouncing_solref(restitution: float) -> tuple[float, float]:
@@ -133,10 +137,14 @@ def bouncing_solref(restitution: float) -> tuple[float, float]:
     Args:
         restitution: More than `LEAST_RESTITUTION` and less than 1.
     """
-    low, high = 0.0, 1.0
-    for _ in range(60):
+    low = 0.0
+    high = 1.0
+    for _ in range(60):  # bisection: a larger ratio bounces less
         ratio = 0.5 * (low + high)
-        low, high = (ratio, high) if _restitution(ratio) > restitution else (low, ratio)
+        if _restitution(ratio) > restitution:
+            low = ratio
+        else:
+            high = ratio
     return 0.02 / ratio, ratio
 
 
@@ -153,13 +161,13 @@ def _restitution(ratio: float) -> float:
 def check_contact(cfg: ContactCfg) -> list[Problem]:
     """Return every mistake in contact parameters, with paths below them."""
     problems: list[Problem] = []
-    for name, value in (("friction", cfg.friction), ("solmix", cfg.solmix)):
-        problems += _check_positive(name, value)
-    for name, value in (("margin", cfg.margin), ("gap", cfg.gap)):
-        problems += _check_positive(name, value)
-    if cfg.friction is not None and not 1 <= len(np.atleast_1d(cfg.friction)) <= 3:
-        message = "1 to 3 coefficients: sliding, torsional, rolling"
-        problems.append(Problem("friction", f"{message}; got {len(np.atleast_1d(cfg.friction))}"))
+    for name in ("friction", "solmix", "margin", "gap"):
+        problems += _check_not_negative(name, getattr(cfg, name))
+    if cfg.friction is not None:
+        count = len(np.atleast_1d(cfg.friction))
+        if not 1 <= count <= 3:
+            message = f"1 to 3 coefficients: sliding, torsional, rolling; got {count}"
+            problems.append(Problem("friction", message))
     if cfg.condim is not None and cfg.condim not in (1, 3, 4, 6):
         problems.append(Problem("condim", f"must be 1, 3, 4 or 6, got {cfg.condim}"))
     if cfg.solref is not None:
@@ -169,7 +177,7 @@ def check_contact(cfg: ContactCfg) -> list[Problem]:
     return problems
 
 
-def _check_positive(name: str, value: object) -> list[Problem]:
+def _check_not_negative(name: str, value: object) -> list[Problem]:
     if value is None:
         return []
     numbers = np.atleast_1d(np.asarray(value, np.float64))
@@ -195,7 +203,8 @@ def check_solimp(path: str, solimp: Sequence[float]) -> list[Problem]:
     """Return what is wrong with a solimp; MuJoCo clamps values out of range."""
     if not 1 <= len(solimp) <= 5 or not all(map(math.isfinite, solimp)):
         return [Problem(path, f"must be 1 to 5 finite numbers, got {list(solimp)}")]
-    least, most = 1.0 - _LARGEST_IMPEDANCE, _LARGEST_IMPEDANCE
+    least = 1.0 - _LARGEST_IMPEDANCE
+    most = _LARGEST_IMPEDANCE
     limits = (
         ("dmin", least, most),
         ("dmax", least, most),

@@ -52,9 +52,11 @@ def cache_folder() -> Path:
     It is ``meshes`` in ``$EMBODICHAIN_CACHE``, else in ``$XDG_CACHE_HOME/embodichain``, else in
     ``~/.cache/embodichain``.
     """
-    own = os.environ.get("EMBODICHAIN_CACHE")
+    configured = os.environ.get("EMBODICHAIN_CACHE")
+    if configured:
+        return Path(configured).expanduser() / "meshes"
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return (Path(own) if own else Path(base, "embodichain")).expanduser() / "meshes"
+    return Path(base, "embodichain").expanduser() / "meshes"
 
 
 def digest(recipe: str, files: list[Path]) -> str:
@@ -84,27 +86,27 @@ def entry(name: str, make: Callable[[Path], dict[str, Any]]) -> tuple[Path, dict
     Raises:
         OSError: If the cache cannot be written.
     """
-    place = cache_folder() / name
+    folder = cache_folder() / name
     try:
-        return place, json.loads((place / _MANIFEST).read_bytes())
+        return folder, json.loads((folder / _MANIFEST).read_bytes())
     except FileNotFoundError:
-        pass
-    place.parent.mkdir(parents=True, exist_ok=True)
-    remove_abandoned(place.parent)
-    stage = place.with_name(temporary_name(name))
+        pass  # it is made below
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    remove_abandoned(folder.parent)
+    stage = folder.with_name(temporary_name(name))
     stage.mkdir()
     try:
         manifest = make(stage)
         (stage / _MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
         try:
-            stage.rename(place)
+            stage.rename(folder)
         except OSError:
-            if not (place / _MANIFEST).is_file():
+            if not (folder / _MANIFEST).is_file():
                 raise
             # Another process has created the same entry.
     finally:
         shutil.rmtree(stage, ignore_errors=True)
-    return place, manifest
+    return folder, manifest
 
 
 NATIVE = (".obj", ".stl", ".msh")
@@ -116,7 +118,9 @@ MAX_STL_FACES = 200_000
 _VERSION = 2  # increased with every change of the output
 _PARTS_VERSION = 1  # likewise, for convex parts
 _HULL_VERTICES = 64  # per part, as the compiler keeps of a hull
-_STL_HEAD, _STL_FACE = 84, 50  # bytes
+_NO_LIMIT = -1  # CoACD's word for as many parts as needed
+_STL_HEADER_BYTES = 84
+_STL_FACE_BYTES = 50
 
 
 @dataclass(frozen=True)
@@ -148,10 +152,11 @@ def reads(path: Path) -> bool:
     if suffix != ".stl":
         return suffix in NATIVE
     with path.open("rb") as file:
-        head = file.read(_STL_HEAD)
-    faces = int.from_bytes(head[80:84], "little")
-    whole = path.stat().st_size >= _STL_HEAD + _STL_FACE * faces
-    return len(head) == _STL_HEAD and 0 < faces <= MAX_STL_FACES and whole
+        header = file.read(_STL_HEADER_BYTES)
+    faces = int.from_bytes(header[80:84], "little")
+    if len(header) < _STL_HEADER_BYTES or not 0 < faces <= MAX_STL_FACES:
+        return False
+    return path.stat().st_size >= _STL_HEADER_BYTES + _STL_FACE_BYTES * faces
 
 
 def has_materials(path: Path) -> bool:
@@ -177,13 +182,14 @@ def convert_visual(path: Path) -> MadeVisual:
     folder, manifest = entry(name, make)
     parts = tuple(
         MadePart(
-            folder / part["mesh"],
-            tuple(part["rgba"]) if part["rgba"] else None,
-            folder / part["texture"] if part["texture"] else None,
+            mesh=folder / part["mesh"],
+            rgba=tuple(part["rgba"]) if part["rgba"] else None,
+            texture=folder / part["texture"] if part["texture"] else None,
         )
         for part in manifest["parts"]
     )
-    return MadeVisual(parts, tuple(f"{path}: {note}" for note in manifest["notes"]))
+    notes = tuple(f"{path}: {note}" for note in manifest["notes"])
+    return MadeVisual(parts, notes)
 
 
 def convert_collision(path: Path) -> Path:
@@ -221,22 +227,28 @@ def decompose(path: Path, max_parts: int | None = None) -> tuple[Path, ...]:
     except metadata.PackageNotFoundError as error:
         message = "splitting into convex parts needs coacd: pip install 'embodichain[decompose]'"
         raise MeshError(f"{path}: {message}") from error
-    most = -1 if max_parts is None else max_parts
-    recipe = f"parts {_PARTS_VERSION} coacd {version} {most} {path.name}"
+    limit = _NO_LIMIT if max_parts is None else max_parts
+    recipe = f"parts {_PARTS_VERSION} coacd {version} {limit} {path.name}"
     name = digest(recipe, [path, *referenced(path)])
 
     def make(folder: Path) -> dict[str, Any]:
-        files = []
-        for number, part in enumerate(_split(path, most)):
-            files.append(f"{path.stem}-{name[:8]}-{number}.obj")
-            write_obj(part, folder / files[-1])
+        files: list[str] = []
+        for number, part in enumerate(_split(path, limit)):
+            file = f"{path.stem}-{name[:8]}-{number}.obj"
+            write_obj(part, folder / file)
+            files.append(file)
         return {"files": files}
 
     folder, manifest = entry(name, make)
     return tuple(folder / file for file in manifest["files"])
 
 
-def _split(path: Path, most: int) -> list[MeshPart]:
+def _split(path: Path, max_parts: int) -> list[MeshPart]:
+    """Return the convex parts of a mesh.
+
+    Raises:
+        MeshError: If it cannot be read, or CoACD fails.
+    """
     import ruckig  # noqa: F401  (experts use it; loaded after coacd, it crashes the process)
 
     import coacd  # isort: skip
@@ -247,7 +259,7 @@ def _split(path: Path, most: int) -> list[MeshPart]:
     try:
         parts = coacd.run_coacd(
             mesh,
-            max_convex_hull=most,
+            max_convex_hull=max_parts,
             decimate=True,
             max_ch_vertex=_HULL_VERTICES,
             seed=0,
@@ -288,24 +300,29 @@ def referenced(path: Path) -> list[Path]:
     suffix = path.suffix.lower()
     if suffix == ".obj":
         libraries = _libraries(path)
-        return [
-            *libraries,
-            *(f for lib in libraries for f in _named(lib, rb"(?m)^\s*map_\w+\s(.*)$")),
-        ]
+        files = list(libraries)
+        for library in libraries:
+            files += _find_files(library, rb"(?m)^\s*map_\w+\s(.*)$")
+        return files
     if suffix == ".dae":
-        return _named(path, rb"<init_from>([^<]*)</init_from>")
+        return _find_files(path, rb"<init_from>([^<]*)</init_from>")
     if suffix == ".gltf":
-        return _named(path, rb'"uri"\s*:\s*"([^"]{1,512})"')
+        return _find_files(path, rb'"uri"\s*:\s*"([^"]{1,512})"')
     return []
 
 
 def _libraries(path: Path) -> list[Path]:
     """Return the material files of an OBJ file that exist."""
-    return [lib for lib in _named(path, rb"(?m)^mtllib\s+(.*)$") if lib.is_file()]
+    files = _find_files(path, rb"(?m)^mtllib\s+(.*)$")
+    return [file for file in files if file.is_file()]
 
 
-def _named(path: Path, pattern: bytes) -> list[Path]:
-    """Return the files that a file refers to, without options before a texture's name."""
-    names = re.findall(pattern, path.read_bytes())
-    texts = [name.decode("utf-8", "replace").strip() for name in names]
-    return [path.parent / unquote(t.removeprefix("file://")).split(" ")[-1] for t in texts if t]
+def _find_files(path: Path, pattern: bytes) -> list[Path]:
+    """Return the files that a file refers to, each the group of a match of the pattern."""
+    files: list[Path] = []
+    for match in re.findall(pattern, path.read_bytes()):
+        text = match.decode("utf-8", "replace").strip()
+        if text:
+            name = unquote(text.removeprefix("file://")).split(" ")[-1]  # options are before it
+            files.append(path.parent / name)
+    return files

@@ -34,7 +34,8 @@ _EMBEDDING = (".glb", ".gltf")
 """Formats with pictures inside, which trimesh opens without asking for a file."""
 _MAX_PIXELS = 512
 """Longest side: models and logs contain uncompressed images."""
-_MAX_COLORS = 16  # face colours that become parts; with more, one part in their mean colour
+_MAX_COLORS = 16
+"""Face colours that become parts; with more, there is one part in their mean colour."""
 _TO_Z_UP: dict[str, F64] = {  # COLLADA 1.4.1, section "up_axis": which axes are right, up, inward
     "X_UP": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
     "Y_UP": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
@@ -130,7 +131,8 @@ def read_mesh(path: Path) -> MeshData:
     for part in data.parts:
         if part.texture is not None and part.uv is None:
             data.notes.append("a texture without coordinates: drawn in its mean colour")
-            part.rgba, part.texture = _mean_color(part.texture), None
+            part.rgba = _mean_color(part.texture)
+            part.texture = None
     data.parts = list(_by_material(data.parts))
     return data
 
@@ -140,11 +142,12 @@ def _by_material(parts: list[MeshPart]) -> Iterator[MeshPart]:
     groups: dict[tuple[Rgba | None, int], list[MeshPart]] = {}
     for part in parts:
         groups.setdefault((part.rgba, id(part.texture)), []).append(part)
-    for same in groups.values():
-        first = same[0]
-        whole = joined(same, textured=first.texture is not None)
-        whole.rgba, whole.texture = first.rgba, first.texture
-        yield whole
+    for group in groups.values():
+        first = group[0]
+        part = joined(group, textured=first.texture is not None)
+        part.rgba = first.rgba
+        part.texture = first.texture
+        yield part
 
 
 # ----------------------------------------------------------------------------------------- COLLADA
@@ -171,7 +174,7 @@ def _read_collada(path: Path) -> MeshData:
         raise MeshError(f"{path}: not readable as COLLADA: {error}") from error
     data = MeshData([], notes)
     turn = float(document.assetInfo.unitmeter or 1.0) * _to_z_up(document.assetInfo)
-    looks: dict[str, tuple[Rgba | None, Image | None]] = {}
+    looks: dict[str, _Look] = {}
     for bound in document.scene.objects("geometry") if document.scene else ():
         for primitive in bound.primitives():
             part = _part(primitive, turn)
@@ -180,16 +183,29 @@ def _read_collada(path: Path) -> MeshData:
             material = primitive.material
             if material is not None:
                 if material.id not in looks:
-                    effect = material.effect
-                    image = _image(effect.diffuse) or _image(effect.emission)
-                    texture = _open_texture(path, image, data.notes) if image else None
-                    looks[material.id] = _color(effect), texture
-                part.rgba, part.texture = looks[material.id]
+                    looks[material.id] = _read_look(path, material.effect, data.notes)
+                part.rgba = looks[material.id].rgba
+                part.texture = looks[material.id].texture
             data.parts.append(part)
     if not data.parts:
         raise MeshError(f"{path}: it contains no triangles")
     data.notes = list(dict.fromkeys(data.notes))
     return data
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Colour and texture of a material."""
+
+    rgba: Rgba | None
+    texture: Image | None
+
+
+def _read_look(path: Path, effect: Any, notes: list[str]) -> _Look:
+    """Read the look of a COLLADA material; one image, so that parts can share it."""
+    image = _image(effect.diffuse) or _image(effect.emission)
+    texture = _open_texture(path, image, notes) if image else None
+    return _Look(_color(effect), texture)
 
 
 def _load(source: bytes) -> Any:
@@ -200,11 +216,11 @@ def _load(source: bytes) -> Any:
 
 def _without_broken_materials(source: bytes, document: Any) -> bytes:
     """Return the file without references to materials that could not be read."""
-    known = {f"#{material.id}" for material in document.materials}
+    readable = {f"#{material.id}" for material in document.materials}
     root = ET.fromstring(source)
     for parent in root.findall(".//{*}technique_common"):
         for use in parent.findall("{*}instance_material"):
-            if use.get("target") not in known:
+            if use.get("target") not in readable:
                 parent.remove(use)
     return ET.tostring(root)
 
@@ -245,24 +261,32 @@ def _color(effect: Any) -> Rgba | None:
     Opacity is that of COLLADA 1.4.1, section "Determining Transparency". An opacity of zero is read
     as one, because many exporters write ``transparency`` 0 for opaque materials.
     """
-    colors = [c for c in _tuples(effect.diffuse, effect.emission) if max(c[:3]) > 0]
-    color = colors[0] if colors else next(_tuples(effect.diffuse), None)
-    if color is None:
+    # A texture in place of a colour is not a tuple.
+    colors = [value for value in (effect.diffuse, effect.emission) if isinstance(value, tuple)]
+    bright_colors = [color for color in colors if max(color[:3]) > 0]
+    if bright_colors:
+        color = bright_colors[0]
+    elif isinstance(effect.diffuse, tuple):
+        color = effect.diffuse
+    else:
         return None
-    clear, share = effect.transparent, effect.transparency
-    opacity = 1.0
-    if isinstance(clear, tuple) and isinstance(share, (int, float)):
-        if effect.opaque_mode == "RGB_ZERO":
-            luminance = float(np.dot(clear[:3], (0.212671, 0.715160, 0.072169)))
-            opacity = 1.0 - luminance * share
-        else:
-            opacity = float(clear[3] if len(clear) > 3 else 1.0) * share
     red, green, blue = (min(max(float(c), 0.0), 1.0) for c in color[:3])
-    return red, green, blue, opacity if 0.0 < opacity < 1.0 else 1.0
+    return red, green, blue, _opacity(effect)
 
 
-def _tuples(*values: Any) -> Iterator[tuple[float, ...]]:
-    yield from (value for value in values if isinstance(value, tuple))
+def _opacity(effect: Any) -> float:
+    """Return the opacity of a material in (0, 1], see `_color`."""
+    transparent = effect.transparent
+    transparency = effect.transparency
+    if not isinstance(transparent, tuple) or not isinstance(transparency, (int, float)):
+        return 1.0
+    if effect.opaque_mode == "RGB_ZERO":
+        luminance = float(np.dot(transparent[:3], (0.212671, 0.715160, 0.072169)))
+        opacity = 1.0 - luminance * transparency
+    else:
+        alpha = float(transparent[3]) if len(transparent) > 3 else 1.0
+        opacity = alpha * transparency
+    return opacity if 0.0 < opacity < 1.0 else 1.0
 
 
 def _open_texture(mesh: Path, name: str, notes: list[str]) -> Image | None:
@@ -334,7 +358,8 @@ def _read_other(path: Path) -> MeshData:
 
 
 def _parts(mesh: Any, notes: list[str]) -> list[MeshPart]:
-    visual, kind = mesh.visual, mesh.visual.kind
+    visual = mesh.visual
+    kind = visual.kind
     corners = np.asarray(mesh.vertices)[mesh.faces]
     if kind in ("face", "vertex"):
         return _by_color(corners, np.asarray(visual.face_colors), notes)
@@ -352,7 +377,8 @@ def _parts(mesh: Any, notes: list[str]) -> list[MeshPart]:
 def _rgba(material: Any) -> Rgba | None:
     """The base colour of a trimesh material of either kind; by default white, as in glTF."""
     color = getattr(material, "baseColorFactor", None)
-    color = color if color is not None else getattr(material, "diffuse", None)
+    if color is None:
+        color = getattr(material, "diffuse", None)
     if color is None:
         return 1.0, 1.0, 1.0, 1.0
     values = [float(c) / 255.0 for c in np.asarray(color).ravel()]
@@ -362,13 +388,15 @@ def _rgba(material: Any) -> Rgba | None:
 
 def _by_color(corners: Any, colors: Any, notes: list[str]) -> list[MeshPart]:
     """Split triangles by colour: MuJoCo has no vertex colours."""
-    found, which = np.unique(colors, axis=0, return_inverse=True)
-    if len(found) > _MAX_COLORS:
-        notes.append(f"{len(found)} colours of faces or vertices: drawn in their mean colour")
-        found, which = colors.mean(axis=0, keepdims=True), np.zeros(len(colors), np.int64)
+    unique_colors, color_of_face = np.unique(colors, axis=0, return_inverse=True)
+    if len(unique_colors) > _MAX_COLORS:
+        message = f"{len(unique_colors)} colours of faces or vertices: drawn in their mean colour"
+        notes.append(message)
+        unique_colors = colors.mean(axis=0, keepdims=True)
+        color_of_face = np.zeros(len(colors), np.int64)
     parts = []
-    for number, color in enumerate(found):
-        part = MeshPart.of_corners(corners[which.ravel() == number])
+    for number, color in enumerate(unique_colors):
+        part = MeshPart.of_corners(corners[color_of_face.ravel() == number])
         red, green, blue, alpha = (float(c) / 255.0 for c in color)
         part.rgba = (red, green, blue, alpha)
         parts.append(part)

@@ -58,7 +58,8 @@ _PALETTE = (
     (0.38, 0.65, 0.42),
     (0.58, 0.44, 0.69),
 )
-_GEOM, _INERTIA = mujoco.mjtGeom, mujoco.mjtMeshInertia
+_GEOM = mujoco.mjtGeom
+_INERTIA = mujoco.mjtMeshInertia
 
 
 def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> list[Problem]:
@@ -69,31 +70,46 @@ def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> li
         scale: (3,) factors.
         max_parts: Maximum number of convex collision parts; 1 is the hull, None as many as needed.
     """
-    problems = []
+    problems = _check_dimensions(shape)
+    if isinstance(shape, (CylinderCfg, CapsuleCfg)) and scale[0] != scale[1]:
+        message = f"a {shape.shape_type} scales equally along x and y, got {scale.tolist()}"
+        problems.append(Problem("body_scale", message))
+    if isinstance(shape, MeshCfg):
+        problems += _check_mesh(shape, max_parts)
+    return problems
+
+
+def _check_dimensions(shape: AnyShapeCfg) -> list[Problem]:
+    """Return lengths that are not positive; those of a plane may be 0, which is without end."""
+    problems: list[Problem] = []
     for name in ("size", "radius", "height"):
         value = getattr(shape, name, None)
         if value is None:
             continue
-        array = np.asarray(value, np.float64)
-        allowed = (array >= 0).all() if isinstance(shape, PlaneCfg) else (array > 0).all()
-        if not (allowed and np.isfinite(array).all()):
+        lengths = np.asarray(value, np.float64)
+        if isinstance(shape, PlaneCfg):
+            is_allowed = (lengths >= 0) & np.isfinite(lengths)
+        else:
+            is_allowed = (lengths > 0) & np.isfinite(lengths)
+        if not is_allowed.all():
             problems.append(Problem(f"shape.{name}", f"must be positive metres, got {value}"))
-    if isinstance(shape, (CylinderCfg, CapsuleCfg)) and scale[0] != scale[1]:
-        message = f"a {shape.shape_type} scales equally along x and y, got {scale.tolist()}"
-        problems.append(Problem("body_scale", message))
-    if isinstance(shape, MeshCfg) and not shape.fpath:
-        problems.append(Problem("shape.fpath", "a Mesh needs a file"))
-    elif isinstance(shape, MeshCfg):
-        try:
-            path = Path(get_data_path(shape.fpath))
-            _shape_file(path)
-            if max_parts != 1:
-                decompose(path, max_parts)
-            if shape.visual_material is None:
-                _look(path)
-        except (DataNotFoundError, OutsideError, MeshError, OSError) as error:
-            problems.append(Problem("shape.fpath", str(error)))
     return problems
+
+
+def _check_mesh(shape: MeshCfg, max_parts: int | None) -> list[Problem]:
+    """Return what is wrong with a mesh file: it is read, and converted where that is needed."""
+    if not shape.fpath:
+        return [Problem("shape.fpath", "a Mesh needs a file")]
+    try:
+        path = Path(get_data_path(shape.fpath))
+        _shape_file(path)
+        if max_parts != 1:
+            decompose(path, max_parts)
+        if shape.visual_material is None:
+            _convert_look(path)
+    except (DataNotFoundError, OutsideError, MeshError, OSError) as error:
+        return [Problem("shape.fpath", str(error))]
+    return []
 
 
 def add_shape(
@@ -122,18 +138,22 @@ def add_shape(
         return geom
     geom.material = _surface(spec, uid, shape.visual_material, number)
     if isinstance(shape, CubeCfg):
-        geom.type, geom.size = _GEOM.mjGEOM_BOX, 0.5 * np.asarray(shape.size) * scale
+        geom.type = _GEOM.mjGEOM_BOX
+        geom.size = 0.5 * np.asarray(shape.size) * scale
     elif isinstance(shape, SphereCfg):
         radii = shape.radius * scale
-        even = radii[0] == radii[1] == radii[2]
-        geom.type = _GEOM.mjGEOM_SPHERE if even else _GEOM.mjGEOM_ELLIPSOID
-        geom.size = [radii[0], 0.0, 0.0] if even else radii
+        if radii[0] == radii[1] == radii[2]:
+            geom.type = _GEOM.mjGEOM_SPHERE
+            geom.size = [radii[0], 0.0, 0.0]
+        else:
+            geom.type = _GEOM.mjGEOM_ELLIPSOID
+            geom.size = radii
     elif isinstance(shape, PlaneCfg):
         geom.type = _GEOM.mjGEOM_PLANE
         geom.size = [0.5 * shape.size[0] * scale[0], 0.5 * shape.size[1] * scale[1], 1.0]
     else:
-        capsule = isinstance(shape, CapsuleCfg)
-        geom.type = _GEOM.mjGEOM_CAPSULE if capsule else _GEOM.mjGEOM_CYLINDER
+        is_capsule = isinstance(shape, CapsuleCfg)
+        geom.type = _GEOM.mjGEOM_CAPSULE if is_capsule else _GEOM.mjGEOM_CYLINDER
         geom.size = [shape.radius * scale[0], 0.5 * shape.height * scale[2], 0.0]
     return geom
 
@@ -174,53 +194,63 @@ def _add_mesh(
     The geom has the mass and its hull collides. For several colours, geoms without mass and
     contacts are added that are drawn; for convex parts, geoms that collide in its place.
     """
-    path, body = Path(get_data_path(shape.fpath)), geom.parent
-
-    def mesh(name: str, file: Path) -> mujoco.MjsMesh:
-        added = spec.add_mesh(name=f"{uid}/{name}", file=str(file))
-        added.scale, added.maxhullvert = scale, HULL_VERTICES
-        return added
-
-    def add(name: str, group: int) -> mujoco.MjsGeom:
-        kind = _GEOM.mjGEOM_MESH
-        return body.add_geom(name=name, type=kind, meshname=name, mass=0.0, group=group)
-
-    look = _look(path) if shape.visual_material is None else None
-    single = look is not None and len(look.parts) == 1
-    whole = mesh("mesh", look.parts[0].mesh if look is not None and single else _shape_file(path))
+    path = Path(get_data_path(shape.fpath))
+    body = geom.parent
+    look = _convert_look(path) if shape.visual_material is None else None
+    # A single part has all triangles of the file, with texture coordinates.
+    single_part = look.parts[0] if look is not None and len(look.parts) == 1 else None
+    file = _shape_file(path) if single_part is None else single_part.mesh
+    mesh = _add_mesh_file(spec, f"{uid}/mesh", file, scale)
     if not reads(path):
-        whole.inertia = _INERTIA.mjMESH_INERTIA_CONVEX
-    geom.type, geom.meshname = _GEOM.mjGEOM_MESH, whole.name
+        mesh.inertia = _INERTIA.mjMESH_INERTIA_CONVEX
+    geom.type = _GEOM.mjGEOM_MESH
+    geom.meshname = mesh.name
+
     if look is None:
         geom.material = _surface(spec, uid, shape.visual_material, number)
-    elif single:
-        geom.material = _add_material(spec, f"{uid}/material", look.parts[0])
+    elif single_part is not None:
+        geom.material = _add_material(spec, f"{uid}/material", single_part)
     else:
         geom.group = COLLISION_GROUP
         for i, part in enumerate(look.parts):
-            visual = mesh(f"visual_{i}", part.mesh)
-            visual.inertia = _INERTIA.mjMESH_INERTIA_SHELL
-            drawn = add(visual.name, VISUAL_GROUP)
-            drawn.contype = drawn.conaffinity = 0
+            visual_mesh = _add_mesh_file(spec, f"{uid}/visual_{i}", part.mesh, scale)
+            visual_mesh.inertia = _INERTIA.mjMESH_INERTIA_SHELL
+            visual = _add_massless_geom(body, visual_mesh.name, VISUAL_GROUP)
+            visual.contype = visual.conaffinity = 0
             name = f"{uid}/material_{i}" if i else f"{uid}/material"
-            drawn.material = _add_material(spec, name, part)
+            visual.material = _add_material(spec, name, part)
+
     if max_parts != 1:
         geom.contype = geom.conaffinity = 0
-        for i, convex in enumerate(decompose(path, max_parts)):
-            add(mesh(f"part_{i}", convex).name, COLLISION_GROUP)
+        for i, part_file in enumerate(decompose(path, max_parts)):
+            part_mesh = _add_mesh_file(spec, f"{uid}/part_{i}", part_file, scale)
+            _add_massless_geom(body, part_mesh.name, COLLISION_GROUP)
+
+
+def _add_mesh_file(spec: mujoco.MjSpec, name: str, file: Path, scale: F64) -> mujoco.MjsMesh:
+    mesh = spec.add_mesh(name=name, file=str(file))
+    mesh.scale = scale
+    mesh.maxhullvert = HULL_VERTICES
+    return mesh
+
+
+def _add_massless_geom(body: mujoco.MjsBody, mesh: str, group: int) -> mujoco.MjsGeom:
+    """Add a geom to a body, called like its mesh, that changes nothing of the body's inertia."""
+    return body.add_geom(name=mesh, type=_GEOM.mjGEOM_MESH, meshname=mesh, mass=0.0, group=group)
 
 
 def _shape_file(path: Path) -> Path:
     return path if reads(path) else convert_collision(path)
 
 
-def _look(path: Path) -> MadeVisual | None:
+def _convert_look(path: Path) -> MadeVisual | None:
     """Return the file's parts if it has colours; None if MuJoCo draws the file as it is."""
     if reads(path) and not has_materials(path):
         return None
-    made = convert_visual(path)
-    colored = any(part.rgba is not None or part.texture is not None for part in made.parts)
-    return made if colored else None
+    visual = convert_visual(path)
+    if any(part.rgba is not None or part.texture is not None for part in visual.parts):
+        return visual
+    return None
 
 
 def _add_material(spec: mujoco.MjSpec, name: str, part: MadePart) -> str:
@@ -240,7 +270,9 @@ def collides(geom: mujoco.MjsGeom) -> bool:
 
 def set_collision(geoms: Sequence[mujoco.MjsGeom], enabled: bool) -> None:
     """Let geoms collide with nothing unless they are enabled."""
-    for geom in geoms if not enabled else ():
+    if enabled:
+        return
+    for geom in geoms:
         geom.contype = geom.conaffinity = 0
 
 
@@ -253,19 +285,20 @@ def keep_hull_inertia(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
         spec: The scene.
         body: The body, its shapes added.
     """
-    heavy = [geom for geom in body.geoms if geom.mass != 0.0]
-    meshes = {geom.meshname: spec.mesh(geom.meshname) for geom in heavy if geom.meshname}
+    geoms = [geom for geom in body.geoms if geom.mass != 0.0]
+    meshes = {geom.meshname: spec.mesh(geom.meshname) for geom in geoms if geom.meshname}
     if not any(mesh.inertia == _INERTIA.mjMESH_INERTIA_CONVEX for mesh in meshes.values()):
         return
     alone = mujoco.MjSpec()
-    there = alone.worldbody.add_body()
+    body_alone = alone.worldbody.add_body()
     for name, mesh in meshes.items():
-        copy = alone.add_mesh(name=name, file=mesh.file)
-        copy.scale, copy.inertia = mesh.scale, mesh.inertia
-    for geom in heavy:
-        copy = there.add_geom(type=geom.type, meshname=geom.meshname)
+        unlimited_mesh = alone.add_mesh(name=name, file=mesh.file)
+        unlimited_mesh.scale = mesh.scale
+        unlimited_mesh.inertia = mesh.inertia
+    for geom in geoms:
+        geom_alone = body_alone.add_geom(type=geom.type, meshname=geom.meshname)
         for field in ("pos", "quat", "size", "mass", "density"):
-            setattr(copy, field, getattr(geom, field))
+            setattr(geom_alone, field, getattr(geom, field))
     try:
         model = alone.compile()
     except ValueError:
@@ -275,7 +308,8 @@ def keep_hull_inertia(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
         return
     body.explicitinertial = True
     body.mass = float(model.body_mass[1])
-    body.ipos, body.iquat = model.body_ipos[1], model.body_iquat[1]
+    body.ipos = model.body_ipos[1]
+    body.iquat = model.body_iquat[1]
     body.inertia = model.body_inertia[1]
 
 
@@ -291,6 +325,6 @@ def inertia_about_axes(iquat: F64, moments: F64) -> F64:
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, iquat)
     squares = rotation.reshape(3, 3) ** 2
-    found: F64 = moments[..., :1] * squares[:, 0]
-    found = found + moments[..., 1:2] * squares[:, 1]
-    return found + moments[..., 2:] * squares[:, 2]
+    about_axes = moments[..., :1] * squares[:, 0]
+    about_axes = about_axes + moments[..., 1:2] * squares[:, 1]
+    return about_axes + moments[..., 2:] * squares[:, 2]

@@ -15,7 +15,8 @@ from embodichain.utils.system.pictures import open_picture
 __all__ = ["add_textures", "check_textures", "declared_textures"]
 
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
-_LARGEST = 8192
+_MAX_PIXELS = 8192
+"""Longest side."""
 
 
 def check_textures(names: Sequence[str], path: str) -> list[Problem]:
@@ -43,8 +44,10 @@ def check_textures(names: Sequence[str], path: str) -> list[Problem]:
         for file in files:
             try:
                 with open_picture(file) as image:
-                    if max(image.size) > _LARGEST:
-                        raise ValueError(f"at most {_LARGEST} pixels a side, it has {image.size}")
+                    if max(image.size) > _MAX_PIXELS:
+                        raise ValueError(
+                            f"at most {_MAX_PIXELS} pixels a side, it has {image.size}"
+                        )
                     image.load()
             except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
                 problems.append(Problem(key, f"{file}: no texture: {_without(error, file)}"))
@@ -64,10 +67,13 @@ def add_textures(spec: mujoco.MjSpec, uid: str, names: Sequence[str]) -> list[st
         buffer = io.BytesIO()
         with open_picture(file) as image:  # MuJoCo reads PNG only
             image.convert("RGB").save(buffer, format="PNG")
-        inside = f"{uid}_texture_{number}.png"
-        pictures[inside] = buffer.getvalue()
-        flat = mujoco.mjtTexture.mjTEXTURE_2D
-        spec.add_texture(name=f"{uid}/texture/{number}", type=flat, file=inside)
+        asset = f"{uid}_texture_{number}.png"
+        pictures[asset] = buffer.getvalue()
+        spec.add_texture(
+            name=f"{uid}/texture/{number}",
+            type=mujoco.mjtTexture.mjTEXTURE_2D,
+            file=asset,
+        )
     spec.assets = {**spec.assets, **pictures}
     return [f"{uid}/texture/{number}" for number in range(len(files))]
 

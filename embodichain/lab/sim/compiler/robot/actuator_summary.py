@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.robot.drives.pd_drives import inertia_matrix
+from embodichain.lab.sim.compiler.robot.drives.chatter import inertia_matrix
 from embodichain.lab.sim.compiler.robot.files.robot_joints import gear_of
 from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticulation
 
@@ -57,45 +57,58 @@ def describe_actuators(model: mujoco.MjModel) -> tuple[ActuatorDescription, ...]
 
 
 def _describe(model: mujoco.MjModel, i: int) -> ActuatorDescription:
-    controls = range(
-        model.actuator_ctrladr[i], model.actuator_ctrladr[i] + model.actuator_ctrlnum[i]
-    )
-    affine = int(model.actuator_biastype[i]) == mujoco.mjtBias.mjBIAS_AFFINE
-    low, high = model.actuator_forcerange[i]
+    is_affine = int(model.actuator_biastype[i]) == mujoco.mjtBias.mjBIAS_AFFINE
+    first_control = int(model.actuator_ctrladr[i])
+    ctrlrange: list[tuple[float, float] | None] = []
+    for k in range(first_control, first_control + int(model.actuator_ctrlnum[i])):
+        is_limited = bool(model.actuator_ctrllimited[k])
+        ctrlrange.append(_bounds(model.actuator_ctrlrange[k]) if is_limited else None)
+    forcerange = None
+    if model.actuator_forcelimited[i]:
+        forcerange = _bounds(model.actuator_forcerange[i])
     return ActuatorDescription(
         name=model.actuator(i).name,
         kind=_kind(model, i),
         target=_target(model, i),
         gear=gear_of(model, i),
         gain=float(model.actuator_gainprm[i, 0]),
-        stiffness=-float(model.actuator_biasprm[i, 1]) + 0.0 if affine else 0.0,
-        damping=-float(model.actuator_biasprm[i, 2]) + 0.0 if affine else 0.0,
-        ctrlrange=tuple(
-            (float(model.actuator_ctrlrange[k, 0]), float(model.actuator_ctrlrange[k, 1]))
-            if model.actuator_ctrllimited[k]
-            else None
-            for k in controls
-        ),
-        forcerange=(float(low), float(high)) if model.actuator_forcelimited[i] else None,
+        # Plus zero, so that no gain is printed as -0.
+        stiffness=-float(model.actuator_biasprm[i, 1]) + 0.0 if is_affine else 0.0,
+        damping=-float(model.actuator_biasprm[i, 2]) + 0.0 if is_affine else 0.0,
+        ctrlrange=tuple(ctrlrange),
+        forcerange=forcerange,
     )
+
+
+def _bounds(limits: F64) -> tuple[float, float]:
+    return float(limits[0]), float(limits[1])
 
 
 def _kind(model: mujoco.MjModel, i: int) -> str:
-    gaintype, biastype = int(model.actuator_gaintype[i]), int(model.actuator_biastype[i])
+    """Return the kind of an actuator, see `ActuatorDescription.kind`."""
     dynamics = _word(mujoco.mjtDyn, int(model.actuator_dyntype[i]), "mjDYN_")
-    affine, no_bias = (
-        biastype == mujoco.mjtBias.mjBIAS_AFFINE,
-        biastype == mujoco.mjtBias.mjBIAS_NONE,
-    )
-    if gaintype == mujoco.mjtGain.mjGAIN_FIXED and (affine or no_bias):
-        _, kp, kv = -model.actuator_biasprm[i, :3] if affine else np.zeros(3)
-        kind = "position" if kp > 0 else "velocity" if kv > 0 else "motor"
-        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_BODY:
-            kind = "adhesion"
-    else:
-        kind = _word(mujoco.mjtGain, gaintype, "mjGAIN_")
-        kind = "damper" if kind == "affine" and no_bias else kind
-    return kind if dynamics in ("none", kind) else f"{dynamics} {kind}"
+    kind = _kind_of_force(model, i)
+    if dynamics in ("none", kind):
+        return kind
+    return f"{dynamics} {kind}"
+
+
+def _kind_of_force(model: mujoco.MjModel, i: int) -> str:
+    """Return the kind of an actuator by its gain and bias alone."""
+    gain_type = int(model.actuator_gaintype[i])
+    bias_type = int(model.actuator_biastype[i])
+    is_affine = bias_type == mujoco.mjtBias.mjBIAS_AFFINE
+    has_no_bias = bias_type == mujoco.mjtBias.mjBIAS_NONE
+    if gain_type != mujoco.mjtGain.mjGAIN_FIXED or not (is_affine or has_no_bias):
+        word = _word(mujoco.mjtGain, gain_type, "mjGAIN_")
+        return "damper" if word == "affine" and has_no_bias else word
+    if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_BODY:
+        return "adhesion"
+    if is_affine and model.actuator_biasprm[i, 1] < 0:
+        return "position"
+    if is_affine and model.actuator_biasprm[i, 2] < 0:
+        return "velocity"
+    return "motor"
 
 
 def _word(enum: type, value: int, prefix: str) -> str:
@@ -121,7 +134,8 @@ def _target(model: mujoco.MjModel, i: int) -> str:
     return f"{what} {element(target).name}"
 
 
-_HINGE_RANGE, _SLIDE_RANGE = 2 * math.pi, 1.0
+_HINGE_RANGE = 2 * math.pi
+_SLIDE_RANGE = 1.0
 """Assumed range of a joint without limits, rad and m."""
 
 
@@ -141,18 +155,18 @@ def top_speeds(parsed: ParsedArticulation) -> F64:
     v^2 = effort x range / inertia; effort / passive damping; and stiffness x range / damping, where
     spring and damper balance. Other joints, gravity and dry friction are ignored.
     """
-    hinges = np.array([int(parsed.model.joint(n).type[0]) for n in parsed.joint_names])
-    endless = np.where(hinges == int(mujoco.mjtJoint.mjJNT_HINGE), _HINGE_RANGE, _SLIDE_RANGE)
+    joint_types = np.array([int(parsed.model.joint(n).type[0]) for n in parsed.joint_names])
+    is_hinge = joint_types == int(mujoco.mjtJoint.mjJNT_HINGE)
     width = np.diff(parsed.qpos_limits, axis=1)[:, 0]
-    width = np.where(np.isfinite(width), width, endless)
+    width = np.where(np.isfinite(width), width, np.where(is_hinge, _HINGE_RANGE, _SLIDE_RANGE))
     effort = parsed.max_effort
     with np.errstate(divide="ignore", invalid="ignore"):
-        bounds = (
-            np.sqrt(effort * width / joint_inertia(parsed)),
-            effort / parsed.joint_damping,
-            np.where(parsed.stiffness > 0, parsed.stiffness * width / parsed.damping, np.inf),
-        )
-    return np.where(_driven(parsed), np.fmin.reduce(bounds), np.nan)
+        accelerated = np.sqrt(effort * width / joint_inertia(parsed))
+        damped = effort / parsed.joint_damping
+        pulled = parsed.stiffness * width / parsed.damping
+    pulled = np.where(parsed.stiffness > 0, pulled, np.inf)
+    speeds = np.fmin.reduce((accelerated, damped, pulled))
+    return np.where(_has_drive(parsed), speeds, np.nan)
 
 
 def time_constants(parsed: ParsedArticulation) -> F64:
@@ -161,17 +175,18 @@ def time_constants(parsed: ParsedArticulation) -> F64:
     They belong to the slowest root of I x'' + damping x' + stiffness x = 0, where damping is the
     sum of the drive's and the joint's.
     """
-    inertia, stiffness = joint_inertia(parsed), parsed.stiffness
+    inertia = joint_inertia(parsed)
+    stiffness = parsed.stiffness
     damping = parsed.damping + parsed.joint_damping
     root = np.sqrt(np.maximum(damping**2 - 4 * inertia * stiffness, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.where(
-            stiffness > 0,
-            np.where(root > 0, (damping + root) / (2 * stiffness), 2 * inertia / damping),
-            inertia / damping,
-        )
-    return np.where(_driven(parsed), found, np.nan)
+        overdamped = (damping + root) / (2 * stiffness)
+        oscillating = 2 * inertia / damping
+        without_spring = inertia / damping
+    with_spring = np.where(root > 0, overdamped, oscillating)
+    seconds = np.where(stiffness > 0, with_spring, without_spring)
+    return np.where(_has_drive(parsed), seconds, np.nan)
 
 
-def _driven(parsed: ParsedArticulation) -> NDArray[np.bool_]:
+def _has_drive(parsed: ParsedArticulation) -> NDArray[np.bool_]:
     return np.array([bool(name) for name in parsed.drives], np.bool_)

@@ -29,11 +29,11 @@ from embodichain.lab.sim.compiler.robot.contacts.self_collision import (
     set_self_collision,
 )
 from embodichain.lab.sim.compiler.robot.drives.added_armature import add_armature, rounded
+from embodichain.lab.sim.compiler.robot.drives.chatter import PhysicsStep
+from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange
 from embodichain.lab.sim.compiler.robot.drives.pd_drives import (
-    DriveChange,
     DriveGains,
     JointDrive,
-    PhysicsStep,
     apply_drives,
     resolve_drives,
 )

@@ -7,7 +7,7 @@ floor are bound to the ground, which takes the floor's contact parameters.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -26,16 +26,37 @@ __all__ = [
     "without_references",
 ]
 
-Plane = tuple[F64, F64]
-"""Position (3,) in metres and orientation (4,) wxyz in the file's world."""
 CONTACT_FIELDS = (
-    *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
-    *("margin", "gap", "adhesion", "surfacevel"),
+    "contype",
+    "conaffinity",
+    "condim",
+    "priority",
+    "friction",
+    "solmix",
+    "solref",
+    "solimp",
+    "margin",
+    "gap",
+    "adhesion",
+    "surfacevel",
 )
 """Attributes of a geom that decide what it collides with, and how."""
 _OTHER_FIELDS = ("type", "size", "mass", "density", "group", "material", "rgba", "userdata")
-_PLANE, _GEOM = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtObj.mjOBJ_GEOM
+_PLANE = mujoco.mjtGeom.mjGEOM_PLANE
+_GEOM = mujoco.mjtObj.mjOBJ_GEOM
 _UP = np.array([0.0, 0.0, 1.0])
+
+
+class Plane(NamedTuple):
+    """A plane in the world of a file.
+
+    Attributes:
+        pos: (3,) metres.
+        quat: (4,) wxyz.
+    """
+
+    pos: F64
+    quat: F64
 
 
 def planes_of(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Plane]:
@@ -45,14 +66,22 @@ def planes_of(spec: mujoco.MjSpec, model: mujoco.MjModel) -> dict[str, Plane]:
         spec: The file, whose geoms all have names.
         model: The file, compiled.
     """
-    names = [geom.name for geom in spec.worldbody.geoms if geom.type == _PLANE]
-    return {name: (model.geom(name).pos.copy(), model.geom(name).quat.copy()) for name in names}
+    planes: dict[str, Plane] = {}
+    for geom in spec.worldbody.geoms:
+        if geom.type == _PLANE:
+            compiled = model.geom(geom.name)
+            planes[geom.name] = Plane(compiled.pos.copy(), compiled.quat.copy())
+    return planes
 
 
 def floors_of(planes: Mapping[str, Plane]) -> tuple[str, ...]:
     """Return the names of the horizontal ones of a world's planes."""
-    normals = {name: quat_rotate(quat, _UP) for name, (_, quat) in planes.items()}
-    return tuple(name for name in planes if np.allclose(normals[name], _UP, atol=1e-6))
+    floors: list[str] = []
+    for name, plane in planes.items():
+        normal = quat_rotate(plane.quat, _UP)
+        if np.allclose(normal, _UP, atol=1e-6):
+            floors.append(name)
+    return tuple(floors)
 
 
 def move_to_world(spec: mujoco.MjSpec, name: str, pos: F64, quat: F64) -> None:
@@ -65,13 +94,16 @@ def move_to_world(spec: mujoco.MjSpec, name: str, pos: F64, quat: F64) -> None:
         quat: (4,) wxyz, in the world.
     """
     old = spec.geom(name)
-    values = {field: getattr(old, field) for field in (*CONTACT_FIELDS, *_OTHER_FIELDS)}
-    values = {field: np.array(v) if np.ndim(v) else v for field, v in values.items()}
+    values: dict[str, Any] = {}
+    for field in (*CONTACT_FIELDS, *_OTHER_FIELDS):
+        value = getattr(old, field)
+        values[field] = np.array(value) if np.ndim(value) else value  # arrays are views of `old`
     spec.delete(old)
     new = spec.worldbody.add_geom(name=name)
     for field, value in values.items():
         setattr(new, field, value)
-    new.pos, new.quat = pos, quat
+    new.pos = pos
+    new.quat = quat
 
 
 def bind_floors(
@@ -99,32 +131,62 @@ def bind_floors(
         Messages for the user, without the robot's name.
     """
     if ground is None:
-        removed = without_references(spec, attached)
-        for floor in attached:
-            spec.delete(spec.geom(floor))
-        names = ", ".join([*(f"floor {_own(floor)!r}" for floor in attached), *removed])
-        kept = [f"its floor {_own(floor)!r} stays: the scene has no ground" for floor in floors]
-        return [*kept, f"left out: {names}"] if attached else kept
-    said: list[str] = []
-    for number, floor in enumerate(floors):
-        geom = spec.geom(floor)
-        message = f"its floor {_own(floor)!r} is the scene's ground"
-        height = float(geom.pos[2])
-        if height and at_height and not number:
-            spec.geom(ground).pos = [0.0, 0.0, height]
-            message += f", at z = {height:g} as in the file"
-        elif height:
-            message += f", which is not at z = {height:g} as in the file"
-        changed, kept = ([], []) if number else _adopt_contact(spec.geom(ground), geom, given)
-        if changed:
-            message += f"; the ground takes its {', '.join(changed)}"
-        if kept:
-            message += f"; the ground does not have its {', '.join(kept)}"
-        said.append(message)
+        messages = [
+            f"its floor {_name_in_file(floor)!r} stays: the scene has no ground" for floor in floors
+        ]
+        if attached:
+            removed = [f"floor {_name_in_file(floor)!r}" for floor in attached]
+            removed += without_references(spec, attached)
+            for floor in attached:
+                spec.delete(spec.geom(floor))
+            messages.append(f"left out: {', '.join(removed)}")
+        return messages
+    messages = [
+        _replace_floor(
+            spec.geom(ground), spec.geom(floor), given, is_first=not number, at_height=at_height
+        )
+        for number, floor in enumerate(floors)
+    ]
     for floor in (*floors, *attached):
         _bind_to_geom(spec, floor, ground)
         spec.delete(spec.geom(floor))
-    return said
+    return messages
+
+
+def _replace_floor(
+    ground: mujoco.MjsGeom,
+    floor: mujoco.MjsGeom,
+    given: Collection[str] | None,
+    *,
+    is_first: bool,
+    at_height: bool,
+) -> str:
+    """Give a ground the height and the contact parameters of a file's first floor.
+
+    Args:
+        ground: The ground; it changes.
+        floor: The floor.
+        given: Contact parameters that the ground keeps; None is all.
+        is_first: Whether it is the file's first floor; the ground takes nothing of others.
+        at_height: Whether the ground is to be at the height of the first floor.
+
+    Returns:
+        A message for the user.
+    """
+    message = f"its floor {_name_in_file(floor.name)!r} is the scene's ground"
+    height = float(floor.pos[2])
+    if height and at_height and is_first:
+        ground.pos = [0.0, 0.0, height]
+        message += f", at z = {height:g} as in the file"
+    elif height:
+        message += f", which is not at z = {height:g} as in the file"
+    if is_first:
+        changed, refused = _adopt_contact(ground, floor, given)
+        if changed:
+            message += f"; the ground takes its {', '.join(changed)}"
+        if refused:
+            message += f"; the ground does not have its {', '.join(refused)}"
+    return message
 
 
 def strangers_to(
@@ -137,17 +199,19 @@ def strangers_to(
         ground: The ground's geom.
         entities: Name -> geoms.
     """
-    types, affinities = model.geom_contype, model.geom_conaffinity
-    meet = (types & affinities[ground]) | (affinities & types[ground]) != 0
-    partners = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
-    with_ground = (partners == ground).any(axis=1)
-    meet[partners[with_ground]] = True
-    collide = (types | affinities) != 0
-    return [
-        name
-        for name, geoms in entities.items()
-        if collide[list(geoms)].any() and not meet[list(geoms)].any()
-    ]
+    types = model.geom_contype
+    affinities = model.geom_conaffinity
+    meets_ground = ((types & affinities[ground]) | (affinities & types[ground])) != 0
+    pairs = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
+    has_ground = (pairs == ground).any(axis=1)
+    meets_ground[pairs[has_ground]] = True
+    collides = (types | affinities) != 0
+    strangers: list[str] = []
+    for name, geoms in entities.items():
+        ids = list(geoms)
+        if collides[ids].any() and not meets_ground[ids].any():
+            strangers.append(name)
+    return strangers
 
 
 def _bind_to_geom(spec: mujoco.MjSpec, old: str, new: str) -> None:
@@ -163,8 +227,11 @@ def _bind_to_geom(spec: mujoco.MjSpec, old: str, new: str) -> None:
         if sensor.reftype == _GEOM and sensor.refname == old:
             sensor.refname = new
     for group in spec.tuples:
-        names = zip(group.objtype, group.objname, strict=True)
-        group.objname = [new if kind == _GEOM and n == old else n for kind, n in names]
+        names = list(group.objname)
+        for number, kind in enumerate(group.objtype):
+            if kind == _GEOM and names[number] == old:
+                names[number] = new
+        group.objname = names
 
 
 def without_references(spec: mujoco.MjSpec, geoms: Collection[str]) -> list[str]:
@@ -175,8 +242,9 @@ def without_references(spec: mujoco.MjSpec, geoms: Collection[str]) -> list[str]
             removed.append(f"pair of {pair.geomname1!r} and {pair.geomname2!r}")
             spec.delete(pair)
     for sensor in list(spec.sensors):
-        named = {(sensor.objtype, sensor.objname), (sensor.reftype, sensor.refname)}
-        if any(kind == _GEOM and name in geoms for kind, name in named):
+        reads_geom = sensor.objtype == _GEOM and sensor.objname in geoms
+        refers_to_geom = sensor.reftype == _GEOM and sensor.refname in geoms
+        if reads_geom or refers_to_geom:
             removed.append(f"sensor {sensor.name!r}")
             spec.delete(sensor)
     return removed
@@ -193,28 +261,28 @@ def _adopt_contact(
         given: Parameters that the ground keeps; None is all.
 
     Returns:
-        The parameters that it took, and those that differ and were kept, each as ``NAME VALUE``.
+        The parameters that it took, and those of the floor that it did not, as ``NAME VALUE``.
     """
     changed: list[str] = []
-    kept: list[str] = []
+    refused: list[str] = []
     for field in CONTACT_FIELDS:
         value = getattr(floor, field)
         differs = not np.array_equal(getattr(ground, field), value)
-        decided = given is None or field in given
-        if decided and differs:
-            kept.append(f"{field} {_shown(value)}")
-        elif not decided and (differs or field == "friction"):  # which acts from now on
+        if given is None or field in given:
+            if differs:
+                refused.append(f"{field} {_format(value)}")
+        elif differs or field == "friction":  # which acts from now on
             setattr(ground, field, value)
-            changed.append(f"{field} {_shown(value)}")
-    return changed, kept
+            changed.append(f"{field} {_format(value)}")
+    return changed, refused
 
 
-def _own(name: str) -> str:
+def _name_in_file(name: str) -> str:
     """Return a name in the scene without that of the robot."""
     return name.partition("/")[2]
 
 
-def _shown(value: Any) -> str:
+def _format(value: Any) -> str:
     if isinstance(value, int):
         return str(value)
     numbers: Sequence[float] = np.asarray(value, np.float64).reshape(-1).tolist()

@@ -15,8 +15,10 @@ from embodichain.lab.sim.compiler.geoms.shape_geoms import HULL_VERTICES
 
 __all__ = ["HullLimit", "keep_inertias", "limit_hulls"]
 
-_ALWAYS, _AUTO = 1, 2
-"""`inertiafromgeom`: of all bodies, or only of those without an inertia of their own."""
+_ALWAYS = 1
+"""`inertiafromgeom`: of all bodies."""
+_AUTO = 2
+"""`inertiafromgeom`: only of bodies without an inertia of their own."""
 
 
 @dataclass(frozen=True)
@@ -67,19 +69,21 @@ def keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel, limited: list[Hull
         model: The file, compiled before it was changed.
         limited: Meshes whose hull changed.
     """
-    scaled = spec.compiler.settotalmass > 0
-    if not scaled and not limited:
+    is_scaled = spec.compiler.settotalmass > 0
+    if not is_scaled and not limited:
         return
-    from_geoms = spec.compiler.inertiafromgeom == _ALWAYS
+    all_from_geoms = spec.compiler.inertiafromgeom == _ALWAYS
     spec.compiler.settotalmass = -1.0
     spec.compiler.inertiafromgeom = _AUTO
     for body in spec.bodies[1:]:  # the first is the world
         compiled = model.body(body.name)
-        inferred = from_geoms or not body.explicitinertial
-        if compiled.mass[0] == 0 or not (scaled or inferred):
+        is_from_geoms = all_from_geoms or not body.explicitinertial
+        would_change = is_scaled or is_from_geoms
+        if compiled.mass[0] == 0 or not would_change:
             continue
         body.explicitinertial = True
         body.mass = float(compiled.mass[0])
-        body.ipos, body.iquat = compiled.ipos, compiled.iquat
+        body.ipos = compiled.ipos
+        body.iquat = compiled.iquat
         body.inertia = compiled.inertia
         body.fullinertia = np.full(6, np.nan)

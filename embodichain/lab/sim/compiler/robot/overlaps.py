@@ -17,7 +17,8 @@ from embodichain.lab.sim.compiler.robot.parsed_articulation import ParsedArticul
 
 __all__ = ["overlapping_links"]
 
-_SHARE = 0.05
+_LEAST_SHARE = 0.05
+"""Share of the postures above which two links overlap often."""
 
 
 def overlapping_links(parsed: ParsedArticulation) -> dict[tuple[str, str], float]:
@@ -43,27 +44,21 @@ def overlapping_links(parsed: ParsedArticulation) -> dict[tuple[str, str], float
         for pair, depth in deepest_contacts(model, data, qpos).items():
             if pair[0] and depth > DEPTH:
                 counts[pair] = counts.get(pair, 0) + 1
-    often = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-    named = {
-        (model.body(a).name, model.body(b).name): n / POSTURES
-        for (a, b), n in often
-        if n > _SHARE * POSTURES
-    }
-    return {k: v for k, v in named.items() if k not in parsed.self_collision.included}
+    shares: dict[tuple[str, str], float] = {}
+    for (a, b), count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
+        names = (model.body(a).name, model.body(b).name)
+        is_frequent = count > _LEAST_SHARE * POSTURES
+        if is_frequent and names not in parsed.self_collision.included:
+            shares[names] = count / POSTURES
+    return shares
 
 
 def _with_followers(parsed: ParsedArticulation, qpos: F64) -> F64:
     """Set joints that follow others; a chain of them is followed to its end."""
-    rules = [
-        *zip(
-            parsed.mimic_ids,
-            parsed.mimic_parents,
-            parsed.mimic_multipliers,
-            parsed.mimic_offsets,
-            strict=True,
-        )
-    ]
-    for _ in range(len({*parsed.mimic_ids} & {*parsed.mimic_parents}) + 1):
-        for follower, leader, multiplier, offset in rules:
-            qpos[follower] = multiplier * qpos[leader] + offset
+    followers_that_lead = {*parsed.mimic_ids} & {*parsed.mimic_parents}
+    for _ in range(len(followers_that_lead) + 1):
+        for number, follower in enumerate(parsed.mimic_ids):
+            leader = parsed.mimic_parents[number]
+            multiplier = parsed.mimic_multipliers[number]
+            qpos[follower] = multiplier * qpos[leader] + parsed.mimic_offsets[number]
     return qpos

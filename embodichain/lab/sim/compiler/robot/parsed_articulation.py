@@ -145,13 +145,17 @@ class ParsedArticulation:
     def with_given_armature(self, armature: Mapping[str, float]) -> ParsedArticulation:
         """Return it as if the config gave the added armature: joint -> kg m^2 or kg."""
         drives = self.cfg.drive_pros
-        given = drives.armature if isinstance(drives.armature, Mapping) else {}
-        names = {exact_pattern(name): value for name, value in armature.items()}
+        by_pattern: dict[str, float] = {}
+        if isinstance(drives.armature, Mapping):
+            by_pattern |= drives.armature
+        for name, value in armature.items():
+            by_pattern[exact_pattern(name)] = value
+        message = f"drive_pros.armature {RAISED}"
         return replace(
             self,
-            cfg=replace(self.cfg, drive_pros=replace(drives, armature={**given, **names})),
+            cfg=replace(self.cfg, drive_pros=replace(drives, armature=by_pattern)),
             added_armature=np.zeros(len(self.joint_names)),
-            notes=tuple(n for n in self.notes if f"drive_pros.armature {RAISED}" not in n),
+            notes=tuple(note for note in self.notes if message not in note),
         )
 
     def without_model(self) -> ParsedArticulation:

@@ -368,7 +368,7 @@ def _loosen(file: ModelFile) -> list[str]:
 
 
 def _without_walls(file: ModelFile, part: RobotModel) -> list[str]:
-    """Remove planes that are no floors, and what names them: planes cannot move."""
+    """Remove planes that are not floors, and what names them: planes cannot move."""
     walls = [plane for plane in part.planes if plane not in part.floors]
     removed = without_references(file.spec, walls)
     for wall in walls:

@@ -41,7 +41,8 @@ SUN = "default"
 FOVY = 40.0
 """Default vertical field of view in degrees."""
 _FULL_INTENSITY = 30.0
-_AMBIENT, _HEADLIGHT = 0.33, 0.38
+_AMBIENT = 0.33
+_HEADLIGHT = 0.38
 _LIGHTS = {
     "point": mujoco.mjtLightType.mjLIGHT_POINT,
     "sun": mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -68,17 +69,20 @@ def set_look(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     visual.global_.offwidth = max(visual.global_.offwidth, 1920)
     visual.global_.offheight = max(visual.global_.offheight, 1440)
     visual.quality.shadowsize = 4096
-    own = not cfg.fpath
-    if own:
+    has_file = bool(cfg.fpath)
+    if not has_file:
         visual.global_.fovy = FOVY
-        visual.map.znear, visual.map.zfar = 0.01, 60.0
-        visual.map.fogstart, visual.map.fogend = 6.0, 20.0
+        visual.map.znear = 0.01
+        visual.map.zfar = 60.0
+        visual.map.fogstart = 6.0
+        visual.map.fogend = 20.0
         visual.headlight.specular = [0.05, 0.05, 0.05]
-    if own or cfg.ambient is not None:
+    if not has_file or cfg.ambient is not None:
         level = _AMBIENT if cfg.ambient is None else float(cfg.ambient)
         visual.headlight.ambient = [0.97 * level, level, min(1.06 * level, 1.0)]
-    if own or cfg.headlight is not None:
-        visual.headlight.diffuse = 3 * [_HEADLIGHT if cfg.headlight is None else cfg.headlight]
+    if not has_file or cfg.headlight is not None:
+        level = _HEADLIGHT if cfg.headlight is None else float(cfg.headlight)
+        visual.headlight.diffuse = 3 * [level]
     skies = [t for t in spec.textures if t.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX]
     if skies and cfg.sky is None:
         return
@@ -105,12 +109,12 @@ def check_ground(cfg: SceneCfg) -> list[Problem]:
     ground = cfg.ground
     if ground is None:
         return []
-    given = [f.name for f in dataclasses.fields(ContactCfg) if getattr(ground, f.name) is not None]
+    names = [f.name for f in dataclasses.fields(ContactCfg) if getattr(ground, f.name) is not None]
     if cfg.terrain is not None:
         message = "the terrain is the ground that things touch: give it in scene.terrain"
-        return [Problem(f"ground.{name}", message) for name in given]
+        return [Problem(f"ground.{name}", message) for name in names]
     if ground.type == "none":
-        return [Problem(f"ground.{name}", "there is no ground: type is none") for name in given]
+        return [Problem(f"ground.{name}", "there is no ground: type is none") for name in names]
     return [p.below("ground") for p in check_fixed_contact(ground)]
 
 
@@ -125,7 +129,8 @@ def add_ground(spec: mujoco.MjSpec, cfg: GroundCfg) -> None:
         add_wood(spec, GROUND, colors[0], colors[-1], planks=True)
         material.textures[_RGB] = GROUND
         material.texrepeat = 2 * [1.0 / (WOOD_LENGTH * float(cfg.tile))]
-        material.specular, material.shininess = 0.15, 0.3
+        material.specular = 0.15
+        material.shininess = 0.3
     else:
         mark = 0.8 * np.minimum(colors[0], colors[-1])
         spec.add_texture(
@@ -225,7 +230,8 @@ def wood(planks: bool) -> F64:
 def _noise(rng: np.random.Generator, along: float, across: float) -> F64:
     """(512, 512) periodic Gaussian noise of unit variance, smooth over so many pixels."""
     white = np.fft.rfft2(rng.standard_normal((_WOOD_PIXELS, _WOOD_PIXELS)))
-    fy, fx = np.fft.fftfreq(_WOOD_PIXELS)[:, None], np.fft.rfftfreq(_WOOD_PIXELS)[None, :]
+    fy = np.fft.fftfreq(_WOOD_PIXELS)[:, None]
+    fx = np.fft.rfftfreq(_WOOD_PIXELS)[None, :]
     filtered = np.exp(-2.0 * (np.pi * np.hypot(fx * along, fy * across)) ** 2)
     smooth = np.fft.irfft2(white * filtered, (_WOOD_PIXELS, _WOOD_PIXELS))
     return smooth / smooth.std()
@@ -237,7 +243,8 @@ def _noise(rng: np.random.Generator, along: float, across: float) -> F64:
 def check_light(cfg: LightCfg) -> list[Problem]:
     """Return every mistake in a light's config, with paths below it."""
     problems = check_pose(cfg)
-    color, direction = np.asarray(cfg.color, np.float64), np.asarray(cfg.direction, np.float64)
+    color = np.asarray(cfg.color, np.float64)
+    direction = np.asarray(cfg.direction, np.float64)
     if not ((color >= 0) & (color <= 1)).all():
         problems.append(Problem("color", f"RGB in [0, 1], got {color.tolist()}"))
     if not cfg.intensity >= 0:
@@ -260,6 +267,9 @@ def add_lights(spec: mujoco.MjSpec, lights: Mapping[str, LightCfg]) -> None:
             castshadow=True,
         )
     for uid, cfg in lights.items():
+        casts_shadow = cfg.shadow
+        if casts_shadow is None:
+            casts_shadow = cfg.light_type != "point"
         strength = np.asarray(cfg.color, np.float64) * (float(cfg.intensity) / _FULL_INTENSITY)
         spec.worldbody.add_light(
             name=uid,
@@ -268,7 +278,7 @@ def add_lights(spec: mujoco.MjSpec, lights: Mapping[str, LightCfg]) -> None:
             dir=[float(x) for x in cfg.direction],
             diffuse=strength,
             specular=0.3 * strength,
-            castshadow=cfg.light_type != "point" if cfg.shadow is None else cfg.shadow,
+            castshadow=casts_shadow,
             cutoff=float(cfg.cutoff),
         )
 
@@ -293,9 +303,13 @@ def place_lights(
     """
     directional = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     for name in lights or [SUN]:
-        written = spec.light(name)
-        if written is None or int(written.type) != directional:
+        light_in_spec = spec.light(name)
+        if light_in_spec is None or int(light_in_spec.type) != directional:
             continue
         light = model.light(name)
-        light.pos[:] = written.pos = center - 2.0 * radius * light.dir
-        light.pos0[:] = light.poscom0[:] = light.pos
+        pos = center - 2.0 * radius * light.dir
+        light_in_spec.pos = pos
+        light.pos[:] = pos
+        # MuJoCo has derived these from the position before.
+        light.pos0[:] = pos
+        light.poscom0[:] = pos

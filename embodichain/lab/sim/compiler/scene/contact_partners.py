@@ -36,34 +36,52 @@ class FrictionEffect:
         self._contype = model.geom_contype.astype(np.int64)
         self._conaffinity = model.geom_conaffinity.astype(np.int64)
         for geom, (contype, conaffinity) in masks.items():
-            self._contype[geom], self._conaffinity[geom] = contype, conaffinity
-        moves = np.zeros(model.nbody, np.bool_)
+            self._contype[geom] = contype
+            self._conaffinity[geom] = conaffinity
+        self._moves: Mask = np.zeros(model.nbody, np.bool_)
         for body in range(1, model.nbody):  # parents come first
-            moves[body] = model.body_dofnum[body] > 0 or moves[model.body_parentid[body]]
-        self._moves: Mask = moves
+            has_joint = model.body_dofnum[body] > 0
+            self._moves[body] = has_joint or self._moves[model.body_parentid[body]]
 
     def partners(self, geom: int) -> Ids:
         """Return (P,) the geoms that a geom can touch with an effect on something that moves."""
-        model, bodies = self._model, self._model.geom_bodyid
-        body = int(bodies[geom])
-        meets = (self._contype & self._conaffinity[geom]) | (
-            self._conaffinity & self._contype[geom]
-        )
-        weld, own = model.body_weldid[bodies], int(model.body_weldid[body])
-        found = (meets != 0) & (weld != own) & (self._moves[bodies] | self._moves[body])
-        if not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
-            above = model.body_weldid[model.body_parentid[weld]]
-            mine = int(model.body_weldid[model.body_parentid[own]])
-            related = (weld == mine) | (above == own)
-            found &= ~(related & (weld != 0) & (own != 0))
+        model = self._model
+        body = int(model.geom_bodyid[geom])
+        bodies = model.geom_bodyid
+        touches = self._bits_match(geom) & (self._moves[bodies] | self._moves[body])
+        touches &= ~self._is_filtered(body)
         for signature in model.exclude_signature.tolist():
-            one, other = signature >> 16, signature & 0xFFFF
-            if body in (one, other):
-                found &= bodies != (other if body == one else one)
-        for one, other in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
-            if geom in (one, other):
-                found[other if geom == one else one] = False
-        return np.flatnonzero(found).astype(np.int64)
+            excluded = _other_of(body, signature >> 16, signature & 0xFFFF)
+            if excluded is not None:
+                touches &= bodies != excluded
+        for geom1, geom2 in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
+            paired = _other_of(geom, geom1, geom2)
+            if paired is not None:
+                touches[paired] = False
+        return np.flatnonzero(touches).astype(np.int64)
+
+    def _bits_match(self, geom: int) -> Mask:
+        """(G,) whether the bits of each geom let it collide with this one."""
+        meets_other = self._contype & self._conaffinity[geom]
+        other_meets = self._conaffinity & self._contype[geom]
+        return (meets_other | other_meets) != 0
+
+    def _is_filtered(self, body: int) -> Mask:
+        """(G,) whether MuJoCo leaves out a geom's contacts with a body that is near in the tree.
+
+        These are geoms of the same rigid assembly, and unless a flag says otherwise, those of its
+        parent and children, if none of both is fixed in the world.
+        """
+        model = self._model
+        weld = model.body_weldid[model.geom_bodyid]
+        own_weld = int(model.body_weldid[body])
+        is_same = weld == own_weld
+        if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
+            return is_same
+        parent_weld = model.body_weldid[model.body_parentid[weld]]
+        own_parent_weld = int(model.body_weldid[model.body_parentid[own_weld]])
+        is_related = (weld == own_parent_weld) | (parent_weld == own_weld)
+        return is_same | (is_related & (weld != 0) & (own_weld != 0))
 
     def why_not(self, geom: int, axis: int, highest: float, least: F64) -> str:
         """Return why a geom's friction cannot act; empty if it can.
@@ -80,28 +98,34 @@ class FrictionEffect:
             return "contacts are disabled by a flag"
         if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_OVERRIDE):
             return "physics.o_friction is that of all contacts: the flag override is enabled"
-        others = self.partners(geom)
+        partners = self.partners(geom)
         if model.nflex:
             return ""  # what a flexible body touches is not looked up
-        if not len(others):
+        if not len(partners):
             return "nothing that moves can touch it"
-        mine, theirs = int(model.geom_priority[geom]), model.geom_priority[others]
-        weaker = others[theirs <= mine]
-        if not len(weaker):
-            message = f"has priority {mine}, and what touches it a higher one and decides"
-            return f"it {message} ({self._listed(others)})"
-        equal = model.geom_priority[weaker] == mine
-        condim = np.where(equal, np.maximum(model.geom_condim[weaker], model.geom_condim[geom]), 0)
-        condim = np.maximum(condim, model.geom_condim[geom])
-        weaker, equal = weaker[condim >= _LEAST_CONDIM[axis]], equal[condim >= _LEAST_CONDIM[axis]]
-        if not len(weaker):
-            return f"{_NAMES[axis]} friction needs a contact with condim {_LEAST_CONDIM[axis]}"
-        if (~equal | (least[weaker] < highest)).any():
-            return ""
-        message = f"what touches it has at least {least[weaker].min():g}, and the larger value acts"
-        return f"{message} ({self._listed(weaker)})"
+        priority = int(model.geom_priority[geom])
+        decided_elsewhere = model.geom_priority[partners] > priority
+        if decided_elsewhere.all():
+            message = f"has priority {priority}, and what touches it a higher one and decides"
+            return f"it {message} ({self._list_owners(partners)})"
 
-    def _listed(self, geoms: Ids) -> str:
+        # Contacts where this geom decides, alone or together with a partner of equal priority.
+        partners = partners[~decided_elsewhere]
+        is_equal = model.geom_priority[partners] == priority
+        condim = np.full(len(partners), model.geom_condim[geom])
+        condim[is_equal] = np.maximum(condim[is_equal], model.geom_condim[partners[is_equal]])
+        has_axis = condim >= _LEAST_CONDIM[axis]
+        partners = partners[has_axis]
+        is_equal = is_equal[has_axis]
+        if not len(partners):
+            return f"{_NAMES[axis]} friction needs a contact with condim {_LEAST_CONDIM[axis]}"
+        if (~is_equal | (least[partners] < highest)).any():
+            return ""
+        smallest = least[partners].min()
+        message = f"what touches it has at least {smallest:g}, and the larger value acts"
+        return f"{message} ({self._list_owners(partners)})"
+
+    def _list_owners(self, geoms: Ids) -> str:
         """Names of the entities that geoms belong to."""
         names = dict.fromkeys(self._owner(int(geom)) for geom in geoms)
         more = ", ..." if len(names) > _SHOWN else ""
@@ -114,3 +138,12 @@ class FrictionEffect:
             return GROUND
         root = model.body(int(model.geom_bodyid[geom])).name or name
         return str(root).partition("/")[0] or f"geom {geom}"
+
+
+def _other_of(member: int, first: int, second: int) -> int | None:
+    """Return the other one of a pair; None if the pair does not have the member."""
+    if member == first:
+        return second
+    if member == second:
+        return first
+    return None

@@ -23,10 +23,14 @@ from embodichain.utils.errors import Problem
 
 __all__ = ["PEDESTAL", "TABLE", "check_furniture", "finish_table", "furniture_of"]
 
-TABLE, PEDESTAL = "table", "pedestal"
-"""The uids of the furniture."""
-_WIDTH = 0.2
-_LEG = 0.06
+TABLE = "table"
+"""The uid of the table."""
+PEDESTAL = "pedestal"
+"""The uid of the pedestal."""
+_PEDESTAL_WIDTH = 0.2
+"""Metres, unless the config gives a size."""
+_LEG_WIDTH = 0.06
+"""Metres; the legs of a small table are thinner."""
 _METAL = (0.25, 0.26, 0.28, 1.0)
 _GRAIN = 0.62
 """Brightness of the grain over that of the wood."""
@@ -48,21 +52,24 @@ def finish_table(spec: mujoco.MjSpec, cfg: TableCfg) -> None:
         add_wood(spec, TABLE, light, [_GRAIN * c for c in light], planks=False)
         material = spec.material(f"{TABLE}/material")
         material.textures[_RGB] = TABLE
-        material.texuniform, material.rgba = True, [1.0, 1.0, 1.0, 1.0]
+        material.texuniform = True
+        material.rgba = [1.0, 1.0, 1.0, 1.0]  # it multiplies the texture
         material.texrepeat = 2 * [1.0 / (WOOD_LENGTH * _BOARD)]
     length, width, height = (float(x) for x in cfg.size)
     thickness = float(cfg.thickness)
-    under = 0.5 * (height - thickness)
-    if under < 0.01:
-        return
+    half_height = 0.5 * (height - thickness)
+    if half_height < 0.01:
+        return  # the table is its top alone
     spec.add_material(name=f"{TABLE}/legs", rgba=_METAL, specular=0.3, shininess=0.4)
-    half = min(0.5 * _LEG, 0.25 * length, 0.25 * width)
-    for number, (i, j) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1))):
+    half_width = min(0.5 * _LEG_WIDTH, 0.25 * length, 0.25 * width)
+    x = 0.5 * length - half_width
+    y = 0.5 * width - half_width
+    for number, (side, end) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1))):
         body.add_geom(
             name=f"{TABLE}/leg{number}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[half, half, under],
-            pos=[i * (0.5 * length - half), j * (0.5 * width - half), -under - 0.5 * thickness],
+            size=[half_width, half_width, half_height],
+            pos=[side * x, end * y, -half_height - 0.5 * thickness],
             material=f"{TABLE}/legs",
         )
     set_contact_parameters(body.geoms, object_contact(_table(cfg)))
@@ -77,22 +84,24 @@ def check_furniture(scene: SceneCfg, base: F64 | None) -> list[Problem]:
         base: (3,) position of the robot's base, or None without a robot.
     """
     problems: list[Problem] = []
-    if scene.table is not None and scene.table.thickness > scene.table.size[2]:
-        message = f"at most the table's height, {scene.table.size[2]:g} m"
-        problems.append(Problem("table.thickness", f"{message}, got {scene.table.thickness:g}"))
     if scene.table is not None:
+        height = scene.table.size[2]
+        thickness = scene.table.thickness
+        if thickness > height:
+            message = f"at most the table's height, {height:g} m, got {thickness:g}"
+            problems.append(Problem("table.thickness", message))
         problems += [p.below("table") for p in check_fixed_contact(scene.table)]
     if scene.pedestal is not None:
-        found = [*_check_pedestal(scene.pedestal, base), *check_fixed_contact(scene.pedestal)]
-        problems += [p.below("pedestal") for p in found]
+        mistakes = [*_check_pedestal(scene.pedestal, base), *check_fixed_contact(scene.pedestal)]
+        problems += [p.below("pedestal") for p in mistakes]
     return problems
 
 
 def _check_pedestal(cfg: PedestalCfg, base: F64 | None) -> list[Problem]:
     if base is None:
-        missing = [name for name in ("size", "pos") if getattr(cfg, name) is None]
+        missing_keys = [key for key in ("size", "pos") if getattr(cfg, key) is None]
         message = "missing value: the task has no robot to take it from"
-        return [Problem(name, message) for name in missing]
+        return [Problem(key, message) for key in missing_keys]
     foot = 0.0 if cfg.pos is None else float(cfg.pos[2])
     if cfg.size is None and not base[2] > foot:
         message = f"missing value: the robot's base, at z = {base[2]:g} m, is not above its foot"
@@ -110,28 +119,36 @@ def furniture_of(scene: SceneCfg, base: F64 | None) -> dict[str, RigidObjectCfg]
         scene: The scene.
         base: See `check_furniture`; a pedestal that it refuses has a height of 1 m here.
     """
-    found: dict[str, RigidObjectCfg] = {}
+    furniture: dict[str, RigidObjectCfg] = {}
     if scene.pedestal is not None:
-        found[PEDESTAL] = _pedestal(scene.pedestal, np.zeros(3) if base is None else base)
+        furniture[PEDESTAL] = _pedestal(scene.pedestal, np.zeros(3) if base is None else base)
     if scene.table is not None:
-        found[TABLE] = _table(scene.table)
-    return found
+        furniture[TABLE] = _table(scene.table)
+    return furniture
 
 
 def _pedestal(cfg: PedestalCfg, base: F64) -> RigidObjectCfg:
-    x, y, z = [*base[:2], 0.0] if cfg.pos is None else [float(p) for p in cfg.pos]
-    rest = float(base[2] - z)
-    size = cfg.size or (_WIDTH, _WIDTH, rest if rest > 0 else 1.0)
+    if cfg.pos is None:
+        x, y, z = (float(base[0]), float(base[1]), 0.0)
+    else:
+        x, y, z = (float(p) for p in cfg.pos)
+    height_of_base = float(base[2] - z)
+    if not height_of_base > 0:
+        height_of_base = 1.0  # `check_furniture` refuses it
+    size = cfg.size or (_PEDESTAL_WIDTH, _PEDESTAL_WIDTH, height_of_base)
     length, width, height = (float(s) for s in size)
     paint = VisualMaterialCfg(base_color=[*(float(c) for c in cfg.color), 1.0])
+    shape: CubeCfg | CylinderCfg
+    if cfg.shape == "box":
+        shape = CubeCfg(size=[length, width, height], visual_material=paint)
+    else:
+        shape = CylinderCfg(radius=0.5 * length, height=height, visual_material=paint)
     return RigidObjectCfg(
-        shape=CubeCfg(size=[length, width, height], visual_material=paint)
-        if cfg.shape == "box"
-        else CylinderCfg(radius=0.5 * length, height=height, visual_material=paint),
+        shape=shape,
         attrs=RigidBodyAttributesCfg(enable_collision=cfg.collision),
         contact=_contact(cfg),
         body_type="static",
-        init_pos=[float(x), float(y), z + 0.5 * height],
+        init_pos=[x, y, z + 0.5 * height],
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
@@ -13,6 +13,7 @@ from embodichain.lab.sim.compiler.names import (
     FrameKind,
     Jointed,
     KnownObject,
+    ObjectModel,
     find_frame,
     frame_in_model,
     frame_names,
@@ -32,9 +33,22 @@ if TYPE_CHECKING:
 
 __all__ = ["Place", "find_place", "known_entities", "place_of"]
 
-_Alone = Callable[[], "tuple[mujoco.MjModel, int, str] | None"]
-Place = tuple[str, "F64", "F64"]
-"""A body's name in the scene, and position (3,) in metres and wxyz orientation in its frame."""
+_CompileAlone = Callable[[], ObjectModel | None]
+
+
+class Place(NamedTuple):
+    """Where something is fixed.
+
+    Attributes:
+        body: A body's name in the scene.
+        pos: (3,) metres, in the body's frame.
+        quat: (4,) wxyz, in the body's frame.
+    """
+
+    body: str
+    pos: F64
+    quat: F64
+
 
 _UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -55,22 +69,34 @@ def known_entities(
         world: The scene's file.
         table: The scene's table, whose object is in `objects`.
     """
-    found: dict[str, Jointed | KnownObject | str | None] = dict(articulations)
+    entities: dict[str, Jointed | KnownObject | str | None] = dict(articulations)
     for uid, cfg in objects.items():
-        own = table if uid == "table" else None
-        found.setdefault(uid, KnownObject(uid, uid, f"{uid}/", _object_alone(uid, cfg, own)))
+        table_cfg = table if uid == "table" else None
+        known_object = KnownObject(
+            uid=uid,
+            body=uid,
+            prefix=f"{uid}/",
+            compile_alone=_object_alone(uid, cfg, table_cfg),
+        )
+        entities.setdefault(uid, known_object)
     for uid in lights:
-        found.setdefault(uid, "light")
-    for uid in () if world is None else world.objects:
-        found[uid] = KnownObject(uid, f"{PREFIX}{uid}", PREFIX, _inside(uid, world))
-    return found
+        entities.setdefault(uid, "light")
+    if world is not None:
+        for uid in world.objects:
+            entities[uid] = KnownObject(
+                uid=uid,
+                body=f"{PREFIX}{uid}",
+                prefix=PREFIX,
+                compile_alone=_object_in_world(uid, world),
+            )
+    return entities
 
 
-def _object_alone(uid: str, cfg: RigidObjectCfg, table: TableCfg | None) -> _Alone:
-    """Compile an object alone, once."""
+def _object_alone(uid: str, cfg: RigidObjectCfg, table: TableCfg | None) -> _CompileAlone:
+    """Return a function that compiles an object alone, once."""
 
     @cache
-    def alone() -> tuple[mujoco.MjModel, int, str] | None:
+    def compile_alone() -> ObjectModel | None:
         if check_object(cfg):
             return None
         spec = mujoco.MjSpec()
@@ -85,16 +111,18 @@ def _object_alone(uid: str, cfg: RigidObjectCfg, table: TableCfg | None) -> _Alo
             model = compile_quietly(spec)
         except MUJOCO_ERRORS:  # said when the scene is compiled
             return None
-        return model, int(model.body(uid).id), f"{uid}/"
+        return ObjectModel(model, int(model.body(uid).id), f"{uid}/")
 
-    return alone
+    return compile_alone
 
 
-def _inside(uid: str, world: World | None) -> _Alone:
-    def alone() -> tuple[mujoco.MjModel, int, str] | None:
-        return None if world is None else (world.model, int(world.model.body(uid).id), "")
+def _object_in_world(uid: str, world: World) -> _CompileAlone:
+    """Return a function that finds an object in the model of the scene's file."""
 
-    return alone
+    def find_in_file() -> ObjectModel:
+        return ObjectModel(world.model, int(world.model.body(uid).id), "")
+
+    return find_in_file
 
 
 def place_of(entity: Jointed | KnownObject | str, uid: str, kind: FrameKind, name: str) -> Place:
@@ -106,18 +134,21 @@ def place_of(entity: Jointed | KnownObject | str, uid: str, kind: FrameKind, nam
         kind: The kind.
         name: The frame, of `frame_names`.
     """
-    if kind != "link" and isinstance(entity, KnownObject):
-        compiled = entity.alone()
-        if compiled is None:
-            raise ValueError(f"{uid!r} is not known: its config is wrong")
-        model, top, prefix = compiled
-        body, pos, quat = local_pose(model, kind, f"{prefix}{name}")
-        is_root = body == model.body(top).name
-        return (entity.body if is_root else f"{entity.prefix}{body}"), pos, quat
-    if kind != "link" and isinstance(entity, ParsedArticulation):
+    if kind == "link" or not isinstance(entity, (KnownObject, ParsedArticulation)):
+        body = frame_in_model(entity, uid, "link", name)
+        return Place(body, np.zeros(3), _UNTURNED.copy())
+    if isinstance(entity, ParsedArticulation):
         body, pos, quat = local_pose(entity.model, kind, name)
-        return ("world" if body == "world" else f"{uid}/{body}"), pos, quat
-    return frame_in_model(entity, uid, "link", name), np.zeros(3), _UNTURNED.copy()
+        if body != "world":
+            body = f"{uid}/{body}"
+        return Place(body, pos, quat)
+    alone = entity.compile_alone()
+    if alone is None:
+        raise ValueError(f"{uid!r} is not known: its config is wrong")
+    body, pos, quat = local_pose(alone.model, kind, f"{alone.prefix}{name}")
+    if body == alone.model.body(alone.body_id).name:
+        return Place(entity.body, pos, quat)
+    return Place(f"{entity.prefix}{body}", pos, quat)
 
 
 def find_place(name: str, known: Known) -> tuple[Place | None, list[Problem]]:
@@ -134,4 +165,7 @@ def find_place(name: str, known: Known) -> tuple[Place | None, list[Problem]]:
     if not slash or entity is None or isinstance(entity, str):
         return None, []
     frame, problems = find_frame(rest, lambda kind: frame_names(entity, uid, kind), "", uid)
-    return (None if frame is None else place_of(entity, uid, *frame)), problems
+    if frame is None:
+        return None, problems
+    kind, frame_name = frame
+    return place_of(entity, uid, kind, frame_name), problems

@@ -23,9 +23,11 @@ def check_object_contact(cfg: RigidObjectCfg) -> list[Problem]:
     contact = cfg.contact
     if contact is None:
         return []
-    fixed = cfg.body_type == "static"
-    found = check_fixed_contact(_given_contact(cfg)) if fixed else check_contact(contact)
-    problems = [p.below("contact") for p in found]
+    if cfg.body_type == "static":
+        mistakes = check_fixed_contact(_given_contact(cfg))
+    else:
+        mistakes = check_contact(contact)
+    problems = [mistake.below("contact") for mistake in mistakes]
     if contact.friction is not None and is_given(cfg.attrs.dynamic_friction):
         message = "attrs.dynamic_friction is given as well: leave one of them out"
         problems.append(Problem("contact.friction", message))
@@ -38,7 +40,8 @@ def check_object_contact(cfg: RigidObjectCfg) -> list[Problem]:
 
 def _given_contact(cfg: RigidObjectCfg) -> ContactCfg:
     """The object's contact parameters, with the friction of `attrs` if that is given."""
-    contact, friction = cfg.contact or ContactCfg(), cfg.attrs.dynamic_friction
+    contact = cfg.contact or ContactCfg()
+    friction = cfg.attrs.dynamic_friction
     if contact.friction is None and is_given(friction):
         return dataclasses.replace(contact, friction=float(friction))
     return contact
@@ -46,8 +49,8 @@ def _given_contact(cfg: RigidObjectCfg) -> ContactCfg:
 
 def object_contact(cfg: RigidObjectCfg) -> ContactParameters:
     """Return the contact parameters of an object; one that does not move lets others decide."""
-    given = _given_contact(cfg)
-    usual = ContactParameters(friction=(float(cfg.attrs.dynamic_friction),))
+    contact = _given_contact(cfg)
+    default = ContactParameters(friction=(float(cfg.attrs.dynamic_friction),))
     if cfg.body_type == "static":
-        return fixed_contact(given).over(usual)
-    return ContactParameters.of_config(given).over(usual)
+        return fixed_contact(contact).over(default)
+    return ContactParameters.of_config(contact).over(default)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -48,7 +49,10 @@ _FLAGS: dict[str, type[Any]] = {
 }
 _NEEDED = {
     "sleep_tolerance": "sleep",
-    **dict.fromkeys(("o_margin", "o_solref", "o_solimp", "o_friction"), "override"),
+    "o_margin": "override",
+    "o_solref": "override",
+    "o_solimp": "override",
+    "o_friction": "override",
 }
 """Options that act only with a flag -> the flag."""
 
@@ -66,7 +70,8 @@ def apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
     """
     if not cfg.physics_dt > 0:
         raise ConfigError([Problem("physics_dt", f"must be positive, got {cfg.physics_dt}")])
-    physics, option = cfg.physics_config, spec.option
+    physics = cfg.physics_config
+    option = spec.option
     problems = check_options(physics)
     if problems:
         raise ConfigError(p.below("physics") for p in problems)
@@ -77,7 +82,7 @@ def apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
     option.iterations = int(physics.iterations)
     option.cone = int(_CONES[physics.cone])
     option.impratio = float(physics.impratio)
-    for name, value in _given(physics).items():
+    for name, value in _options(physics).items():
         if name == "flags":
             _apply_flags(option, value)
         elif name == "jacobian":
@@ -87,7 +92,7 @@ def apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
-def _given(physics: OptionsCfg) -> dict[str, Any]:
+def _options(physics: OptionsCfg) -> dict[str, Any]:
     """The options of `OptionsCfg` that are not None."""
     names = [field.name for field in dataclasses.fields(OptionsCfg)]
     values = {name: getattr(physics, name) for name in names}
@@ -96,51 +101,72 @@ def _given(physics: OptionsCfg) -> dict[str, Any]:
 
 def _set(option: Any, name: str, value: Any) -> None:
     """Set a number; of a list that is shorter than the option, the rest stays."""
-    now = getattr(option, name)
-    if isinstance(now, np.ndarray):
-        now[: len(value)] = value
+    current = getattr(option, name)
+    if isinstance(current, np.ndarray):
+        current[: len(value)] = value
     else:
-        setattr(option, name, type(now)(value))
+        setattr(option, name, type(current)(value))
 
 
-def _apply_flags(option: Any, flags: FlagsCfg) -> None:
-    for kind, name, bit in _bits():
-        wanted = getattr(flags, name, None)
-        if wanted is None:
+@dataclass(frozen=True)
+class _Flag:
+    """One flag of MuJoCo.
+
+    Attributes:
+        field: The option that has its bit: ``disableflags`` or ``enableflags``.
+        name: Its name in MJCF.
+        bit: Its bit.
+    """
+
+    field: str
+    name: str
+    bit: int
+
+
+def _apply_flags(option: Any, cfg: FlagsCfg) -> None:
+    for flag in _all_flags():
+        setting = getattr(cfg, flag.name, None)
+        if setting is None:
             continue
-        now, is_set = int(getattr(option, kind)), (wanted == "enable") == (kind == "enableflags")
-        setattr(option, kind, now | bit if is_set else now & ~bit)
+        bits = int(getattr(option, flag.field))
+        # A bit of `disableflags` is set to switch its flag off.
+        if (setting == "enable") == (flag.field == "enableflags"):
+            bits |= flag.bit
+        else:
+            bits &= ~flag.bit
+        setattr(option, flag.field, bits)
 
 
-def _bits() -> list[tuple[str, str, int]]:
-    """Each flag of MuJoCo: ``disableflags`` or ``enableflags``, its name in MJCF, its bit."""
-    found = []
-    for kind, enum in _FLAGS.items():
+def _all_flags() -> list[_Flag]:
+    """Return every flag of MuJoCo."""
+    flags: list[_Flag] = []
+    for field, enum in _FLAGS.items():
         for member, value in enum.__members__.items():
-            if int(value).bit_count() == 1 and not member.startswith("mjN"):
-                found.append((kind, member.split("_")[-1].lower(), int(value)))
-    return found
+            is_count = member.startswith("mjN")  # mjNDISABLE is the number of flags
+            if int(value).bit_count() == 1 and not is_count:
+                flags.append(_Flag(field, member.split("_")[-1].lower(), int(value)))
+    return flags
 
 
 def check_options(physics: PhysicsCfg) -> list[Problem]:
     """Return every option that is wrong or has no effect, with paths below ``physics``."""
     problems: list[Problem] = []
-    given = _given(physics)
+    options = _options(physics)
     flags = physics.flags or FlagsCfg()
     for name, flag in _NEEDED.items():
-        if name in given and getattr(flags, flag) != "enable":
+        if name in options and getattr(flags, flag) != "enable":
             message = f"has no effect without flags: {{{flag}: enable}}"
             problems.append(Problem(name, message))
-    if "noslip_tolerance" in given and not given.get("noslip_iterations"):
+    if "noslip_tolerance" in options and not options.get("noslip_iterations"):
         message = "has no effect without noslip_iterations"
         problems.append(Problem("noslip_tolerance", message))
-    if "o_solref" in given:
-        problems += check_solref("o_solref", given["o_solref"])
-    if "o_solimp" in given:
-        problems += check_solimp("o_solimp", given["o_solimp"])
+    if "o_solref" in options:
+        problems += check_solref("o_solref", options["o_solref"])
+    if "o_solimp" in options:
+        problems += check_solimp("o_solimp", options["o_solimp"])
     for name in ("wind", "density", "viscosity", "magnetic"):
-        if name in given and not np.isfinite(np.asarray(given[name], np.float64)).all():
-            problems.append(Problem(name, f"must be finite, got {given[name]}"))
+        if name in options and not np.isfinite(np.asarray(options[name], np.float64)).all():
+            problems.append(Problem(name, f"must be finite, got {options[name]}"))
     return problems
 
 
@@ -164,30 +190,41 @@ def replace_options(
     """
     default = mujoco.MjSpec().option
     replaced: list[str] = []
-    for name in (name for name in dir(default) if not name.startswith("_")):
-        old, new = getattr(child.option, name), getattr(scene.option, name)
+    for name in dir(default):
+        if name.startswith("_"):
+            continue
+        old = getattr(child.option, name)
+        new = getattr(scene.option, name)
         if name in _FLAGS:
             replaced += _replaced_flags(name, int(old), int(new), given)
-        # A value that differs from MuJoCo's default was given, even if `given` lacks it.
-        elif not np.array_equal(old, new) and (
-            name in given or not np.array_equal(old, getattr(default, name))
-        ):
-            replaced.append(f"{name} {_show(name, old)} -> {_show(name, new)}")
+        elif not np.array_equal(old, new):
+            # A value that differs from MuJoCo's default was given, even if `given` lacks it.
+            is_default = np.array_equal(old, getattr(default, name))
+            if name in given or not is_default:
+                replaced.append(f"{name} {_show(name, old)} -> {_show(name, new)}")
         setattr(child.option, name, new)
-    what = "; ".join(replaced)
-    return [f"{file}: the scene's physics replaces its options: {what}"] if what else []
+    if not replaced:
+        return []
+    return [f"{file}: the scene's physics replaces its options: {'; '.join(replaced)}"]
 
 
-def _replaced_flags(kind: str, old: int, new: int, given: Collection[str]) -> list[str]:
+def _replaced_flags(field: str, old: int, new: int, given: Collection[str]) -> list[str]:
     """Return flags that a file sets and the scene does not, and those it gives and loses."""
-    lost = [name for k, name, bit in _bits() if k == kind and old & ~new & bit]
-    turned = [
-        name
-        for k, name, bit in _bits()
-        if k == kind and new & ~old & bit and f"flag.{name}" in given
-    ]
-    said = [f"{kind} {', '.join(lost)} -> off"] if lost else []
-    return [*said, f"{kind} {', '.join(turned)} -> on"] if turned else said
+    switched_off: list[str] = []
+    switched_on: list[str] = []
+    for flag in _all_flags():
+        if flag.field != field:
+            continue
+        if old & ~new & flag.bit:
+            switched_off.append(flag.name)
+        if new & ~old & flag.bit and f"flag.{flag.name}" in given:
+            switched_on.append(flag.name)
+    messages: list[str] = []
+    if switched_off:
+        messages.append(f"{field} {', '.join(switched_off)} -> off")
+    if switched_on:
+        messages.append(f"{field} {', '.join(switched_on)} -> on")
+    return messages
 
 
 def _show(name: str, value: Any) -> str:

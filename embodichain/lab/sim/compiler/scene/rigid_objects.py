@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -48,12 +49,13 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
         for name in OF_EACH_SHAPE:
             if not _same(getattr(cfg, name), getattr(RigidObjectCfg(), name)):
                 problems.append(Problem(name, HAS_SHAPES))
-    for name, one in shapes_of(cfg).items():
-        if not cfg.any_of:
-            return problems + _check_shape(one)
+    if not cfg.any_of:
+        return problems + _check_shape(cfg)
+    for name, shape in shapes_of(cfg).items():
         path = f"any_of.{name}"
         problems += check_uid(name, path, {})
-        problems += [p.below(path) for p in _check_place(cfg.any_of[name]) + _check_shape(one)]
+        mistakes = _check_place(cfg.any_of[name]) + _check_shape(shape)
+        problems += [mistake.below(path) for mistake in mistakes]
     return problems
 
 
@@ -63,13 +65,19 @@ HAS_SHAPES = "the object has any_of: give each of its shapes there"
 
 
 def _same(a: object, b: object) -> bool:
-    return list(a) == list(b) if isinstance(a, Sequence) and isinstance(b, Sequence) else a == b
+    """Whether two values are equal; a list equals a tuple of the same items."""
+    if isinstance(a, Sequence) and isinstance(b, Sequence):
+        return list(a) == list(b)
+    return a == b
+
+
+_PLACE_KEYS = {"init_pos": "pos", "init_rot": "rot", "init_quat": "quat"}
+"""Keys of a pose -> keys of a shape of `any_of`."""
 
 
 def _check_place(variant: VariantCfg) -> list[Problem]:
-    names = {"init_pos": "pos", "init_rot": "rot", "init_quat": "quat"}
-    found = check_pose(_place(variant))
-    return [Problem(names[p.path], p.message, p.hint) for p in found]
+    mistakes = check_pose(_place(variant))
+    return [Problem(_PLACE_KEYS[p.path], p.message, p.hint) for p in mistakes]
 
 
 def _place(variant: VariantCfg) -> ObjectBaseCfg:
@@ -81,18 +89,22 @@ def shapes_of(cfg: RigidObjectCfg) -> dict[str, RigidObjectCfg]:
 
     The shape of an object without `any_of` has the name "".
     """
-    found = {}
+    if not cfg.any_of:
+        return {"": cfg}
+    shapes: dict[str, RigidObjectCfg] = {}
     for name, variant in cfg.any_of.items():
-        given = {key: getattr(variant, key) for key in ("mass", "density", "dynamic_friction")}
-        given = {key: value for key, value in given.items() if value is not None}
-        own = ("shape", "body_scale", "max_convex_hull_num", "collision")
-        found[name] = dataclasses.replace(
+        attrs: dict[str, Any] = {}
+        for key in ("mass", "density", "dynamic_friction"):
+            value = getattr(variant, key)
+            if value is not None:
+                attrs[key] = value
+        shapes[name] = dataclasses.replace(
             cfg,
             any_of={},
-            attrs=dataclasses.replace(cfg.attrs, **given),
-            **{key: getattr(variant, key) for key in own},
+            attrs=dataclasses.replace(cfg.attrs, **attrs),
+            **{key: getattr(variant, key) for key in OF_EACH_SHAPE},
         )
-    return found or {"": cfg}
+    return shapes
 
 
 def _check_shape(cfg: RigidObjectCfg) -> list[Problem]:
@@ -138,13 +150,14 @@ def _check_attrs(cfg: RigidObjectCfg) -> list[Problem]:
 
 def _convex_parts(cfg: RigidObjectCfg) -> int | None:
     """Maximum number of convex parts of a mesh; 1 is its hull, None as many as needed."""
-    given = _given_parts(cfg)
-    if given is not None:
-        return given
+    number = _given_parts(cfg)
+    if number is not None:
+        return number
     return None if cfg.collision == "decompose" else 1
 
 
 def _given_parts(cfg: RigidObjectCfg) -> int | None:
+    """The number of parts that the config gives, or None."""
     number = cfg.max_convex_hull_num
     return int(number) if is_given(number) else None
 
@@ -170,23 +183,30 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
         # A body compiled as "simple" has a diagonal mass matrix and cannot have a different centre
         # of mass per environment.
         body.simple = 0
-    for order, (name, one) in enumerate(shapes_of(cfg).items()):
-        before, prefix = len(body.geoms), f"{uid}/{name}" if name else uid
-        scale, parts = np.asarray(one.body_scale, np.float64), _convex_parts(one)
-        geom = add_shape(spec, body, prefix, one.shape, scale, number + order, parts)
-        attrs = one.attrs
-        if attrs.mass > 0:
-            geom.mass = float(attrs.mass)
+    for order, (name, shape) in enumerate(shapes_of(cfg).items()):
+        geoms_before = len(body.geoms)
+        geom = add_shape(
+            spec,
+            body,
+            uid=f"{uid}/{name}" if name else uid,
+            shape=shape.shape,
+            scale=np.asarray(shape.body_scale, np.float64),
+            number=number + order,
+            max_parts=_convex_parts(shape),
+        )
+        if shape.attrs.mass > 0:
+            geom.mass = float(shape.attrs.mass)
         else:
-            geom.density = float(attrs.density)
-        geoms = body.geoms[before:]
-        set_contact_parameters(geoms, object_contact(one))
-        set_collision(geoms, attrs.enable_collision)
+            geom.density = float(shape.attrs.density)
+        geoms = body.geoms[geoms_before:]
+        set_contact_parameters(geoms, object_contact(shape))
+        set_collision(geoms, shape.attrs.enable_collision)
         if name:
             body.userdata = [0.0]  # the index of the shape, as a field of each environment
-            place = initial_pose(_place(cfg.any_of[name]))
+            shape_pos, shape_quat = initial_pose(_place(cfg.any_of[name]))
             for part in geoms:
-                part.pos, part.quat = place
+                part.pos = shape_pos
+                part.quat = shape_quat
         if order:
             geom.mass = 0.0
             for part in geoms:

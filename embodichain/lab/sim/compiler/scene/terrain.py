@@ -67,23 +67,35 @@ def terrain_heights(cfg: TerrainCfg) -> tuple[F64, Terrain]:
         ConfigError: If the numbers do not fit together.
     """
     _check(cfg)
-    count, edge = round(cfg.size / cfg.resolution), round(cfg.border / cfg.resolution)
+    count = round(cfg.size / cfg.resolution)
+    edge = round(cfg.border / cfg.resolution)
     grid = PatchGrid(count, cfg.resolution, cfg.platform)
     columns = [(name, i) for name, patch in cfg.patches.items() for i in range(patch.columns)]
-    shape = len(columns) * count + 2 * edge, cfg.levels * count + 2 * edge
-    heights, origins = np.zeros(shape), np.zeros((cfg.levels, len(columns), 3))
+    rows_of_field = len(columns) * count + 2 * edge
+    columns_of_field = cfg.levels * count + 2 * edge
+    heights = np.zeros((rows_of_field, columns_of_field))
+    origins = np.zeros((cfg.levels, len(columns), 3))
     for level in range(cfg.levels):
         difficulty = level / max(cfg.levels - 1, 1)
+        first_column = edge + level * count
+        x = first_column + 0.5 * (count - columns_of_field)
         for column, (name, number) in enumerate(columns):
-            row, first = edge + column * count, edge + level * count
+            first_row = edge + column * count
+            y = first_row + 0.5 * (count - rows_of_field)
             stream = f"terrain/{name}/{number}/{level}"
-            found, middle = patch_heights(cfg.patches[name], grid, difficulty, cfg.seed, stream)
-            heights[row : row + count, first : first + count] = found
-            x, y = first + 0.5 * (count - shape[1]), row + 0.5 * (count - shape[0])
+            patch, middle = patch_heights(cfg.patches[name], grid, difficulty, cfg.seed, stream)
+            heights[first_row : first_row + count, first_column : first_column + count] = patch
             origins[level, column] = x * cfg.resolution, y * cfg.resolution, middle
-    half_x, half_y = (0.5 * (n - 1) * cfg.resolution for n in reversed(shape))
-    names = tuple(name for name, _ in columns)
-    return heights, Terrain(names, origins, count * cfg.resolution, (half_x, half_y))
+    terrain = Terrain(
+        kinds=tuple(name for name, _ in columns),
+        origins=origins,
+        size=count * cfg.resolution,
+        half=(
+            0.5 * (columns_of_field - 1) * cfg.resolution,
+            0.5 * (rows_of_field - 1) * cfg.resolution,
+        ),
+    )
+    return heights, terrain
 
 
 def _check(cfg: TerrainCfg) -> None:

@@ -73,13 +73,14 @@ class _Numbers:
     """Random numbers of one patch, which depend on the seed, its name and its level only."""
 
     def __init__(self, seed: int, name: str) -> None:
-        self._seed, self._name = seed, name
+        self._seed = seed
+        self._name = name
 
     def __call__(self, rows: int, columns: int) -> F64:
         """(rows, columns) uniform in [0, 1)."""
         keys = stream_keys(self._seed, self._name, np.arange(rows * columns, dtype=np.uint64))
-        found: F64 = (keys >> np.uint64(11)).astype(np.float64) * _UNIT
-        return found.reshape(rows, columns)
+        numbers = (keys >> np.uint64(11)).astype(np.float64) * _UNIT
+        return numbers.reshape(rows, columns)
 
 
 def patch_heights(
@@ -114,7 +115,8 @@ def _flat(cfg: FlatPatchCfg, grid: PatchGrid, difficulty: float, numbers: _Numbe
 
 
 def _rough(cfg: RoughPatchCfg, grid: PatchGrid, difficulty: float, numbers: _Numbers) -> F64:
-    limit, spacing = _at(cfg.height, difficulty), cfg.spacing
+    limit = _at(cfg.height, difficulty)
+    spacing = cfg.spacing
     place = (grid.axis + grid.half) / spacing
     first = np.floor(place).astype(np.int64)
     count = int(first[-1]) + 2
@@ -162,12 +164,14 @@ def _blocks(cfg: BlocksPatchCfg, grid: PatchGrid, difficulty: float, numbers: _N
 
 
 def _stones(cfg: StonesPatchCfg, grid: PatchGrid, difficulty: float, numbers: _Numbers) -> F64:
-    size, gap = _at(cfg.size, difficulty), _at(cfg.gap, difficulty)
+    size = _at(cfg.size, difficulty)
+    gap = _at(cfg.gap, difficulty)
     number, place = _squares(grid, size + gap)
     count = int(number[-1]) + 1
     tops = (2.0 * numbers(count, count) - 1.0) * _at(cfg.height, difficulty)
-    on = (place >= 0.5 * gap) & (place < 0.5 * gap + size)
-    heights = np.where(on[:, None] & on[None, :], tops[np.ix_(number, number)], -cfg.depth)
+    is_on_stone = (place >= 0.5 * gap) & (place < 0.5 * gap + size)
+    is_top = is_on_stone[:, None] & is_on_stone[None, :]
+    heights = np.where(is_top, tops[np.ix_(number, number)], -cfg.depth)
     return np.where(grid.outside > 0.0, heights, 0.0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -29,30 +30,33 @@ def index_variants(
         cfg: Its config, with `any_of`.
         geoms: (G,) its geoms in the scene.
     """
-    shape = len(cfg.any_of), len(geoms)
-    contype, conaffinity = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
-    alpha, materials = np.zeros(shape), np.full(shape, -1, np.int64)
-    mass, inertia = np.zeros(shape[0]), np.zeros((shape[0], 3))
-    ipos, iquat = np.zeros((shape[0], 3)), np.zeros((shape[0], 4))
+    count = len(cfg.any_of)
+    contype = np.zeros((count, len(geoms)), np.int64)
+    conaffinity = np.zeros((count, len(geoms)), np.int64)
+    alpha = np.zeros((count, len(geoms)))
+    materials = np.full((count, len(geoms)), -1, np.int64)
+    mass = np.zeros(count)
+    inertia = np.zeros((count, 3))
+    ipos = np.zeros((count, 3))
+    iquat = np.zeros((count, 4))
     for row, name in enumerate(cfg.any_of):
         single = mujoco.MjSpec()
         add_object(single, uid, dataclasses.replace(cfg, any_of={name: cfg.any_of[name]}), 0)
         alone = single.compile()
-        there = np.array([model.geom(alone.geom(i).name).id for i in range(alone.ngeom)])
-        columns = there - geoms[0]
+        scene_geoms = np.array([model.geom(alone.geom(i).name).id for i in range(alone.ngeom)])
+        columns = scene_geoms - geoms[0]
         contype[row, columns] = alone.geom_contype
         conaffinity[row, columns] = alone.geom_conaffinity
         alpha[row, columns] = alone.geom_rgba[:, 3]
-        materials[row, columns] = model.geom_matid[there]
+        materials[row, columns] = model.geom_matid[scene_geoms]
         body = int(alone.body(uid).id)
-        mass[row], inertia[row] = alone.body_mass[body], alone.body_inertia[body]
-        ipos[row], iquat[row] = alone.body_ipos[body], alone.body_iquat[body]
+        mass[row] = alone.body_mass[body]
+        inertia[row] = alone.body_inertia[body]
+        ipos[row] = alone.body_ipos[body]
+        iquat[row] = alone.body_iquat[body]
     root = int(model.body(uid).id)
-    for kind, masks in (("contype", contype[0]), ("conaffinity", conaffinity[0])):
-        getattr(model, f"geom_{kind}")[geoms] = masks
-        getattr(model, f"body_{kind}")[root] = np.bitwise_or.reduce(masks)
-        for geom, mask in zip(geoms.tolist(), masks.tolist(), strict=True):
-            setattr(spec.geom(model.geom(geom).name), kind, mask)
+    _set_bits(model, spec, root, geoms, "contype", contype[0])
+    _set_bits(model, spec, root, geoms, "conaffinity", conaffinity[0])
     return VariantIndex(
         names=tuple(cfg.any_of),
         contype=contype,
@@ -64,3 +68,18 @@ def index_variants(
         iquat=iquat,
         inertia=inertia,
     )
+
+
+def _set_bits(
+    model: mujoco.MjModel,
+    spec: mujoco.MjSpec,
+    body: int,
+    geoms: Ids,
+    field: Literal["contype", "conaffinity"],
+    bits: Ids,
+) -> None:
+    """Set bits (G,) of a body's geoms, and their union, which the broad phase reads."""
+    getattr(model, f"geom_{field}")[geoms] = bits
+    getattr(model, f"body_{field}")[body] = np.bitwise_or.reduce(bits)
+    for geom, value in zip(geoms.tolist(), bits.tolist(), strict=True):
+        setattr(spec.geom(model.geom(geom).name), field, value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 
@@ -38,7 +39,7 @@ class World:
         objects: The bodies of its world as rigid objects, by name; their poses are those of
             `start`. Joints below them are simulated, but no handle reads them.
         options: The physics options that it gives, see `given_options`.
-        notes: Messages for the user, one line each: what of the file is not used.
+        notes: Messages for the user, one line each: parts of the file that are not used.
         floors: Its horizontal planes.
     """
 
@@ -72,51 +73,83 @@ def read_world(cfg: SceneCfg) -> World:
     if spec.compiler.settotalmass > 0:
         message = f"{file.path}: settotalmass would scale robots and objects too: give masses"
         raise ConfigError([Problem("scene.fpath", message)])
-    start, unused = mujoco.MjData(model), [model.key(i).name for i in range(model.nkey)]
-    key = cfg.keyframe
-    if key is not None and key not in unused:
-        raise ConfigError([no_such("keyframe", key, unused or ["none"], "scene.keyframe")])
-    if key is None and unused:
-        key = "home" if "home" in unused else unused[0]
-    if key is not None:
-        mujoco.mj_resetDataKeyframe(model, start, unused.index(key))
-        unused.remove(key)
-    mujoco.mj_kinematics(model, start)
+    start = mujoco.MjData(model)
+    unused = _start_at_keyframe(cfg, model, start)
     for keyframe in list(spec.keys):
         spec.delete(keyframe)
-    actuators = [model.actuator(i).name for i in range(model.nactuator)]
-    sensors = [model.sensor(i).name or "unnamed" for i in range(model.nsensor)]
-    said = [
-        (unused, f"it starts at {f'its keyframe {key!r}' if key else 'its defaults'}; left out:"),
-        (actuators, "no action moves its actuators, their controls stay as at the start:"),
-        (sensors, "no term reads its sensors:"),
-    ]
-    sizes = [f"{file.path}: {line}" for line in leave_out_sizes(spec)]
-    notes = sizes + [
-        f"{file.path}: {what} {', '.join(map(repr, names))}" for names, what in said if names
-    ]
+    lines = [*leave_out_sizes(spec), *unused, *_unused_elements(model)]
     bodies = [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
-    objects = {model.body(i).name: _object(model, start, i) for i in bodies}
-    floors = floors_of(planes_of(spec, model))
     return World(
-        file.path, spec, model, start, objects, file.options, (*file.notes, *notes), floors
+        path=file.path,
+        spec=spec,
+        model=model,
+        start=start,
+        objects={model.body(i).name: _object(model, start, i) for i in bodies},
+        options=file.options,
+        notes=(*file.notes, *(f"{file.path}: {line}" for line in lines)),
+        floors=floors_of(planes_of(spec, model)),
     )
+
+
+def _start_at_keyframe(cfg: SceneCfg, model: mujoco.MjModel, start: mujoco.MjData) -> list[str]:
+    """Set the initial state of a file; return a message about keyframes that are not used.
+
+    It is the keyframe of the config, else ``home``, else the first, else MuJoCo's reset state.
+
+    Raises:
+        ConfigError: If the file lacks the keyframe.
+    """
+    names = [model.key(i).name for i in range(model.nkey)]
+    name = cfg.keyframe
+    if name is not None and name not in names:
+        raise ConfigError([no_such("keyframe", name, names or ["none"], "scene.keyframe")])
+    if name is None and names:
+        name = "home" if "home" in names else names[0]
+    chosen = "its defaults"
+    if name is not None:
+        mujoco.mj_resetDataKeyframe(model, start, names.index(name))
+        names.remove(name)
+        if name:
+            chosen = f"its keyframe {name!r}"
+    mujoco.mj_kinematics(model, start)
+    if not names:
+        return []
+    return [f"it starts at {chosen}; left out: {', '.join(map(repr, names))}"]
+
+
+def _unused_elements(model: mujoco.MjModel) -> list[str]:
+    """Return messages about actuators and sensors, which nothing of a task reaches."""
+    messages: list[str] = []
+    actuators = [model.actuator(i).name for i in range(model.nactuator)]
+    if actuators:
+        names = ", ".join(map(repr, actuators))
+        message = "no action moves its actuators, their controls stay as at the start"
+        messages.append(f"{message}: {names}")
+    sensors = [model.sensor(i).name or "unnamed" for i in range(model.nsensor)]
+    if sensors:
+        messages.append(f"no term reads its sensors: {', '.join(map(repr, sensors))}")
+    return messages
 
 
 def _object(model: mujoco.MjModel, start: mujoco.MjData, body: int) -> RigidObjectCfg:
     """A body of the world as a rigid object: its type, its pose, its damping."""
     joint = int(model.body_jntadr[body])
-    free = joint >= 0 and int(model.jnt_type[joint]) == _FREE
-    mocap = model.body_mocapid[body] >= 0
-    linear = angular = 0.0
-    if free and model.body_mass[body] > 0:
+    is_free = joint >= 0 and int(model.jnt_type[joint]) == _FREE
+    body_type: Literal["dynamic", "kinematic", "static"] = "static"
+    if is_free:
+        body_type = "dynamic"
+    elif model.body_mocapid[body] >= 0:
+        body_type = "kinematic"
+    linear = 0.0
+    angular = 0.0
+    if is_free and model.body_mass[body] > 0:
         # Rates of decay that give the file's damping back, see `damping_of`.
         moments = inertia_about_axes(model.body_iquat[body], model.body_inertia[body])
         damping = model.dof_damping[model.jnt_dofadr[joint] :]
         linear = float(damping[0] / model.body_mass[body])
         angular = float(damping[3] / moments[0]) if moments[0] > 0 else 0.0
     return RigidObjectCfg(
-        body_type="dynamic" if free else "kinematic" if mocap else "static",
+        body_type=body_type,
         attrs=RigidBodyAttributesCfg(
             mass=float(model.body_mass[body]),
             linear_damping=linear,
@@ -137,5 +170,5 @@ def add_world(spec: mujoco.MjSpec, child: mujoco.MjSpec) -> None:
 def start_world(data: mujoco.MjData, world: World) -> None:
     """Copy a world's initial state into that of the scene, in which its elements are first."""
     for name in ("qpos", "qvel", "ctrl", "act", "mocap_pos", "mocap_quat"):
-        own = getattr(world.start, name)
-        getattr(data, name)[: len(own)] = own
+        values = getattr(world.start, name)
+        getattr(data, name)[: len(values)] = values

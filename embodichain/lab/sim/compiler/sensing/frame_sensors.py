@@ -57,28 +57,28 @@ def add_frame_sensors(
     """
     import mujoco  # configs of sensors are imported without it
 
-    numbers = [getattr(mujoco.mjtSensor, f"mjSENS_{name.upper()}") for name in types]
+    sensor_types = [getattr(mujoco.mjtSensor, f"mjSENS_{name.upper()}") for name in types]
     offset = np.asarray(pos, np.float64)
     turn = normalize_quat(np.asarray(quat, np.float64))
     is_moved = bool(offset.any()) or turn[0] != 1.0
+    # The frame itself where possible, so that it follows the fields of an environment's model.
+    needs_site = is_moved or plan.kind not in without_site
+    measured_type = object_type("site" if needs_site else plan.kind)
     for i, (frame, place) in enumerate(zip(plan.frames, plan.places, strict=True)):
-        # The frame itself where possible, so that it follows the fields of an environment's model.
-        if plan.kind in without_site and not is_moved:
-            measured, name = object_type(plan.kind), frame
-        else:
-            measured, name = object_type("site"), f"{plan.uid}/{i}"
-            body, at, turned = place
-            spec.body(body).add_site(
-                name=name,
+        measured_name = frame
+        if needs_site:
+            measured_name = f"{plan.uid}/{i}"
+            spec.body(place.body).add_site(
+                name=measured_name,
                 size=[_SITE_RADIUS] * 3,
                 group=_HIDDEN_GROUP,
-                pos=at + quat_rotate(turned, offset),
-                quat=quat_multiply(turned, turn),
+                pos=place.pos + quat_rotate(place.quat, offset),
+                quat=quat_multiply(place.quat, turn),
             )
-        for j, sensor_type in enumerate(numbers):
+        for j, sensor_type in enumerate(sensor_types):
             sensor = spec.add_sensor(name=f"{plan.uid}/{i}/{j}", type=sensor_type)
-            sensor.objtype = measured
-            sensor.objname = name
+            sensor.objtype = measured_type
+            sensor.objname = measured_name
             for reference_type, reference in plan.others:
                 sensor.reftype = reference_type
                 sensor.refname = reference

@@ -34,16 +34,16 @@ def plan_sensors(
     """
     plans: dict[str, SensorPlan] = {}
     problems: list[Problem] = []
-    taken = {GROUND: "the ground plane", **dict.fromkeys(known, "an entity")}
+    used_names = {GROUND: "the ground plane", **dict.fromkeys(known, "an entity")}
     for uid, cfg in sensors.items():
         path = f"sensors.{uid}"
-        plan, mistakes = plan_sensor(uid, cfg, known, ground=ground, open_scene=open_scene)
-        problems += check_uid(uid, path, taken)
+        problems += check_uid(uid, path, used_names)
         if cfg.uid not in (None, "", uid):
             message = f"the key {uid!r} is its uid; it cannot be {cfg.uid!r}: leave uid out"
-            mistakes = [Problem("uid", message), *mistakes]
-        mistakes = [*mistakes, *cfg.check_memory(num_envs)]
-        problems += [problem.below(path) for problem in mistakes]
+            problems.append(Problem(f"{path}.uid", message))
+        plan, mistakes = plan_sensor(uid, cfg, known, ground=ground, open_scene=open_scene)
+        mistakes += cfg.check_memory(num_envs)
+        problems += [mistake.below(path) for mistake in mistakes]
         if plan is not None:
             plans[uid] = plan
     return plans, problems

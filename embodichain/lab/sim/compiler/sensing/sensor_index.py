@@ -55,7 +55,8 @@ def own_columns(
     start = int(model.sensor_adr[sensors[0]])
     stop = int(model.sensor_adr[sensors[-1]] + model.sensor_dim[sensors[-1]])
     width = int(model.sensor_dim[sensors].sum())
-    shape = (width,) if shape is None else shape
+    if shape is None:
+        shape = (width,)
     if stop - start != width or width != int(np.prod(shape)):
         raise RuntimeError(f"{uid}: MuJoCo keeps its numbers in columns {start} to {stop}")
     return SensorIndex(columns=slice(start, stop), shape=shape)

@@ -61,7 +61,7 @@ class SensorPlan:
     @property
     def bodies(self) -> tuple[str, ...]:
         """(n,) names in the model of the bodies that carry the frames."""
-        return tuple(body for body, _, _ in self.places)
+        return tuple(place.body for place in self.places)
 
 
 def plan_sensor(

@@ -35,10 +35,17 @@ _MARGIN = 1.2
 _HIDDEN_GROUP = 3
 _FIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
 _PLACES = ("eye", "direction", "camera")
-_FIXED, _TRACK = mujoco.mjtCamLight.mjCAMLIGHT_FIXED, mujoco.mjtCamLight.mjCAMLIGHT_TRACK
+_FIXED = mujoco.mjtCamLight.mjCAMLIGHT_FIXED
+_TRACK = mujoco.mjtCamLight.mjCAMLIGHT_TRACK
 _OPTICS = (
-    *("fovy", "proj", "resolution", "sensor_size"),
-    *("focal_length", "focal_pixel", "principal_length", "principal_pixel"),
+    "fovy",
+    "proj",
+    "resolution",
+    "sensor_size",
+    "focal_length",
+    "focal_pixel",
+    "principal_length",
+    "principal_pixel",
 )
 
 
@@ -54,32 +61,47 @@ def check_views(
         views: The views by name.
         cameras: The cameras of files and sensors.
         bodies: Entities and links that a view may follow; None if not all are known: then unknown
-            ones, and unknown cameras, are no mistakes.
+            ones, and unknown cameras, are not mistakes.
         known: The declared entities, for sites and geoms that a view may follow.
     """
     problems: list[Problem] = []
     for name, cfg in views.items():
-        found = [Problem(f"{name}.{p.path}".rstrip("."), p.message) for p in _check_view(cfg)]
+        mistakes = _check_view(cfg)
         if "/" in name:
-            found.append(Problem(name, "a view's name must not contain '/', as those of files do"))
+            message = "a view's name must not contain '/', as those of files do"
+            mistakes.append(Problem("", message))
         elif name in cameras:
-            found.append(Problem(name, f"a camera is called {name!r}: choose another name"))
+            mistakes.append(Problem("", f"a camera is called {name!r}: choose another name"))
         if bodies is not None:
-            kinds = ("camera", "camera", cameras), ("body", "entity or link", bodies)
-            for key, what, there in kinds:
-                given = getattr(cfg, key)
-                place, wrong = None, list[Problem]()
-                if key == "body" and given is not None and given not in there:
-                    place, wrong = find_place(given, known or {})
-                if wrong:
-                    found += [p.below(f"{name}.{key}") for p in wrong]
-                elif given is not None and given not in there and place is None:
-                    message = f"no {what} is called {given!r}; there are: "
-                    message += listing([*there], given) or "none"
-                    hint = did_you_mean(given, there).strip()
-                    found.append(Problem(f"{name}.{key}", message, hint))
-        problems += found
+            mistakes += _check_references(cfg, cameras, bodies, known or {})
+        for mistake in mistakes:
+            # The path of a mistake of the view as a whole is empty.
+            path = f"{name}.{mistake.path}" if mistake.path else name
+            problems.append(Problem(path, mistake.message, mistake.hint))
     return problems
+
+
+def _check_references(
+    cfg: ViewCfg, cameras: Collection[str], bodies: Collection[str], known: Known
+) -> list[Problem]:
+    """Return a view's references to cameras and bodies that do not exist, with paths below it."""
+    problems: list[Problem] = []
+    if cfg.camera is not None and cfg.camera not in cameras:
+        message = f"no camera is called {cfg.camera!r}"
+        problems.append(_unknown("camera", message, cfg.camera, cameras))
+    if cfg.body is not None and cfg.body not in bodies:
+        place, mistakes = find_place(cfg.body, known)
+        problems += [Problem("body", mistake.message, mistake.hint) for mistake in mistakes]
+        if place is None and not mistakes:
+            message = f"no entity or link is called {cfg.body!r}"
+            problems.append(_unknown("body", message, cfg.body, bodies))
+    return problems
+
+
+def _unknown(key: str, message: str, name: str, names: Collection[str]) -> Problem:
+    """Return the problem that a name is none of some names."""
+    existing = listing([*names], name) or "none"
+    return Problem(key, f"{message}; there are: {existing}", did_you_mean(name, names).strip())
 
 
 def places_of_views(
@@ -92,8 +114,11 @@ def places_of_views(
         world: The scene's file.
         incomplete: Whether there may be more entities; then the second is None.
     """
-    cameras = [] if world is None else [f"{WORLD}/{c.name}" for c in world.spec.cameras]
-    bodies = [] if world is None else [f"{WORLD}/{b.name}" for b in world.spec.bodies[1:]]
+    cameras: list[str] = []
+    bodies: list[str] = []
+    if world is not None:
+        cameras += [f"{WORLD}/{camera.name}" for camera in world.spec.cameras]
+        bodies += [f"{WORLD}/{body.name}" for body in world.spec.bodies[1:]]
     for uid, entity in known.items():
         if isinstance(entity, ParsedArticulation):
             cameras += [f"{uid}/{camera.name}" for camera in entity.spec.cameras]
@@ -105,15 +130,15 @@ def places_of_views(
 
 def _check_view(cfg: ViewCfg) -> list[Problem]:
     """What is wrong with a view itself, with paths below it."""
-    given = [name for name in _PLACES if getattr(cfg, name) is not None]
-    if len(given) != 1:
-        got = " and ".join(given) or "none"
+    ways_to_place = [name for name in _PLACES if getattr(cfg, name) is not None]
+    if len(ways_to_place) != 1:
+        got = " and ".join(ways_to_place) or "none"
         return [Problem("", f"needs one of {', '.join(_PLACES)}, got {got}")]
     problems = []
     if cfg.camera is not None:
-        fixed = {"target": cfg.target, "body": cfg.body}
-        for name in (name for name, value in fixed.items() if value is not None):
-            problems.append(Problem(name, "has no effect on a camera of a file: leave it out"))
+        for name in ("target", "body"):
+            if getattr(cfg, name) is not None:
+                problems.append(Problem(name, "has no effect on a camera of a file: leave it out"))
     if cfg.follow != "position" and cfg.body is None:
         problems.append(Problem("follow", "belongs to body: the view follows nothing"))
     if cfg.direction is not None and cfg.body is not None:
@@ -146,24 +171,33 @@ def add_views(
     Raises:
         ConfigError: If a view is wrong; lists every mistake.
     """
-    own = {camera.name: camera for camera in spec.cameras}
+    cameras = {camera.name: camera for camera in spec.cameras}
     bodies = {body.name: body for body in spec.bodies if body.name != "world"}
     bodies |= {uid: bodies[root] for uid, root in roots.items()}
-    problems = check_views(views, own, bodies, known)
+    problems = check_views(views, cameras, bodies, known)
     if problems:
         raise ConfigError(p.below("views") for p in problems)
     for name, cfg in _with_default(views).items():
         if cfg.camera is not None:
-            _copy_camera(own[cfg.camera], name, cfg.fovy)
+            _copy_camera(cameras[cfg.camera], name, cfg.fovy)
             continue
-        body = spec.worldbody if cfg.body is None else bodies.get(cfg.body)
-        if body is None:
-            place, _ = find_place(cfg.body or "", known)
-            if place is None:
-                raise RuntimeError(f"{cfg.body!r} was found before")
-            body = spec.body(place[0]).add_body(name=f"views/{name}", pos=place[1], quat=place[2])
+        if cfg.body is None:
+            body = spec.worldbody
+        elif cfg.body in bodies:
+            body = bodies[cfg.body]
+        else:
+            body = _add_body_on_frame(spec, f"views/{name}", cfg.body, known)
         camera = body.add_camera(name=name, fovy=FOVY if cfg.fovy is None else float(cfg.fovy))
-        camera.mode = _TRACK if cfg.body is not None and cfg.follow == "position" else _FIXED
+        follows_position = cfg.body is not None and cfg.follow == "position"
+        camera.mode = _TRACK if follows_position else _FIXED
+
+
+def _add_body_on_frame(spec: mujoco.MjSpec, name: str, frame: str, known: Known) -> mujoco.MjsBody:
+    """Add a body without mass at the pose of a site or a geom, ``ENTITY/NAME``."""
+    place, _ = find_place(frame, known)
+    if place is None:
+        raise RuntimeError(f"{frame!r} was found before")
+    return spec.body(place.body).add_body(name=name, pos=place.pos, quat=place.quat)
 
 
 def _with_default(views: Mapping[str, ViewCfg]) -> dict[str, ViewCfg]:
@@ -172,12 +206,15 @@ def _with_default(views: Mapping[str, ViewCfg]) -> dict[str, ViewCfg]:
 
 def _copy_camera(camera: mujoco.MjsCamera, name: str, fovy: float | None) -> None:
     """Add a camera with another one's pose and optics."""
-    made = camera.parent.add_camera(name=name, pos=camera.pos, quat=camera.quat)
-    made.alt, made.mode, made.targetbody = camera.alt, camera.mode, camera.targetbody
+    copied = camera.parent.add_camera(name=name, pos=camera.pos, quat=camera.quat)
+    copied.alt = camera.alt
+    copied.mode = camera.mode
+    copied.targetbody = camera.targetbody
     for field in _OPTICS:
-        setattr(made, field, getattr(camera, field))
+        setattr(copied, field, getattr(camera, field))
     if fovy is not None:
-        made.fovy, made.sensor_size = float(fovy), [0.0, 0.0]
+        copied.fovy = float(fovy)
+        copied.sensor_size = [0.0, 0.0]  # with a size, MuJoCo ignores fovy
 
 
 def place_views(
@@ -191,32 +228,41 @@ def place_views(
         data: The initial state, with positions computed.
         views: The declared views.
     """
-    shown = _shown(model, data)
-    middle = 0.5 * (shown.min(axis=0) + shown.max(axis=0))
+    points = _shown_points(model, data)
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     at_rest = mujoco.MjData(model)
     mujoco.mj_kinematics(model, at_rest)
     for name, cfg in _with_default(views).items():
         if cfg.camera is not None:
             continue
-        camera, written = model.camera(name), spec.camera(name)
+        camera = model.camera(name)
         if cfg.direction is not None:
-            back = np.asarray(cfg.direction, np.float64)
-            axes = _axes(back, cfg.up)
-            pos = _standing_back(shown, axes, float(camera.fovy[0]), cfg.target)
+            axes = _look_axes(np.asarray(cfg.direction, np.float64), cfg.up)
+            pos = _stand_back(points, axes, float(camera.fovy[0]), cfg.target)
         else:
             pos = np.asarray(cfg.eye, np.float64)
-            target = np.zeros(3) if cfg.body is not None else middle
-            target = target if cfg.target is None else np.asarray(cfg.target, np.float64)
-            axes = _axes(pos - target, cfg.up)
+            axes = _look_axes(pos - _target(cfg, middle), cfg.up)
         if int(camera.mode[0]) == int(_TRACK):
             # MuJoCo keeps the offset and the axes that a tracking camera has in qpos0.
-            body = at_rest.xmat[camera.bodyid[0]].reshape(3, 3)
-            pos, axes = body.T @ pos, body.T @ axes
+            body_axes = at_rest.xmat[camera.bodyid[0]].reshape(3, 3)
+            pos = body_axes.T @ pos
+            axes = body_axes.T @ axes
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, axes.reshape(9))
-        camera.pos[:] = written.pos = pos
-        camera.quat[:] = written.quat = quat
+        camera.pos[:] = pos
+        camera.quat[:] = quat
+        spec.camera(name).pos = pos
+        spec.camera(name).quat = quat
     _derive_cameras(model)
+
+
+def _target(cfg: ViewCfg, middle: F64) -> F64:
+    """Return the point (3,) that a camera at a point looks at; `middle` is that of the scene."""
+    if cfg.target is not None:
+        return np.asarray(cfg.target, np.float64)
+    if cfg.body is not None:
+        return np.zeros(3)
+    return middle
 
 
 def _derive_cameras(model: mujoco.MjModel) -> None:
@@ -227,7 +273,7 @@ def _derive_cameras(model: mujoco.MjModel) -> None:
         getattr(model, field)[:] = getattr(derived, field)
 
 
-def _axes(back: F64, up: Sequence[float]) -> F64:
+def _look_axes(back: F64, up: Sequence[float]) -> F64:
     """(3, 3) columns right, up, backwards of a camera; another `up` if it is parallel to the view.
 
     Raises:
@@ -246,24 +292,25 @@ def _axes(back: F64, up: Sequence[float]) -> F64:
     return np.stack([right, np.cross(back, right), back], axis=1)
 
 
-def _standing_back(shown: F64, axes: F64, fovy: float, target: Sequence[float] | None) -> F64:
+def _stand_back(points: F64, axes: F64, fovy: float, target: Sequence[float] | None) -> F64:
     """Return the camera position (3,) from which points (n, 3) just fill the picture.
 
     With slope t of a side of the view, a camera at (a, c) in the plane of one axis and the view
     shows a point (x, z) if |x - a| <= t (c - z), so t c + a >= max(x + t z) = high and
     t c - a >= max(t z - x) = low. The nearest camera has a = (high - low) / 2; `target` fixes a.
     """
-    local = shown @ axes
+    local = points @ axes
     aim = None if target is None else np.asarray(target, np.float64) @ axes
     slope = np.tan(np.radians(fovy) / 2.0) / _MARGIN
-    at, depth = np.zeros(3), -np.inf
+    eye = np.zeros(3)
+    depth = -np.inf
     for axis, t in ((0, slope * _ASPECT), (1, slope)):
         low = float((t * local[:, 2] - local[:, axis]).max())
         high = float((t * local[:, 2] + local[:, axis]).max())
-        at[axis] = 0.5 * (high - low) if aim is None else aim[axis]
-        depth = max(depth, (high - at[axis]) / t, (low + at[axis]) / t)
-    at[2] = depth
-    return axes @ at
+        eye[axis] = 0.5 * (high - low) if aim is None else aim[axis]
+        depth = max(depth, (high - eye[axis]) / t, (low + eye[axis]) / t)
+    eye[2] = depth
+    return axes @ eye
 
 
 # ------------------------------------------------------------------------------------------- bounds
@@ -271,21 +318,23 @@ def _standing_back(shown: F64, axes: F64, fovy: float, target: Sequence[float] |
 
 def scene_bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64, float]:
     """Return centre and radius of a sphere around what views show; the radius is at least 0.15."""
-    shown = _shown(model, data)
-    low, high = shown.min(axis=0), shown.max(axis=0)
-    return 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 0.15)
+    points = _shown_points(model, data)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
+    radius = 0.5 * float(np.linalg.norm(high - low))
+    return 0.5 * (low + high), max(radius, 0.15)
 
 
-def _shown(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
+def _shown_points(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
     """(n, 3) corners of the boxes around the drawn shapes of bodies above the ground.
 
     Terrains and shapes of the world itself, such as grounds and walls, count only if there are no
     others. A scene without any has a box of 60 cm at the origin.
     """
-    drawn = (model.geom_rbound > 0) & (model.geom_group < _HIDDEN_GROUP)
-    drawn &= model.geom_rgba[:, 3] > 0
-    of_bodies = drawn & (model.geom_bodyid > 0) & (model.geom_type != _FIELD)
-    geoms = np.flatnonzero(of_bodies if of_bodies.any() else drawn)
+    is_drawn = (model.geom_rbound > 0) & (model.geom_group < _HIDDEN_GROUP)
+    is_drawn &= model.geom_rgba[:, 3] > 0
+    is_of_body = is_drawn & (model.geom_bodyid > 0) & (model.geom_type != _FIELD)
+    geoms = np.flatnonzero(is_of_body if is_of_body.any() else is_drawn)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
     if not len(geoms):
         return 0.3 * (signs + np.array([0, 0, 1]))

@@ -11,7 +11,8 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
 )
 from embodichain.lab.sim.compiler.robot.articulation import parse_articulation
-from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveChange, PhysicsStep
+from embodichain.lab.sim.compiler.robot.drives.chatter import PhysicsStep
+from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange
 from tests.lab.sim.compiler.helpers import UR10, scene_of, write
 
 PANDA = "panda_description/urdf/panda.urdf"

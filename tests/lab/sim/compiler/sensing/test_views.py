@@ -178,6 +178,10 @@ WRONG = {
         {"eye": [1, 0, 0], "body": "b"},
         "views.v.body: no entity or link is called 'b'; there are: a",
     ),
+    "no such part of a body": (
+        {"eye": [1, 0, 0], "body": "a/lid"},
+        "views.v.body: no link of 'a' matches 'lid'; there are: a",
+    ),
     "no such camera": (
         {"camera": "r/eye"},
         "views.v.camera: no camera is called 'r/eye'; there are: none",

@@ -43,21 +43,23 @@ def resolve_shapes(
     """
     shapes: dict[str, CollisionShapeCfg | None] = {}
     problems: list[Problem] = []
-    owner: dict[str, str] = {}
+    pattern_of: dict[str, str] = {}
     if cfg.collision_shapes and not cfg.attrs.enable_collision:
         message = "attrs.enable_collision is false: no link collides"
         problems.append(Problem("collision_shapes", message))
-    for pattern, wanted in cfg.collision_shapes.items():
+    for pattern, shape in cfg.collision_shapes.items():
         path = f"collision_shapes.{pattern}"
-        found, wrong = match(pattern, links, "link", path)
-        problems += wrong
-        if wanted is not None:
-            problems += [p.below(path) for p in _check(wanted)]
-        for name in (links[i] for i in found):
-            if name in owner:
-                message = f"{owner[name]!r} matches link {name!r} too"
+        ids, mistakes = match(pattern, links, "link", path)
+        problems += mistakes
+        if shape is not None:
+            problems += [p.below(path) for p in _check(shape)]
+        for i in ids:
+            link = links[i]
+            if link in pattern_of:
+                message = f"{pattern_of[link]!r} matches link {link!r} too"
                 problems.append(Problem(path, message))
-            owner[name], shapes[name] = pattern, wanted
+            pattern_of[link] = pattern
+            shapes[link] = shape
     return shapes, problems
 
 
@@ -86,13 +88,14 @@ def replace_shapes(
     """
     for number, (name, cfg) in enumerate(shapes.items()):
         body = spec.body(name)
-        before = [geom for geom in body.geoms if collides(geom)]
+        replaced_geoms = [geom for geom in body.geoms if collides(geom)]
         if cfg is not None:
-            pos, quat = initial_pose(cfg)
             geom = add_shape(spec, body, f"{name}/collision", cfg.shape, _UNSCALED, number)
-            geom.pos, geom.quat, geom.mass, geom.group = pos, quat, 0.0, COLLISION_GROUP
+            geom.pos, geom.quat = initial_pose(cfg)
+            geom.mass = 0.0
+            geom.group = COLLISION_GROUP
             geom.friction[0] = float(attrs.dynamic_friction)
-            if before:
-                set_contact_parameters([geom], ContactParameters.of_geom(before[0]))
-        for geom in before:
+            if replaced_geoms:
+                set_contact_parameters([geom], ContactParameters.of_geom(replaced_geoms[0]))
+        for geom in replaced_geoms:
             geom.contype = geom.conaffinity = 0

@@ -36,10 +36,12 @@ def check_contacts(
     names = [*_names(spec), *added]
     for pattern, cfg in contact.items():
         path = f"contact.{pattern}"
-        found, wrong = match(pattern, names, "link or geom", path)
-        problems += [*wrong, *(p.below(path) for p in check_contact(cfg))]
-        picked = [names[i] for i in found]
-        if picked and not set(picked) & set(added) and not _geoms(spec, picked):
+        ids, mistakes = match(pattern, names, "link or geom", path)
+        problems += mistakes
+        problems += [p.below(path) for p in check_contact(cfg)]
+        picked = [names[i] for i in ids]
+        has_added = not set(picked).isdisjoint(added)
+        if picked and not has_added and not _colliding_geoms(spec, picked):
             message = f"nothing of {', '.join(map(repr, picked))} collides"
             problems.append(Problem(path, message))
     return problems
@@ -49,8 +51,8 @@ def apply_contacts(spec: mujoco.MjSpec, contact: Mapping[str, ContactCfg]) -> No
     """Set the contact parameters that `check_contacts` has checked; later entries override."""
     names = _names(spec)
     for pattern, cfg in contact.items():
-        found, _ = match(pattern, names, "link or geom", "")
-        geoms = _geoms(spec, [names[i] for i in found])
+        ids, _ = match(pattern, names, "link or geom", "")
+        geoms = _colliding_geoms(spec, [names[i] for i in ids])
         set_contact_parameters(geoms, ContactParameters.of_config(cfg))
 
 
@@ -60,12 +62,15 @@ def _names(spec: mujoco.MjSpec) -> list[str]:
     return list(dict.fromkeys([*links, *(geom.name for geom in spec.geoms)]))
 
 
-def _geoms(spec: mujoco.MjSpec, names: Collection[str]) -> list[mujoco.MjsGeom]:
+def _colliding_geoms(spec: mujoco.MjSpec, names: Collection[str]) -> list[mujoco.MjsGeom]:
     """The colliding geoms that have one of these names, or belong to a link that has one."""
-    wanted, paired = set(names), {name for p in spec.pairs for name in (p.geomname1, p.geomname2)}
-    return [
-        geom
-        for geom in spec.geoms
-        if (geom.name in wanted or geom.parent.name in wanted)
-        and (collides(geom) or geom.name in paired)
-    ]
+    names = set(names)
+    paired: set[str] = set()
+    for pair in spec.pairs:
+        paired |= {pair.geomname1, pair.geomname2}
+    geoms: list[mujoco.MjsGeom] = []
+    for geom in spec.geoms:
+        is_named = geom.name in names or geom.parent.name in names
+        if is_named and (collides(geom) or geom.name in paired):
+            geoms.append(geom)
+    return geoms

@@ -58,25 +58,26 @@ def sibling_pairs(pairs: Iterable[Pair], names: Sequence[str], parents: Sequence
         names: The names of all links.
         parents: The parent of each link, which comes before it; the first is its own.
     """
-    known = [_split(name) for name in names]
+    split_names = [_split(name) for name in names]
     depths = [0]
     for parent in parents[1:]:
         depths.append(depths[parent] + 1)
     alike: dict[tuple[str, int], list[int]] = {}
-    for link, (name, depth) in enumerate(zip(known, depths, strict=True)):
+    for link, (name, depth) in enumerate(zip(split_names, depths, strict=True)):
         alike.setdefault((name.stem, depth), []).append(link)
-    given = set(pairs)
-    found: set[Pair] = set()
-    for a, b in given:
-        firsts = alike[known[a].stem, depths[a]]
-        seconds = alike[known[b].stem, depths[b]]
-        meet = depths[_common((a, b), parents)]
+
+    original_pairs = set(pairs)
+    siblings: set[Pair] = set()
+    for a, b in original_pairs:
+        depth_of_fork = depths[_common((a, b), parents)]
+        firsts = alike[split_names[a].stem, depths[a]]
+        seconds = alike[split_names[b].stem, depths[b]]
         for first, second in product(firsts, seconds):
-            if first == second or not _is_renamed(known, (a, b), (first, second)):
+            if first == second or not _is_renamed(split_names, (a, b), (first, second)):
                 continue
-            if depths[_common((first, second), parents)] == meet:
-                found.add((min(first, second), max(first, second)))
-    return found - given
+            if depths[_common((first, second), parents)] == depth_of_fork:
+                siblings.add((min(first, second), max(first, second)))
+    return siblings - original_pairs
 
 
 def _common(pair: Pair, parents: Sequence[int]) -> int:
@@ -90,42 +91,47 @@ def _common(pair: Pair, parents: Sequence[int]) -> int:
     return first
 
 
-def _is_renamed(known: Sequence[_Name], old: Pair, new: Pair) -> bool:
+def _is_renamed(names: Sequence[_Name], old: Pair, new: Pair) -> bool:
     """Whether one renaming of sides and one shift of numbers make both new names."""
     renamed: dict[tuple[tuple[str, int], str], str] = {}
     shifts: dict[int, int] = {}
-    for before, after in ((known[o], known[n]) for o, n in zip(old, new, strict=True)):
+    for old_link, new_link in zip(old, new, strict=True):
+        before = names[old_link]
+        after = names[new_link]
         for place, value in before.sides.items():
             if renamed.setdefault((place, value), after.sides[place]) != after.sides[place]:
                 return False
-        for order, (number, other) in enumerate(zip(before.numbers, after.numbers, strict=True)):
-            if shifts.setdefault(order, other - number) != other - number:
+        for order, number in enumerate(before.numbers):
+            shift = after.numbers[order] - number
+            if shifts.setdefault(order, shift) != shift:
                 return False
-    made = [(place, value) for (place, _), value in renamed.items()]
-    return len(made) == len(set(made))  # two sides do not become one
+    new_sides = [(place, value) for (place, _), value in renamed.items()]
+    return len(new_sides) == len(set(new_sides))  # two sides do not become one
 
 
 def _split(name: str) -> _Name:
     sides: dict[tuple[str, int], str] = {}
     numbers: list[int] = []
 
-    def add(kind: str, value: str) -> str:
+    def add_side(kind: str, value: str) -> str:
         order = sum(1 for other, _ in sides if other == kind)
         sides[kind, order] = value
         return f"<{kind}>"
 
-    def without(token: re.Match[str]) -> str:
-        kind, text = str(token.lastgroup), token[0].lower()
+    def replace_token(token: re.Match[str]) -> str:
+        kind = str(token.lastgroup)
+        text = token[0].lower()
         if kind == "number":
             numbers.append(int(text))
             return "<number>"
         if kind == "fore":
-            return add("fore", text[0])
+            return add_side("fore", text[0])
         if kind != "leg":
-            return add("side", text[0])
-        first, second = text[0], text[1]
+            return add_side("side", text[0])
+        first = text[0]
+        second = text[1]
         if first in "lr" and second not in "lr":  # LF, RH
-            return add("side", first) + add("fore", second)
-        return add("fore", first) + add("side", second)
+            return add_side("side", first) + add_side("fore", second)
+        return add_side("fore", first) + add_side("side", second)
 
-    return _Name(_TOKEN.sub(without, name), sides, tuple(numbers))
+    return _Name(_TOKEN.sub(replace_token, name), sides, tuple(numbers))

@@ -17,7 +17,8 @@ DEPTH = 1e-3
 """Metres: links that are deeper in each other overlap."""
 POSTURES = 200
 """How many postures stand for all that a robot can take."""
-_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def start_posture(model: mujoco.MjModel, qpos: F64, keyframe: Keyframe | None) -> F64:
@@ -30,9 +31,10 @@ def start_posture(model: mujoco.MjModel, qpos: F64, keyframe: Keyframe | None) -
     """
     start: F64 = model.qpos0.copy()
     start[model.jnt_qposadr[movable_joints(model)]] = qpos
-    for name, (quat, _) in (keyframe.balls if keyframe is not None else {}).items():
-        first = int(model.joint(name).qposadr[0])
-        start[first : first + 4] = quat
+    if keyframe is not None:
+        for name, (quat, _) in keyframe.balls.items():
+            first = int(model.joint(name).qposadr[0])
+            start[first : first + 4] = quat
     return start
 
 
@@ -50,11 +52,12 @@ def draw_postures(model: mujoco.MjModel, start: F64, count: int = POSTURES) -> F
     Returns:
         (count, nq) positions, the same in every process.
     """
-    hinge = model.jnt_type == _HINGE
-    limited = model.jnt_limited.astype(np.bool_)
-    drawn = np.flatnonzero(hinge | ((model.jnt_type == _SLIDE) & limited))
-    low = np.where(limited, model.jnt_range[:, 0], -np.pi)[drawn]
-    high = np.where(limited, model.jnt_range[:, 1], np.pi)[drawn]
+    is_hinge = model.jnt_type == _HINGE
+    is_slide = model.jnt_type == _SLIDE
+    is_limited = model.jnt_limited.astype(np.bool_)
+    drawn = np.flatnonzero(is_hinge | (is_slide & is_limited))
+    low = np.where(is_limited, model.jnt_range[:, 0], -np.pi)[drawn]
+    high = np.where(is_limited, model.jnt_range[:, 1], np.pi)[drawn]
     counters = np.arange(1, count * len(drawn) + 1, dtype=np.uint64) * GAMMA
     unit = (splitmix64(counters) >> np.uint64(11)).astype(np.float64) * 2.0**-53
     postures = np.tile(start, (count, 1))
@@ -73,15 +76,18 @@ def deepest_contacts(
         qpos: (nq,) the position.
         disabled: Flags of `mjtDisableBit`, such as the filter of parent and child.
     """
-    flags = model.opt.disableflags, model.opt.enableflags
-    model.opt.disableflags, model.opt.enableflags = disabled, 0
+    disableflags = model.opt.disableflags
+    enableflags = model.opt.enableflags
+    model.opt.disableflags = disabled
+    model.opt.enableflags = 0
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
-    model.opt.disableflags, model.opt.enableflags = flags
+    model.opt.disableflags = disableflags
+    model.opt.enableflags = enableflags
     bodies = np.sort(model.geom_bodyid[data.contact.geom], axis=1).tolist()
-    found: dict[Pair, float] = {}
+    depths: dict[Pair, float] = {}
     for (a, b), distance in zip(bodies, data.contact.dist.tolist(), strict=True):
-        found[a, b] = max(found.get((a, b), -np.inf), -distance)
-    return found
+        depths[a, b] = max(depths.get((a, b), -np.inf), -distance)
+    return depths

@@ -8,13 +8,9 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.compiler.index import F64, Mask
-from embodichain.lab.sim.compiler.robot.drives.pd_drives import (
-    DriveChange,
-    DriveGains,
-    PhysicsStep,
-    drawn_joints,
-    quiet_armature,
-)
+from embodichain.lab.sim.compiler.robot.drives.chatter import PhysicsStep, quiet_armature
+from embodichain.lab.sim.compiler.robot.drives.drive_changes import DriveChange, drawn_joints
+from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveGains
 from embodichain.lab.sim.compiler.robot.drives.rigid_couplings import moving_mimics, rigid_armature
 from embodichain.lab.sim.compiler.robot.files.joint_couplings import JointCoupling
 

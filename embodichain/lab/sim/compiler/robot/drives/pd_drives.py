@@ -1,32 +1,20 @@
-"""PD drives: the gains of each joint, their actuators, and chatter.
+"""PD drives: the gains of each joint, and their actuators.
 
 Spring and damper are both in the actuator, so that the effort limit bounds the whole drive, as in
 PhysX, Isaac Lab and mjlab. Joints keep the damping and friction of their file.
-
-A drive's force is ``clip(kp (target - q) - kd v, -limit, limit)``. MuJoCo integrates its damper
-implicitly, but not where the force is clipped: there a step changes the velocity by ``h M^-1 f``.
-A clipped force that reverses it in one step is clipped in the next as well: the joint chatters.
-
-For one joint the condition follows from the cycle of two steps, q = target -+ h v / 2 at +-v with
-v = h limit / 2 M: its force is clipped, so that the cycle persists, exactly if
-M < h kd / 2 + h^2 kp / 4. Several joints chatter together where the matrix
-M(q) - diag(h kd / 2 + h^2 kp / 4) is not positive semidefinite. Passive damping and dry friction
-only reduce chatter.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.cfg import SimulationManagerCfg
-from embodichain.lab.sim.compiler.index import F64, Ids, Mask
+from embodichain.lab.sim.compiler.index import F64, Mask
 from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.compiler.robot.files.joint_couplings import JointCoupling
 from embodichain.lab.sim.compiler.robot.files.robot_joints import (
@@ -37,26 +25,11 @@ from embodichain.lab.sim.compiler.robot.files.robot_joints import (
 from embodichain.lab.sim.configs.drive_cfg import NO_LIMIT, JointDrivePropertiesCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.fields.defaults import is_given
-from embodichain.utils.random import RandomStreams
 from embodichain.utils.suggest import did_you_mean, listing
 
-__all__ = [
-    "DriveChange",
-    "DriveGains",
-    "DriveOperation",
-    "JointDrive",
-    "PhysicsStep",
-    "apply_drives",
-    "drawn_joints",
-    "inertia_matrix",
-    "physics_step",
-    "quiet_armature",
-    "resolve_drives",
-    "round_up",
-]
+__all__ = ["DriveGains", "JointDrive", "apply_drives", "resolve_drives"]
 
 Parts = Mapping[str, Sequence[int]]  # control part -> joint indices
-DriveOperation = Literal["abs", "scale", "add"]
 
 DEFAULT_STIFFNESS = 1e4
 DEFAULT_DAMPING = 1e3
@@ -514,200 +487,3 @@ def _remove_actuators(spec: mujoco.MjSpec, joints: Sequence[str]) -> list[str]:
     for element in (*orphaned_sensors, *replaced.values()):
         spec.delete(element)
     return notes
-
-
-# ----------------------------------------------------------------------------------------- chatter
-
-_POSTURES = 256
-_TOLERANCE = 1e-3  # relative; smaller needs are ignored
-_ROUNDS = 64  # arms take three to five, a humanoid of 32 limited joints nine
-
-
-@dataclass(frozen=True)
-class PhysicsStep:
-    """Time step in seconds and integrator, on which chatter depends."""
-
-    dt: float = 0.01
-    integrator: str = "implicitfast"
-
-
-def physics_step(cfg: SimulationManagerCfg) -> PhysicsStep:
-    """Return the time step and integrator of a simulation."""
-    return PhysicsStep(float(cfg.physics_dt), cfg.physics_config.integrator)
-
-
-@dataclass(frozen=True)
-class DriveChange:
-    """Values that an event may draw for the drives or links of one articulation.
-
-    Attributes:
-        quantity: The drawn quantity; ``strength`` multiplies gains and limit, ``com`` moves the
-            centre of mass.
-        names: Regexes or control parts that pick joints (links for ``mass`` and ``com``); None
-            picks all.
-        ranges: (low, high) for all picked ones, or by regex; without a meaning for ``com``.
-        operation: ``abs`` replaces the compiled value, ``scale`` and ``add`` change it.
-    """
-
-    quantity: Literal["stiffness", "damping", "max_effort", "strength", "armature", "mass", "com"]
-    names: tuple[str, ...] | None
-    ranges: tuple[float, float] | Mapping[str, tuple[float, float]]
-    operation: DriveOperation = "abs"
-
-    def bounds(
-        self, quantity: str, names: Sequence[str], parts: Parts
-    ) -> dict[int, tuple[float, float]]:
-        """Picked index in `names` -> (low, high); empty for another quantity."""
-        if quantity != self.quantity:
-            return {}
-        picked: list[int] = list(range(len(names))) if self.names is None else []
-        for pattern in self.names or ():
-            hits = [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
-            picked += parts.get(pattern, hits)
-        if not isinstance(self.ranges, Mapping):
-            return dict.fromkeys(picked, self.ranges)
-        return {
-            i: bounds
-            for pattern, bounds in self.ranges.items()
-            for i in picked
-            if re.fullmatch(pattern, names[i])
-        }
-
-    def apply(self, default: float, value: float) -> float:
-        """Return the result of drawing `value` for a compiled value."""
-        return {"abs": value, "scale": default * value, "add": default + value}[self.operation]
-
-
-def quiet_armature(
-    model: mujoco.MjModel,
-    names: Sequence[str],
-    gains: DriveGains,
-    home: F64,
-    parts: Parts,
-    step: PhysicsStep,
-    changes: Sequence[DriveChange] = (),
-    rigid: Mask | None = None,
-) -> F64:
-    """Return the armature (D,) that each joint lacks to avoid chatter, rounded up to two digits.
-
-    The joint-space inertia is computed at `home`, at qpos0 and at 256 fixed postures within the
-    limits (within [-pi, pi] without limits). The floating base and undriven joints move freely.
-
-    Args:
-        model: The articulation alone, with its current armature.
-        names: Its D hinges and slides.
-        gains: Their drives.
-        home: (D,) initial positions.
-        parts: See `DriveChange.names`.
-        step: Time step and integrator. With Euler and RK4, which take the damper explicitly, drives
-            without a limit count too.
-        changes: Values that events may draw; the largest gains and the smallest mass count.
-        rigid: (D,) drives that count without a limit too, see `couplings`.
-    """
-    dofs = np.array([model.joint(name).dofadr[0] for name in names], np.int64)
-    links = [model.body(i).name for i in range(1, model.nbody)]
-
-    def extreme(quantity: str, default: F64, pick: Callable[..., float]) -> F64:
-        """The largest or smallest of the values that events may draw and the default."""
-        found, of = default.copy(), (links, {}) if quantity == "mass" else (names, parts)
-        for change in changes:
-            for i, bounds in change.bounds(quantity, *of).items():
-                values = [change.apply(float(default[i]), bound) for bound in bounds]
-                found[i] = pick(float(found[i]), *values)
-        return found
-
-    strength = extreme("strength", np.ones(len(dofs)), max)
-    kp = extreme("stiffness", np.where(gains.driven, gains.stiffness, 0.0), max) * strength
-    kd = extreme("damping", np.where(gains.driven, gains.damping, 0.0), max) * strength
-    explicit = step.integrator not in ("implicitfast", "implicit")
-    limited = explicit | np.isfinite(extreme("max_effort", gains.max_effort, min))
-    limited = limited if rigid is None else limited | rigid
-    need = np.where(limited, 0.5 * step.dt * kd + 0.25 * step.dt**2 * kp, 0.0)
-    lacking = np.zeros(len(dofs))
-    joints = np.flatnonzero(need > 0)
-    if not len(joints):
-        return lacking
-    armature = model.dof_armature
-    least = armature.copy()
-    least[dofs] = extreme("armature", armature[dofs], min)
-    # The matrix is a sum over links: scaling it by the smallest mass factor gives a lower bound.
-    mass = model.body_mass[1:]
-    heavy = mass > 0
-    factors = extreme("mass", mass, min)[heavy] / mass[heavy]
-    inertia = _inertias(model, dofs, home) - np.diag(armature)
-    inertia = inertia * float(np.clip(factors, 0.0, 1.0).min(initial=1.0)) + np.diag(least)
-    # Effective inertia of driven joints while the others move freely: the Schur complement.
-    picked = np.ix_(np.arange(len(inertia)), dofs[joints], dofs[joints])
-    felt = np.linalg.inv(np.linalg.inv(inertia)[picked])
-    added = _added(felt, need[joints])
-    added[added < _TOLERANCE * need[joints]] = 0.0
-    lacking[joints] = [round_up(x) if x > 0 else 0.0 for x in added]
-    return lacking
-
-
-def drawn_joints(
-    quantity: str, names: Sequence[str], parts: Parts, changes: Sequence[DriveChange]
-) -> Mask:
-    """(D,) mask of joints for which events draw a quantity."""
-    found = np.zeros(len(names), np.bool_)
-    for change in changes:
-        found[list(change.bounds(quantity, names, parts))] = True
-    return found
-
-
-def _added(inertia: F64, need: F64) -> F64:
-    """Return a >= 0 (D,) with inertia (P, D, D) + diag(a - need) positive semidefinite everywhere.
-
-    Each diagonal element is raised first. Then the coupling of joints is compensated along the
-    worst eigenvector, in shares that cancel the negative eigenvalue, until none is left (within a
-    thousandth of `need`).
-    """
-    own = inertia[:, range(len(need)), range(len(need))].min(axis=0)
-    added: F64 = np.maximum(0.0, need - own)
-    tolerance = _TOLERANCE * float(need.max())
-    wrong = inertia
-    for _ in range(_ROUNDS):
-        values, vectors = np.linalg.eigh(wrong + np.diag(added - need))
-        worst = int(values[:, 0].argmin())
-        if values[worst, 0] >= -tolerance:
-            if wrong is inertia:
-                return added
-            wrong = inertia  # check the postures that passed again
-            continue
-        share = np.abs(vectors[worst, :, 0])
-        added += -values[worst, 0] * share * share.sum()
-        wrong = wrong[values[:, 0] < -tolerance]
-    return np.maximum(added, need)
-
-
-def _inertias(model: mujoco.MjModel, dofs: Ids, home: F64) -> F64:
-    """(P, nv, nv) joint-space inertia matrices at the postures."""
-    joints = model.dof_jntid[dofs]
-    columns = model.jnt_qposadr[joints]
-    limited = model.jnt_limited[joints].astype(np.bool_)
-    low, high = np.where(limited, model.jnt_range[joints].T, [[-math.pi], [math.pi]])
-    random = RandomStreams(0, _POSTURES).uniform("postures", (len(dofs),), low, high)
-    postures = np.tile(model.qpos0, (_POSTURES + 2, 1))
-    postures[1, columns], postures[2:, columns] = home, random
-    found = np.zeros((len(postures), model.nv, model.nv))
-    data = mujoco.MjData(model)
-    for qpos, matrix in zip(postures, found, strict=True):
-        data.qpos[:] = qpos
-        matrix[:] = inertia_matrix(model, data)
-    return found
-
-
-def inertia_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
-    """(nv, nv) joint-space inertia matrix at `data.qpos`, armature included."""
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_makeM(model, data)
-    found = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, found)
-    return found
-
-
-def round_up(value: float) -> float:
-    """Round a positive number up to two significant digits."""
-    digit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.ceil(value / digit - 1e-9) * digit:.2g}")

@@ -9,7 +9,7 @@ implicitly: velocities change by ``(M + h D)^-1 h f``. Where ``h D`` of the lead
 small against M, the leader moves less than the solver expects, and the follower overshoots or
 diverges. Two things keep the coupling rigid:
 
-* the leader has at least the armature at which a clipped drive would not chatter, see `pd_drives`,
+* the leader has at least the armature at which a clipped drive would not chatter, see `chatter`,
   and the follower a share of it;
 * the follower carries its part of the damping, so that D is proportional to M along the coupled
   motion. The drive's own damper is reduced by as much: the total is the configured one.
@@ -24,12 +24,8 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.compiler.index import F64, Ids, Mask
-from embodichain.lab.sim.compiler.robot.drives.pd_drives import (
-    DriveGains,
-    PhysicsStep,
-    inertia_matrix,
-    round_up,
-)
+from embodichain.lab.sim.compiler.robot.drives.chatter import PhysicsStep, inertia_matrix, round_up
+from embodichain.lab.sim.compiler.robot.drives.pd_drives import DriveGains
 from embodichain.lab.sim.compiler.robot.files.joint_couplings import JointCoupling
 
 __all__ = ["Rigidity", "make_couplings_rigid", "moving_mimics", "rigid_armature"]

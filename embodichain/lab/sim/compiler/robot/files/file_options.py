@@ -24,15 +24,15 @@ def given_options(root: ET.Element, folder: Path) -> frozenset[str]:
         root: The file's root element, of an MJCF or of a URDF with MuJoCo's extension.
         folder: The file's folder, in which included files are looked up.
     """
-    found: set[str] = set()
-    for element in _elements(root, folder, set()):
-        found |= {_OPTIONS.get(name, name) for name in element.attrib}
+    names: set[str] = set()
+    for element in _option_elements(root, folder, set()):
+        names |= {_OPTIONS.get(name, name) for name in element.attrib}
         for flag in element.iter("flag"):
-            found |= {f"flag.{name}" for name in flag.attrib}
-    return frozenset(found)
+            names |= {f"flag.{name}" for name in flag.attrib}
+    return frozenset(names)
 
 
-def _elements(root: ET.Element, folder: Path, seen: set[Path]) -> Iterator[ET.Element]:
+def _option_elements(root: ET.Element, folder: Path, seen: set[Path]) -> Iterator[ET.Element]:
     """Yield the ``<option>`` elements of a file and of those that it includes."""
     yield from root.iter("option")
     for include in root.iter("include"):
@@ -44,4 +44,4 @@ def _elements(root: ET.Element, folder: Path, seen: set[Path]) -> Iterator[ET.El
             inner, _ = parse_xml(path.read_bytes())
         except XmlError:
             continue  # MuJoCo's reader is more lenient; its options then count if not its defaults
-        yield from _elements(inner, folder, seen)
+        yield from _option_elements(inner, folder, seen)

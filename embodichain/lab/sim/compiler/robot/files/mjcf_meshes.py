@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
@@ -14,23 +16,43 @@ from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = ["convert_meshes", "make_absolute", "missing_files", "split_meshes"]
 
-_CONTACT = (
-    *("contype", "conaffinity", "condim", "priority", "friction", "solref", "solimp", "solmix"),
-    *("margin", "gap"),
+_CONTACT_FIELDS = (
+    "contype",
+    "conaffinity",
+    "condim",
+    "priority",
+    "friction",
+    "solref",
+    "solimp",
+    "solmix",
+    "margin",
+    "gap",
 )
-_TURN = ("type", "axisangle", "xyaxes", "zaxis", "euler")
+_ORIENTATION_FIELDS = ("type", "axisangle", "xyaxes", "zaxis", "euler")
+"""Other ways than a quaternion in which a file can give an orientation."""
 
 
-def _assets(spec: mujoco.MjSpec) -> Iterator[tuple[str, str, mujoco.MjsElement]]:
-    """Yield the kind, the folder in the file's options, and the asset."""
-    for kind, directory, assets in (
-        ("mesh", spec.meshdir, spec.meshes),
-        ("texture", spec.texturedir, spec.textures),
-        ("height field", spec.meshdir, spec.hfields),
-    ):
-        for asset in assets:
-            if asset.file:
-                yield kind, directory, asset
+@dataclass(frozen=True)
+class _Asset:
+    """An asset of an MJCF that is in a file.
+
+    Attributes:
+        kind: What it is, for messages.
+        folder: Its folder, by the file's options; absolute or below the MJCF's.
+        element: The asset.
+    """
+
+    kind: str
+    folder: str
+    element: Any
+
+
+def _assets(spec: mujoco.MjSpec) -> list[_Asset]:
+    """Return the meshes, textures and height fields of a file that are files of their own."""
+    assets = [_Asset("mesh", spec.meshdir, mesh) for mesh in spec.meshes]
+    assets += [_Asset("texture", spec.texturedir, texture) for texture in spec.textures]
+    assets += [_Asset("height field", spec.meshdir, hfield) for hfield in spec.hfields]
+    return [asset for asset in assets if asset.element.file]
 
 
 def make_absolute(spec: mujoco.MjSpec, folder: Path) -> None:
@@ -40,11 +62,11 @@ def make_absolute(spec: mujoco.MjSpec, folder: Path) -> None:
         spec: The parsed file.
         folder: Its folder.
     """
-    for _, directory, asset in _assets(spec):
+    for asset in _assets(spec):
         # MuJoCo resolves names from an <include> in another folder.
-        path = folder / directory / asset.file
+        path = folder / asset.folder / asset.element.file
         if path.is_file():
-            asset.file = str(path.resolve())
+            asset.element.file = str(path.resolve())
 
 
 def missing_files(spec: mujoco.MjSpec, path: Path) -> list[Problem]:
@@ -55,18 +77,23 @@ def missing_files(spec: mujoco.MjSpec, path: Path) -> list[Problem]:
         path: The file.
     """
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    found: dict[str, Problem] = {}
-    for kind, directory, asset in _assets(spec):
-        file = path.parent / directory / asset.file
-        if file.is_file() or str(file) in found:
+    problems: dict[Path, Problem] = {}
+    for asset in _assets(spec):
+        name = asset.element.file
+        file = path.parent / asset.folder / name
+        if file.is_file() or file in problems:
             continue
-        there = sorted(p.name for p in file.parent.iterdir()) if file.parent.is_dir() else None
-        what = "there is no such folder" if there is None else f"there are: {listing(there)}"
-        line = next((i for i, text in enumerate(lines, 1) if Path(asset.file).name in text), None)
-        where = f"{path}:{line}" if line else str(path)
-        message = f"{where}: {kind} {asset.name!r}: no file {file.name!r} in {file.parent}; {what}"
-        found[str(file)] = Problem("", f"{message}.{did_you_mean(file.name, there or ())}")
-    return list(found.values())
+        line = next((i for i, text in enumerate(lines, 1) if Path(name).name in text), None)
+        place = f"{path}:{line}" if line else str(path)
+        what = f"{place}: {asset.kind} {asset.element.name!r}: no file {file.name!r}"
+        names: list[str] = []
+        reason = "there is no such folder"
+        if file.parent.is_dir():
+            names = sorted(p.name for p in file.parent.iterdir())
+            reason = f"there are: {listing(names)}"
+        message = f"{what} in {file.parent}; {reason}.{did_you_mean(file.name, names)}"
+        problems[file] = Problem("", message)
+    return list(problems.values())
 
 
 def convert_meshes(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -106,10 +133,12 @@ def split_meshes(spec: mujoco.MjSpec) -> None:
             part = geom.parent.add_geom(
                 name=f"{geom.name}_part_{number}", type=geom.type, meshname=name, mass=0.0
             )
-            part.group, part.pos, part.quat = COLLISION_GROUP, geom.pos, geom.quat
-            for field in _TURN:
+            part.group = COLLISION_GROUP
+            part.pos = geom.pos
+            part.quat = geom.quat
+            for field in _ORIENTATION_FIELDS:
                 setattr(part.alt, field, getattr(geom.alt, field))
-            for field in _CONTACT:
+            for field in _CONTACT_FIELDS:
                 setattr(part, field, getattr(geom, field))
         geom.contype = geom.conaffinity = 0
 
@@ -118,6 +147,8 @@ def _split(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh) -> Iterator[str]:
     """Add the convex parts of a mesh, and yield their names."""
     for number, file in enumerate(decompose(Path(mesh.file))):
         part = spec.add_mesh(name=f"{mesh.name}_part_{number}", file=str(file))
-        part.scale, part.refpos, part.refquat = mesh.scale, mesh.refpos, mesh.refquat
+        part.scale = mesh.scale
+        part.refpos = mesh.refpos
+        part.refquat = mesh.refquat
         part.maxhullvert = HULL_VERTICES
         yield part.name

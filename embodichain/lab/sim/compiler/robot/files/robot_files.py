@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import re
 import warnings
 import xml.etree.ElementTree as ET
@@ -13,16 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from embodichain.data import DataNotFoundError, get_data_path, resolve_package_uri
-from embodichain.lab.sim.compiler.geoms.mesh_conversion import (
-    MAX_STL_FACES,
-    MadePart,
-    convert_collision,
-    convert_visual,
-    decompose,
-    has_materials,
-    reads,
-)
+from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.lab.sim.compiler.geoms.mesh_reading import MeshError
 from embodichain.lab.sim.compiler.geoms.shape_geoms import collides
 from embodichain.lab.sim.compiler.index import F64
@@ -34,6 +24,7 @@ from embodichain.lab.sim.compiler.robot.files.mjcf_meshes import (
     missing_files,
     split_meshes,
 )
+from embodichain.lab.sim.compiler.robot.files.urdf_meshes import UrdfMeshes
 from embodichain.lab.sim.compiler.robot.files.urdf_reading import (
     UrdfLimits,
     carriers,
@@ -44,7 +35,7 @@ from embodichain.lab.sim.compiler.robot.files.urdf_reading import (
 )
 from embodichain.lab.sim.compiler.robot.files.xml_text import XmlError, parse_xml, root_tag
 from embodichain.lab.sim.engine.cpu.mujoco_process import install_log_handler
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import quat_multiply
 
 __all__ = ["MUJOCO_ERRORS", "ModelFile", "as_line", "compile_quietly", "locate", "read_model"]
@@ -63,13 +54,21 @@ _PREFIXES = ("Error: ", "XML Error: ", "Schema violation: ")
 def as_line(error: Exception) -> tuple[str, int | None]:
     """Return a MuJoCo error as one line of text, and the XML line number it names, if any."""
     text = str(error).strip()
-    found = _LINE.search(text)
+    line = _LINE.search(text)
     text = _LINE.sub("", text)
     text = _XML_CODE.sub(lambda m: m["code"].replace("_", " ").lower(), text)
     text = _ELEMENT.sub(lambda m: f" (element {m['name']!r})" if m["name"] else "", text)
     for prefix in _PREFIXES:
         text = text.removeprefix(prefix)
-    return " ".join(text.split()).rstrip(" :"), int(found[1]) if found else None
+    one_line = " ".join(text.split()).rstrip(" :")
+    return one_line, int(line[1]) if line else None
+
+
+def _located_error(path: Path, error: Exception, line: int | None) -> ConfigError:
+    """Return a MuJoCo error with the file and, if it is known, the line."""
+    message, _ = as_line(error)
+    place = f"{path}:{line}" if line else str(path)
+    return ConfigError(f"{place}: {message}")
 
 
 @dataclass
@@ -177,14 +176,15 @@ def _name_elements(spec: mujoco.MjSpec) -> None:
         ("actuator", spec.actuators),
         ("camera", spec.cameras),
     ):
-        taken = {element.name for element in elements}
+        used_names = {element.name for element in elements}
         for number, element in enumerate(elements):
-            if not element.name:
-                name = f"{what}_{number}"
-                while name in taken:
-                    name += "_"
-                element.name = name
-                taken.add(name)
+            if element.name:
+                continue
+            name = f"{what}_{number}"
+            while name in used_names:
+                name += "_"
+            element.name = name
+            used_names.add(name)
 
 
 # -------------------------------------------------------------------------------------------- MJCF
@@ -203,13 +203,13 @@ def _read_mjcf(path: Path, convex_parts: bool) -> ModelFile:
         if convex_parts:
             split_meshes(spec)
             model = compile_quietly(spec)
-        return ModelFile(path, False, spec, model, notes=notes)
+        return ModelFile(path=path, is_urdf=False, spec=spec, model=model, notes=notes)
     except (MeshError, *MUJOCO_ERRORS) as error:
         missing = [] if spec is None else missing_files(spec, path)
         if missing:
             raise ConfigError(missing) from error
-        message, line = as_line(error)
-        raise ConfigError(f"{path}:{line}: {message}" if line else f"{path}: {message}") from error
+        _, line = as_line(error)
+        raise _located_error(path, error, line) from error
 
 
 # -------------------------------------------------------------------------------------------- URDF
@@ -230,7 +230,7 @@ def _read_urdf(
     check_depth(path, carriers(root))
     limits = read_limits(path, root, line_of)
     planar = planar_notes(root, line_of)
-    meshes = _UrdfMeshes(path, convex_parts)
+    meshes = UrdfMeshes(path, convex_parts)
     meshes.prepare(root)
     _drop_repeated_names(root)
     _set_flags(root)
@@ -243,13 +243,37 @@ def _read_urdf(
         notes += [f"{path}: {note}" for note in _set_masses(spec, root)]
         model = _compile_repaired(path, spec, notes)
     except MUJOCO_ERRORS as error:
-        message, line = as_line(error)
-        if line is not None:  # of `text`, which has the elements of `root` in order
-            _, lines = parse_xml(text.encode())
-            pairs = zip(lines.values(), root.iter(), strict=True)
-            line = next((line_of.get(e) for written, e in pairs if written >= line), None)
-        raise ConfigError(f"{path}:{line}: {message}" if line else f"{path}: {message}") from error
-    return ModelFile(path, True, spec, model, limits, links[-1].get("name", ""), notes)
+        raise _located_error(path, error, _line_in_file(error, text, root, line_of)) from error
+    return ModelFile(
+        path=path,
+        is_urdf=True,
+        spec=spec,
+        model=model,
+        limits=limits,
+        last_link=links[-1].get("name", ""),
+        notes=notes,
+    )
+
+
+def _line_in_file(
+    error: Exception, text: str, root: ET.Element, line_of: Mapping[ET.Element, int]
+) -> int | None:
+    """Return the line of a file that a MuJoCo error is about, if it names one.
+
+    Args:
+        error: The error, which names a line of `text`.
+        text: What MuJoCo has read: the elements of `root` in their order.
+        root: The edited file.
+        line_of: Lines of the elements that are in the file.
+    """
+    _, line_of_text = as_line(error)
+    if line_of_text is None:
+        return None
+    _, lines = parse_xml(text.encode())
+    for line, element in zip(lines.values(), root.iter(), strict=True):
+        if line >= line_of_text:
+            return line_of.get(element)
+    return None
 
 
 def _set_flags(root: ET.Element) -> None:
@@ -279,44 +303,68 @@ def _set_masses(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
 
     The mass is zero if no joint moves the link (fixed joint or root), else that of its shapes.
     """
-    moved = {
-        child.get("link", "")
-        for joint in root.findall("joint")
-        if joint.get("type") != "fixed" and (child := joint.find("child")) is not None
-    }
-    bare = [link for link in root.findall("link") if link.find("inertial") is None]
-    for link in bare:
+    moving_links: set[str] = set()
+    for joint in root.findall("joint"):
+        child = joint.find("child")
+        if joint.get("type") != "fixed" and child is not None:
+            moving_links.add(child.get("link", ""))
+
+    estimated_links: list[str] = []
+    for link in root.findall("link"):
+        if link.find("inertial") is not None:
+            continue
         name = link.get("name", "")
-        body = spec.body(name) if name not in moved else None
-        for geom in body.geoms if body is not None else ():
-            geom.mass, geom.density = 0.0, 0.0
-    shaped = [link.get("name", "") for link in bare if link.find("collision") is not None]
-    names = ", ".join(name for name in shaped if name in moved)
-    from_shapes = "have no <inertial>: taken from their shapes at 1000 kg/m^3"
-    return [f"links {names} {from_shapes}"] if names else []
+        if name in moving_links:
+            if link.find("collision") is not None:
+                estimated_links.append(name)
+            continue
+        body = spec.body(name)
+        if body is None:
+            continue
+        for geom in body.geoms:
+            geom.mass = 0.0
+            geom.density = 0.0
+    if not estimated_links:
+        return []
+    rule = "have no <inertial>: taken from their shapes at 1000 kg/m^3"
+    return [f"links {', '.join(estimated_links)} {rule}"]
 
 
-_FLAT = re.compile(r"mesh volume is too small: (\S+)")
+_SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+_WITHOUT_VOLUME = re.compile(r"mesh volume is too small: (\S+)")
 
 
 def _compile_repaired(path: Path, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.MjModel:
     """Compile; repair meshes without volume and invalid inertias, and add notes about it."""
-    repaired = False
+    is_repaired = False
     while True:
         try:
             return compile_quietly(spec)
         except MUJOCO_ERRORS as error:
             text, _ = as_line(error)
-            flat = _FLAT.search(text)
-            mesh = spec.mesh(flat[1]) if flat else None
-            if mesh is not None and mesh.inertia != _INERTIA.mjMESH_INERTIA_SHELL:
-                mesh.inertia = _INERTIA.mjMESH_INERTIA_SHELL
-                notes.append(f"{path}: mesh {mesh.name!r} has no volume: taken as a shell")
-            elif not repaired and ("inertia" in text or "mjMINVAL" in text):
-                repaired = True
+            flat_mesh = _mesh_without_volume(spec, text)
+            if flat_mesh is not None:
+                flat_mesh.inertia = _SHELL
+                notes.append(f"{path}: mesh {flat_mesh.name!r} has no volume: taken as a shell")
+            elif not is_repaired and ("inertia" in text or "mjMINVAL" in text):
+                is_repaired = True
                 notes.append(f"{path}: {_repair_inertias(spec)}")
             else:
                 raise
+
+
+def _mesh_without_volume(spec: mujoco.MjSpec, error: str) -> mujoco.MjsMesh | None:
+    """Return the mesh of which an error says that its volume is too small.
+
+    None if there is no such mesh, or it is a shell already.
+    """
+    named = _WITHOUT_VOLUME.search(error)
+    if named is None:
+        return None
+    mesh = spec.mesh(named[1])
+    if mesh is None or mesh.inertia == _SHELL:
+        return None
+    return mesh
 
 
 _LEAST_MASS = 1e-6  # kg
@@ -337,21 +385,24 @@ def _repair_inertias(spec: mujoco.MjSpec) -> str:
     spec.compiler.boundmass = _LEAST_MASS
     spec.compiler.boundinertia = _LEAST_INERTIA
     # Use the spec: `body.joints` raises the error of an earlier failed compilation.
-    moving = {joint.parent.name for joint in spec.joints}
-    shaped = {geom.parent.name for geom in spec.geoms if collides(geom)}
-    names = []
+    moving_bodies = {joint.parent.name for joint in spec.joints}
+    shaped_bodies = {geom.parent.name for geom in spec.geoms if collides(geom)}
+    names: list[str] = []
     for body in spec.bodies[1:]:  # the first is the world
+        is_moving = body.name in moving_bodies
         if not body.explicitinertial:
-            if body.name in moving - shaped:
+            if is_moving and body.name not in shaped_bodies:
                 names.append(body.name)  # a moving body without mass
             continue
-        moments, axes = _principal(body)
-        if not (body.name in moving or body.mass or moments.any()):
+        moments, axes = _principal_moments(body)
+        if not (is_moving or body.mass or moments.any()):
             continue  # a fixed frame without mass
-        low = moments.min() < _LEAST_INERTIA
-        if low or body.mass < _LEAST_MASS or 2.0 * moments.max() > moments.sum():
+        is_small = moments.min() < _LEAST_INERTIA
+        is_light = body.mass < _LEAST_MASS
+        is_unbalanced = 2.0 * moments.max() > moments.sum()
+        if is_small or is_light or is_unbalanced:
             names.append(body.name)
-        if low and np.isfinite(body.fullinertia[0]):
+        if is_small and np.isfinite(body.fullinertia[0]):
             body.fullinertia = np.full(6, np.nan)
             body.inertia = np.maximum(moments, _LEAST_INERTIA)
             body.iquat = quat_multiply(np.asarray(body.iquat, np.float64), axes)
@@ -361,7 +412,7 @@ def _repair_inertias(spec: mujoco.MjSpec) -> str:
     )
 
 
-def _principal(body: mujoco.MjsBody) -> tuple[F64, F64]:
+def _principal_moments(body: mujoco.MjsBody) -> tuple[F64, F64]:
     """Return (3,) principal moments, and the orientation of their axes, wxyz."""
     quat = np.array([1.0, 0.0, 0.0, 0.0])
     xx, yy, zz, xy, xz, yz = np.asarray(body.fullinertia, np.float64)
@@ -372,126 +423,3 @@ def _principal(body: mujoco.MjsBody) -> tuple[F64, F64]:
         axes[:, 0] *= -1.0
     mujoco.mju_mat2Quat(quat, axes.ravel())
     return moments, quat
-
-
-# ---------------------------------------------------------------------------------- meshes of URDF
-
-_INERTIA = mujoco.mjtMeshInertia
-
-
-@dataclass
-class _UrdfMeshes:
-    """Conversion of a URDF's meshes; `convex_parts` splits collision meshes."""
-
-    path: Path
-    convex_parts: bool
-    looks: dict[str, MadePart] = field(default_factory=dict)
-    """OBJ file made from a visual mesh -> its colour and texture."""
-    shapes: set[str] = field(default_factory=set)
-    """OBJ files made from collision meshes."""
-    notes: list[str] = field(default_factory=list)
-
-    def prepare(self, root: ET.Element) -> None:
-        """Replace every mesh by files that MuJoCo reads; a mesh may become several.
-
-        Raises:
-            ConfigError: If meshes do not exist, or collision meshes cannot be read.
-        """
-        missing: dict[str, str] = {}
-        wrong: list[str] = []
-        for link, kind in (
-            (link, k) for link in root.iter("link") for k in ("visual", "collision")
-        ):
-            what = f"{kind} mesh of link {link.get('name', '')!r}"
-            for shape in link.findall(kind):
-                mesh = shape.find("geometry/mesh")
-                if mesh is None:
-                    continue
-                uri = mesh.get("filename", "")
-                try:
-                    path = Path(resolve_package_uri(uri, near=self.path))
-                    files = self._visual(path) if kind == "visual" else self._collision(path)
-                except DataNotFoundError as error:
-                    missing.setdefault(uri, f"{what}: {error}")
-                except (MeshError, OSError, ValueError) as error:
-                    if kind == "visual" and not isinstance(error, ValueError):
-                        link.remove(shape)
-                        self.notes.append(f"{what} left out: {error}")
-                    else:
-                        wrong.append(f"{what}: {error}")
-                else:
-                    _replace(link, shape, files)
-        if missing:
-            first, *others = missing.values()
-            more = f"\n{len(others)} more mesh files are missing" if others else ""
-            wrong.insert(0, f"{first}{more}")
-        if wrong:
-            raise ConfigError([Problem("", f"{self.path}: {line}") for line in wrong])
-
-    def finish(self, spec: mujoco.MjSpec) -> None:
-        """Set colours of visual meshes, and how MuJoCo computes inertias of meshes."""
-        for mesh in spec.meshes:
-            if mesh.file in self.looks:
-                mesh.inertia = _INERTIA.mjMESH_INERTIA_SHELL  # has no mass; it may be open
-            elif mesh.file in self.shapes:
-                mesh.inertia = _INERTIA.mjMESH_INERTIA_CONVEX
-        files = {mesh.name: mesh.file for mesh in spec.meshes}
-        for geom in spec.geoms:
-            look = self.looks.get(files.get(geom.meshname, ""))
-            if look is not None:
-                _color_geom(spec, geom, look)
-
-    def _visual(self, path: Path) -> list[Path]:
-        if reads(path) and not has_materials(path):
-            return [path]
-        made = convert_visual(path)
-        self._tell_of_stl(path)
-        self.looks.update({str(part.mesh): part for part in made.parts})
-        self.notes += [note for note in made.notes if note not in self.notes]
-        return [part.mesh for part in made.parts]
-
-    def _collision(self, path: Path) -> list[Path]:
-        if self.convex_parts:
-            files = list(decompose(path))
-        elif reads(path):
-            return [path]
-        else:
-            files = [convert_collision(path)]
-            self._tell_of_stl(path)
-        self.shapes.update(str(file) for file in files)
-        return files
-
-    def _tell_of_stl(self, path: Path) -> None:
-        """Add a note that an STL file was converted, once."""
-        note = f"{path}: not a binary STL file of at most {MAX_STL_FACES:,} faces: converted"
-        if path.suffix.lower() == ".stl" and note not in self.notes:
-            self.notes.append(note)
-
-
-def _replace(link: ET.Element, shape: ET.Element, files: list[Path]) -> None:
-    """Replace a shape by one copy per file, in its position."""
-    at = list(link).index(shape)
-    copies = [copy.deepcopy(shape) for _ in files[1:]]
-    for number, (file, element) in enumerate(zip(files, [shape, *copies], strict=True)):
-        mesh = element.find("geometry/mesh")
-        if mesh is not None:
-            mesh.set("filename", str(file))
-        if number:  # the first is the original element, with a known line
-            link.insert(at + number, element)
-
-
-def _color_geom(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, look: MadePart) -> None:
-    """Set the colour and texture of a shape's mesh, which override the URDF's, as in RViz."""
-    if look.rgba is not None:
-        geom.rgba, geom.material = look.rgba, ""
-    if look.texture is None:
-        return
-    name = f"{look.mesh.stem}-{look.texture.stem}"
-    if spec.material(name) is None:
-        texture = spec.texture(look.texture.stem)
-        if texture is None:
-            flat = mujoco.mjtTexture.mjTEXTURE_2D
-            texture = spec.add_texture(name=look.texture.stem, type=flat, file=str(look.texture))
-        material = spec.add_material(name=name, specular=0.2, shininess=0.3)
-        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name
-    geom.material, geom.rgba = name, (1.0, 1.0, 1.0, 1.0)

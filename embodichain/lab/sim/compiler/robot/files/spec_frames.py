@@ -30,13 +30,15 @@ def on_frame(
     if kind == "link":
         return name, pos, quat
     # Where a geom is follows from its mesh, or from two points: compiled values are right.
-    body, at, turned = local_pose(compile_quietly(spec), kind, name)
-    return body, at + quat_rotate(turned, pos), np.asarray(quat_multiply(turned, quat))
+    body, frame_pos, frame_quat = local_pose(compile_quietly(spec), kind, name)
+    pos_in_body = frame_pos + quat_rotate(frame_quat, pos)
+    quat_in_body = np.asarray(quat_multiply(frame_quat, quat))
+    return body, pos_in_body, quat_in_body
 
 
 def local_pose(model: mujoco.MjModel, kind: FrameKind, name: str) -> tuple[str, F64, F64]:
     """The body that carries a frame, and the frame's position (3,) and orientation (4,) in it."""
     if kind == "link":
         return name, np.zeros(3), _UNTURNED.copy()
-    one = model.site(name) if kind == "site" else model.geom(name)
-    return model.body(int(one.bodyid[0])).name, one.pos.copy(), one.quat.copy()
+    frame = model.site(name) if kind == "site" else model.geom(name)
+    return model.body(int(frame.bodyid[0])).name, frame.pos.copy(), frame.quat.copy()

@@ -29,11 +29,11 @@ def check_text(path: Path, root: ET.Element, line_of: Lines) -> None:
     Raises:
         ConfigError: Every place, with the file and the line.
     """
-    found = [f"{path}:{line_of[element]}: {what}" for element, what in unexpanded(root)]
-    if not found:
+    places = [f"{path}:{line_of[element]}: {what}" for element, what in unexpanded(root)]
+    if not places:
         return
-    first, others = found[0], len(found) - 1
-    more = f" (and {others} more)" if others else ""
+    first, *others = places
+    more = f" (and {len(others)} more)" if others else ""
     raise ConfigError(
         f"{first}{more}: xacro has to be expanded to URDF first: `xacro {path.name} > robot.urdf`, "
         "with a value for each argument, or write the values into the file"
@@ -50,20 +50,23 @@ def check_joints(path: Path, root: ET.Element, line_of: Lines) -> None:
     links = {link.get("name", ""): link for link in root.findall("link")}
     problems: list[Problem] = []
     for joint in root.findall("joint"):
-        parent, child = _end(joint, "parent"), _end(joint, "child")
+        parent = _end(joint, "parent")
+        child = _end(joint, "child")
         if joint.get("type") != "floating" or parent == "world":
             continue
-        told = f"joint {joint.get('name', '')!r} is floating, and only the root of a robot floats"
-        below = sum(_end(other, "parent") == parent for other in root.findall("joint"))
-        bare = parent in links and not len(links[parent])
-        if parent not in children and bare and below == 1:
+        fault = f"joint {joint.get('name', '')!r} is floating, and only the root of a robot floats"
+        count = sum(_end(other, "parent") == parent for other in root.findall("joint"))
+        is_root = parent not in children
+        is_empty = parent in links and not len(links[parent])
+        if is_root and is_empty and count == 1:
+            # The parent is an empty root, which stands for the world.
             advice = f"remove this joint and link {parent!r}, and set fix_base: false in the task"
         else:
             advice = (
                 f"give it another type, such as fixed, or move {child!r} and what is below it to "
                 "a file of its own, an articulation with fix_base: false"
             )
-        problems.append(Problem("", f"{path}:{line_of[joint]}: {told}: {advice}"))
+        problems.append(Problem("", f"{path}:{line_of[joint]}: {fault}: {advice}"))
     if problems:
         raise ConfigError(problems)
 
@@ -90,8 +93,8 @@ def carriers(root: ET.Element) -> dict[str, str]:
 
 def _end(joint: ET.Element, which: str) -> str:
     """The link of ``<parent>`` or ``<child>``."""
-    found = joint.find(which)
-    return "" if found is None else found.get("link", "")
+    element = joint.find(which)
+    return "" if element is None else element.get("link", "")
 
 
 # ----------------------------------------------------------------------------------------- limits
@@ -104,7 +107,7 @@ class UrdfLimits:
     Attributes:
         velocity: Joint -> velocity limit, where the file has one.
         zero_effort, zero_velocity: Joint -> file and line of an effort or a velocity of 0.
-        notes: Messages about ranges that are no limits, without the file.
+        notes: Messages about ranges that are not limits, without the file.
     """
 
     velocity: dict[str, float] = field(default_factory=dict)
@@ -115,20 +118,23 @@ class UrdfLimits:
     def renamed(self, names: Mapping[str, str]) -> UrdfLimits:
         """Return them with other names of the joints; of those that `names` does not have, none."""
 
-        def of(values: Mapping[str, Any]) -> dict[str, Any]:
+        def rename(values: Mapping[str, Any]) -> dict[str, Any]:
             return {names[old]: value for old, value in values.items() if old in names}
 
         return UrdfLimits(
-            of(self.velocity), of(self.zero_effort), of(self.zero_velocity), self.notes
+            velocity=rename(self.velocity),
+            zero_effort=rename(self.zero_effort),
+            zero_velocity=rename(self.zero_velocity),
+            notes=self.notes,
         )
 
     def joined(self, other: UrdfLimits) -> UrdfLimits:
         """Return these and those of another file."""
         return UrdfLimits(
-            self.velocity | other.velocity,
-            self.zero_effort | other.zero_effort,
-            self.zero_velocity | other.zero_velocity,
-            (*self.notes, *other.notes),
+            velocity=self.velocity | other.velocity,
+            zero_effort=self.zero_effort | other.zero_effort,
+            zero_velocity=self.zero_velocity | other.zero_velocity,
+            notes=(*self.notes, *other.notes),
         )
 
 
@@ -138,58 +144,79 @@ def read_limits(path: Path, root: ET.Element, line_of: Lines) -> UrdfLimits:
     Raises:
         ConfigError: If one is not a number, or is negative where only its size has a meaning.
     """
-    velocity, zero_effort, zero_velocity = dict[str, float](), dict[str, str](), dict[str, str]()
+    velocity: dict[str, float] = {}
+    zero_effort: dict[str, str] = {}
+    zero_velocity: dict[str, str] = {}
     problems: list[Problem] = []
-    unlimited, empty, reversed_ = list[str](), list[str](), list[str]()
+    joints_without_limit: list[str] = []
+    joints_with_equal_ends: list[str] = []
+    joints_with_reversed_ends: list[str] = []
     for joint in root.findall("joint"):
-        name, kind = joint.get("name", ""), joint.get("type", "")
+        name = joint.get("name", "")
+        has_range = joint.get("type", "") in _LIMITED
         limit = joint.find("limit")
         if limit is None:
-            if kind in _LIMITED:
-                unlimited.append(f"{name!r} (line {line_of[joint]})")
+            if has_range:
+                joints_without_limit.append(f"{name!r} (line {line_of[joint]})")
             continue
-        where = f"{path}:{line_of[limit]}"
-        values: dict[str, float] = {}
-        for key in ("lower", "upper", "effort", "velocity"):
-            text = limit.get(key)
-            value = _number(text)
-            if text is not None and (value is None or math.isnan(value)):
-                message = f"{where}: joint {name!r}: {key} must be a number, got {text!r}"
-                problems.append(Problem("", message))
-            elif value is not None and value < 0 and key in ("effort", "velocity"):
-                message = f"{where}: joint {name!r}: {key} must not be negative, got {value:g}"
-                problems.append(Problem("", message))
-            elif value is not None:
-                values[key] = value
+        place = f"{path}:{line_of[limit]}"
+        values, mistakes = _read_limit(limit, f"{place}: joint {name!r}")
+        problems += mistakes
         if "velocity" in values:
             velocity[name] = values["velocity"]
         if values.get("velocity") == 0:
-            zero_velocity[name] = where
+            zero_velocity[name] = place
         if values.get("effort") == 0:
-            zero_effort[name] = where
-        low, high = values.get("lower", 0.0), values.get("upper", 0.0)
-        if kind in _LIMITED and low == high:
-            empty.append(f"{name!r} (line {line_of[limit]}: {low:g})")
-        elif kind in _LIMITED and low > high:
-            reversed_.append(f"{name!r} (line {line_of[limit]}: {low:g}, {high:g})")
+            zero_effort[name] = place
+        low = values.get("lower", 0.0)
+        high = values.get("upper", 0.0)
+        if has_range and low == high:
+            joints_with_equal_ends.append(f"{name!r} (line {line_of[limit]}: {low:g})")
+        elif has_range and low > high:
+            ends = f"{low:g}, {high:g}"
+            joints_with_reversed_ends.append(f"{name!r} (line {line_of[limit]}: {ends})")
     if problems:
         raise ConfigError(problems)
-    notes = []
-    if unlimited:
-        notes.append(f"joints without <limit> move without limits: {', '.join(unlimited)}")
-    if empty:
+    notes: list[str] = []
+    if joints_without_limit:
+        names = ", ".join(joints_without_limit)
+        notes.append(f"joints without <limit> move without limits: {names}")
+    if joints_with_equal_ends:
         advice = 'a joint that shall not move has type="fixed", or an entry in locked_joints'
-        names = ", ".join(empty)
+        names = ", ".join(joints_with_equal_ends)
         notes.append(f"joints whose lower equals upper move without limits: {names}; {advice}")
-    if reversed_:
-        names = ", ".join(reversed_)
+    if joints_with_reversed_ends:
+        names = ", ".join(joints_with_reversed_ends)
         notes.append(f"joints whose lower is above upper move without limits: {names}")
-    return UrdfLimits(velocity, zero_effort, zero_velocity, tuple(notes))
+    return UrdfLimits(
+        velocity=velocity,
+        zero_effort=zero_effort,
+        zero_velocity=zero_velocity,
+        notes=tuple(notes),
+    )
 
 
-def _number(text: str | None) -> float | None:
+def _read_limit(limit: ET.Element, place: str) -> tuple[dict[str, float], list[Problem]]:
+    """Return the numbers of a `<limit>`, and every mistake; messages begin with `place`."""
+    values: dict[str, float] = {}
+    problems: list[Problem] = []
+    for key in ("lower", "upper", "effort", "velocity"):
+        text = limit.get(key)
+        if text is None:
+            continue
+        value = _number(text)
+        if value is None or math.isnan(value):
+            problems.append(Problem("", f"{place}: {key} must be a number, got {text!r}"))
+        elif value < 0 and key in ("effort", "velocity"):
+            problems.append(Problem("", f"{place}: {key} must not be negative, got {value:g}"))
+        else:
+            values[key] = value
+    return values, problems
+
+
+def _number(text: str) -> float | None:
     """A number, or None."""
     try:
-        return None if text is None else float(text)
+        return float(text)
     except ValueError:
         return None

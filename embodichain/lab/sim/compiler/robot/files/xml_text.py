@@ -25,7 +25,7 @@ _ENCODING = re.compile(rb"<\?xml[^>]*?encoding\s*=\s*[\"']([A-Za-z0-9._-]+)[\"']
 
 
 class XmlError(ValueError):
-    """A text that is no XML.
+    """A text that is not XML.
 
     Attributes:
         line: The line of the mistake, from 1.
@@ -52,7 +52,8 @@ def parse_xml(source: bytes) -> tuple[ET.Element, dict[ET.Element, int]]:
     Raises:
         XmlError: If it is not well-formed.
     """
-    builder, lines = ET.TreeBuilder(), dict[ET.Element, int]()
+    builder = ET.TreeBuilder()
+    lines: dict[ET.Element, int] = {}
     parser = expat.ParserCreate("utf-8")
     depth = 0
 
@@ -72,8 +73,8 @@ def parse_xml(source: bytes) -> tuple[ET.Element, dict[ET.Element, int]]:
     try:
         parser.Parse(_standard(_decoded(source)).encode(), True)
     except expat.ExpatError as error:
-        complete = bool(lines) and depth == 0
-        if not complete:
+        is_complete = bool(lines) and depth == 0
+        if not is_complete:
             raise XmlError(str(error).split(":")[0], error.lineno) from error
     return builder.close(), lines
 
@@ -94,38 +95,46 @@ def _decoded(source: bytes) -> str:
 def _standard(text: str) -> str:
     """Return an XML text without what expat refuses; every element keeps its line."""
     pieces: list[str] = []
-    depth, at = 0, 0
+    depth = 0
+    end = 0
     for markup in _MARKUP.finditer(text):
-        between, at = text[at : markup.start()], markup.end()
-        pieces.append(_LONE_AMPERSAND.sub("&amp;", between) if depth else _blank(between))
+        between = text[end : markup.start()]
+        end = markup.end()
+        if depth:
+            pieces.append(_LONE_AMPERSAND.sub("&amp;", between))
+        else:
+            pieces.append(_keep_lines(between))
+        if markup["data"] is not None:
+            pieces.append(markup[0])
+            continue
         tag = markup["tag"]
-        if tag is None:
-            pieces.append(markup[0] if markup["data"] is not None else _blank(markup[0]))
+        if tag is None:  # a comment, a declaration
+            pieces.append(_keep_lines(markup[0]))
             continue
         pieces.append(_standard_tag(tag))
         if tag.startswith("</"):
             depth -= 1
         elif not tag.endswith("/>"):
             depth += 1
-    pieces.append(text[at:])
+    pieces.append(text[end:])
     return "".join(pieces)
 
 
-def _blank(text: str) -> str:
+def _keep_lines(text: str) -> str:
     """Return only the line ends of a text."""
     return "\n" * text.count("\n")
 
 
 def _name_of(tag: str) -> str:
-    found = _TAG_NAME.match(tag)
-    return found[1] if found else ""
+    name = _TAG_NAME.match(tag)
+    return name[1] if name else ""
 
 
 def _standard_tag(tag: str) -> str:
     """Return a tag in whose attributes ``&`` and ``<`` are escaped."""
 
-    def attribute(found: re.Match[str]) -> str:
-        value = _LONE_AMPERSAND.sub("&amp;", found[2]).replace("<", "&lt;")
-        return f" {found[1]}={value}"
+    def escape(attribute: re.Match[str]) -> str:
+        value = _LONE_AMPERSAND.sub("&amp;", attribute[2]).replace("<", "&lt;")
+        return f" {attribute[1]}={value}"
 
-    return _ATTRIBUTE.sub(attribute, tag)
+    return _ATTRIBUTE.sub(escape, tag)
