@@ -157,7 +157,7 @@ def _control_period(draft: Draft, env: Mapping[str, Any]) -> None:
         return
     steps = 1.0 / (dt * frequency)
     if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
-        draft.refuse(where, f"{frequency} Hz is no whole number of physics steps of {dt} s")
+        draft.refuse(where, f"{frequency} Hz is not a whole number of physics steps of {dt} s")
         return
     draft.put(("sim_steps_per_control",), round(steps), where)
 

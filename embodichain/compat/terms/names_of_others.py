@@ -1,4 +1,4 @@
-"""Answers to names of Isaac Lab and mjlab that are no terms here: ``names_of_others.yaml``."""
+"""Answers to names of Isaac Lab and mjlab that are not terms here: ``names_of_others.yaml``."""
 
 from __future__ import annotations
 
