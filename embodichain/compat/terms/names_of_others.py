@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import resources
-from typing import Any
 
 import yaml
 
@@ -16,8 +15,7 @@ __all__ = ["translations"]
 def translations() -> Mapping[str, Mapping[str, str]]:
     """Project -> its name -> what to write here, or that there is nothing like it."""
     file = resources.files("embodichain.compat.terms").joinpath("names_of_others.yaml")
-    found: dict[str, Any] = yaml.safe_load(file.read_text(encoding="utf-8"))
-    return found
+    return yaml.safe_load(file.read_text(encoding="utf-8"))
 
 
 register_translations(translations)
