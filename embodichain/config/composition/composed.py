@@ -300,7 +300,7 @@ def _algorithm(
     """
     if config.hydra.runtime.choices.get("algo", "") is not None:
         return None
-    names = [o.value() for o in values if o.key_or_group == "algo.name"]
+    names: list[Any] = [o.value() for o in values if o.key_or_group == "algo.name"]
     names.append(OmegaConf.select(config, "algo.name"))
     names.append(OmegaConf.select(config, "task.suggested.train.algo.name"))
     return next((name for name in names if name in options), DEFAULT_ALGORITHM)
