@@ -143,9 +143,9 @@ def _functor(functor: Any, kind: Kind) -> Any:
         plain["mode"] = getattr(functor, "mode", "modify")  # a file has another default
     func = functor.func
     if callable(func):
-        known = next((name for name, spec in TERMS[kind].items() if spec.func is func), None)
-        plain["func"] = known or func
-        if known is None and functor.params:
+        registered = next((name for name, spec in TERMS[kind].items() if spec.func is func), None)
+        plain["func"] = registered or func
+        if registered is None and functor.params:
             plain["params"] = functor.params  # a user's function gets a `SceneEntityCfg` unchanged
     return plain
 

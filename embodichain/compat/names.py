@@ -310,21 +310,22 @@ class _Finder(MetaPathFinder):
 
 def complete(module: ModuleType) -> None:
     """Look up EmbodiChain's names in a module that lacks them."""
-    name_of, listed = module.__name__, upstream_names(module.__name__)
-    own: Callable[[str], Any] | None = module.__dict__.get("__getattr__")
+    module_name = module.__name__
+    listed = upstream_names(module_name)
+    own_getattr: Callable[[str], Any] | None = module.__dict__.get("__getattr__")
 
     def look_up(name: str) -> Any:
-        if own is not None:
+        if own_getattr is not None:
             try:
-                return own(name)
+                return own_getattr(name)
             except AttributeError:
                 if name not in listed:
                     raise
         if name in listed:
-            return find(name_of, name)
+            return find(module_name, name)
         if name == "__all__" and module.__spec__ and isinstance(module.__spec__.loader, _Alias):
-            return available(name_of)
-        raise AttributeError(f"module {name_of!r} has no attribute {name!r}")
+            return available(module_name)
+        raise AttributeError(f"module {module_name!r} has no attribute {name!r}")
 
     module.__getattr__ = look_up  # type: ignore[method-assign]
 

@@ -58,7 +58,7 @@ def checked_file(path: str | Path, verb: Verb = "run") -> Checked:
         verb: The verb for which the task's suggestions are used.
 
     Raises:
-        ConfigError: It cannot be read, or is no YAML.
+        ConfigError: It cannot be read, or is not YAML.
     """
     file = Path(path)
     if not file.is_file():
@@ -71,8 +71,8 @@ def checked_file(path: str | Path, verb: Verb = "run") -> Checked:
     except yaml.YAMLError as error:
         raise ConfigError([explain_yaml(error, file)]) from error
     except (OSError, UnicodeDecodeError) as error:
-        found = Problem("", f"cannot be read: {error}", source=display_path(file))
-        raise ConfigError([found]) from error
+        problem = Problem("", f"cannot be read: {error}", source=display_path(file))
+        raise ConfigError([problem]) from error
     if is_gym_config(tree):
         return check_config(compose([override_of(str(file))], verb), verb)
     if isinstance(tree, dict) and isinstance(tree.get("task"), dict):
@@ -84,24 +84,29 @@ def checked_file(path: str | Path, verb: Verb = "run") -> Checked:
 
 
 def notes_on_file(path: str | Path) -> tuple[Problem, ...]:
-    """Return notes on what was left out or changed in converting a gym config.
+    """Return notes on parts of a gym config that were left out or changed in the conversion.
 
     Args:
         path: The file; there are no notes for other configs, or for a file with mistakes.
     """
     try:
-        return load_gym_config(path).notes if is_gym_config(read_gym_config(path)) else ()
+        if is_gym_config(read_gym_config(path)):
+            return load_gym_config(path).notes
     except ConfigError:
-        return ()
+        pass  # the check of the file reports it
+    return ()
 
 
 def _composed_option(file: Path, verb: Verb) -> Composed:
     """Compose a file as an option of the group that its folder names, or as a task."""
-    group, verb = file.parent.name, _verb_of(file, verb)
+    group = file.parent.name
+    verb = _verb_of(file, verb)
     if group in _GROUPS:
-        task = [] if group == "task" else [_ANY_TASK]
         name = "scene@task.scene" if group == "scene" else group
-        return compose([*task, f"{name}={file.stem}"], verb, file.parent.parent)
+        overrides = [f"{name}={file.stem}"]
+        if group != "task":
+            overrides.insert(0, _ANY_TASK)
+        return compose(overrides, verb, file.parent.parent)
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder, "task", file.name).with_suffix(".yaml")
         link.parent.mkdir()

@@ -19,18 +19,20 @@ from embodichain.utils.errors import Problem
 
 __all__ = ["LearningScale", "doubtful_scale", "scale_learning"]
 
-ROLLOUT = 2_048, 16_384
-"""Transitions of a rollout, least and most. Fewer make advantages noisy, more make updates rare."""
+SMALLEST_ROLLOUT = 2_048
+"""Transitions of a rollout, at least: fewer make advantages noisy."""
+LARGEST_ROLLOUT = 16_384
+"""Transitions of a rollout, at most: more make updates rare."""
 STEPS_PER_ENV = 32
-"""Control steps of each environment in a rollout, where that is within `ROLLOUT`."""
+"""Control steps of each environment in a rollout, where its transitions are within these."""
 UPDATES = 30
-"""Updates that a training has at least; a rollout shrinks for them."""
+"""Number of updates of a training, at least; a rollout shrinks for them."""
 FEW_UPDATES = 10
 """Fewer updates are warned about."""
 MINIBATCHES = 4
-"""Minibatches of a rollout."""
+"""Number of minibatches of a rollout."""
 GRADIENT_STEPS = 64
-"""Most gradient steps between steps of the environments, of algorithms with a replay buffer."""
+"""Gradient steps between steps of the environments, at most, of algorithms with a replay buffer."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class LearningScale:
 
     Attributes:
         chosen: Keys of `algo` that were null -> their values.
-        reason: The sentence that says what the values are for; empty if none was chosen.
+        reason: What the values are for, as half a sentence; empty if none was chosen.
     """
 
     chosen: dict[str, int]
@@ -57,7 +59,7 @@ class LearningScale:
 def scale_learning(
     algo: Mapping[str, Any], num_envs: int, total_timesteps: int | None
 ) -> LearningScale:
-    """Choose the null keys that say what an update learns from.
+    """Choose the keys that are null and set how much an update learns from.
 
     Args:
         algo: The config of an algorithm, as a plain mapping.
@@ -80,7 +82,7 @@ def scale_learning(
 def doubtful_scale(
     algo: Mapping[str, Any], num_envs: int, total_timesteps: int | None
 ) -> list[Problem]:
-    """Return what is doubtful in how much an update learns from, with the keys to write.
+    """Return doubts about how much an update learns from, with the keys to write.
 
     Args:
         algo: The config of an algorithm, after `scale_learning`.
@@ -92,22 +94,30 @@ def doubtful_scale(
     steps = algo.get(key)
     if steps is None or "gradient_steps" in algo:  # there, n_steps is of n-step returns
         return []
-    rollout, problems = num_envs * steps, []
-    better = scale_learning({**algo, key: None, "batch_size": None}, num_envs, total_timesteps)
+    rollout = num_envs * steps
+    rollout_text = f"{rollout:,} steps ({num_envs} environments x {steps})"
+    problems = []
     updates = math.ceil((total_timesteps or 0) / rollout)
     if total_timesteps is not None and updates < FEW_UPDATES:
         count = "1 update" if updates == 1 else f"{updates} updates"
-        message = f"{count} in all: total_timesteps {total_timesteps:,} are too few for rollouts "
-        message += f"of {rollout:,} steps ({num_envs} environments x {steps})"
-        write = better.chosen.get(key, steps)
-        hint = f"Write algo.{key}={write}" if write < steps else "Give more total_timesteps"
+        message = (
+            f"{count} in all: total_timesteps {total_timesteps:,} are too few for rollouts of "
+            f"{rollout_text}"
+        )
+        unset = {**algo, key: None, "batch_size": None}
+        better_steps = scale_learning(unset, num_envs, total_timesteps).chosen.get(key, steps)
+        if better_steps < steps:
+            hint = f"Write algo.{key}={better_steps}"
+        else:
+            hint = "Give more total_timesteps"
         problems.append(Problem(f"algo.{key}", message, hint))
     batch = algo.get("batch_size")
     if batch is not None and rollout % batch:
-        message = f"{batch} does not divide a rollout of {rollout:,} steps "
-        message += f"({num_envs} environments x {steps}): "
-        rest = f"the last minibatch of each epoch has {rollout % batch}"
-        message += rest if batch < rollout else "it is one minibatch"
+        if batch < rollout:
+            consequence = f"the last minibatch of each epoch has {rollout % batch}"
+        else:
+            consequence = "it is one minibatch"
+        message = f"{batch} does not divide a rollout of {rollout_text}: {consequence}"
         hint = f"Write algo.batch_size={_minibatch(rollout)}"
         problems.append(Problem("algo.batch_size", message, hint))
     return problems
@@ -118,19 +128,21 @@ def _scale_rollout(
 ) -> LearningScale:
     """Choose `n_steps` and `batch_size` of an on-policy algorithm of Stable-Baselines3."""
     chosen = {}
-    steps, batch = algo.get("n_steps"), algo.get("batch_size") if has_batches else None
+    steps = algo.get("n_steps")
+    batch = algo.get("batch_size") if has_batches else None
     if steps is None:
-        least, most = ROLLOUT
-        wanted = min(max(STEPS_PER_ENV * num_envs, least), most)
-        steps = _steps(wanted, num_envs, total_timesteps)
-        parts = MINIBATCHES if batch is None else batch
-        whole = parts // math.gcd(num_envs, parts)  # so that minibatches are of equal size
-        if steps >= whole or batch is not None:
-            steps = max(whole, steps // whole * whole)
-        chosen["n_steps"] = max(steps, 2) if num_envs == 1 else steps
-        steps = chosen["n_steps"]
+        rollout = min(max(STEPS_PER_ENV * num_envs, SMALLEST_ROLLOUT), LARGEST_ROLLOUT)
+        steps = _steps(rollout, num_envs, total_timesteps)
+        # Minibatches are of equal size if the rollout is a multiple of `divisor`.
+        divisor = MINIBATCHES if batch is None else batch
+        multiple = divisor // math.gcd(num_envs, divisor)
+        if steps >= multiple or batch is not None:
+            steps = max(multiple, steps // multiple * multiple)
+        if num_envs == 1:
+            steps = max(steps, 2)
+        chosen["n_steps"] = steps
     if has_batches and batch is None:
-        chosen["batch_size"] = batch = _minibatch(num_envs * steps)
+        chosen["batch_size"] = _minibatch(num_envs * steps)
     return _rollout(chosen, num_envs, steps, total_timesteps)
 
 
@@ -140,8 +152,9 @@ def _scale_tensor_rollout(
     """Choose the control steps of a rollout of a learner on tensors."""
     if algo.get(key) is not None:
         return LearningScale({})
-    wanted = max(PUBLISHED_STEPS * num_envs, ROLLOUT[0])  # thousands of environments are usual
-    steps = _steps(wanted, num_envs, total_timesteps)
+    # There is no largest rollout: thousands of environments are usual here.
+    rollout = max(PUBLISHED_STEPS * num_envs, SMALLEST_ROLLOUT)
+    steps = _steps(rollout, num_envs, total_timesteps)
     return _rollout({key: steps}, num_envs, steps, total_timesteps)
 
 
@@ -149,24 +162,27 @@ def _scale_gradient_steps(algo: Mapping[str, Any], num_envs: int) -> LearningSca
     """Choose the gradient steps of an algorithm with a replay buffer."""
     if algo.get("gradient_steps") is not None:
         return LearningScale({})
-    every = algo.get("train_freq") or 1
-    steps = min(GRADIENT_STEPS, num_envs * every)
-    reason = f"{num_envs * every} environment steps come between updates ({num_envs} environments"
-    reason += f" x train_freq {every})"
-    if steps < num_envs * every:
+    train_freq = algo.get("train_freq") or 1
+    env_steps = num_envs * train_freq
+    steps = min(GRADIENT_STEPS, env_steps)
+    reason = (
+        f"{env_steps} environment steps come between updates ({num_envs} environments x "
+        f"train_freq {train_freq})"
+    )
+    if steps < env_steps:
         reason += f", and {GRADIENT_STEPS} gradient steps are the most"
     return LearningScale({"gradient_steps": steps}, reason)
 
 
-def _steps(wanted: int, num_envs: int, total_timesteps: int | None) -> int:
+def _steps(rollout: int, num_envs: int, total_timesteps: int | None) -> int:
     """Control steps of a rollout of about as many transitions, in a training of enough updates."""
     if total_timesteps is not None:
-        wanted = min(wanted, total_timesteps // UPDATES)
-    return max(1, wanted // num_envs)
+        rollout = min(rollout, total_timesteps // UPDATES)
+    return max(1, rollout // num_envs)
 
 
 def _minibatch(rollout: int) -> int:
-    """Size of a minibatch: a quarter, or the part next to it that is whole and no single step."""
+    """Size of a minibatch: a quarter of a rollout, or the next part of at least two whole steps."""
     parts = next(k for k in range(MINIBATCHES, 0, -1) if rollout % k == 0 and rollout >= 2 * k)
     return rollout // parts
 
@@ -174,6 +190,7 @@ def _minibatch(rollout: int) -> int:
 def _rollout(
     chosen: dict[str, int], num_envs: int, steps: int, total_timesteps: int | None
 ) -> LearningScale:
+    """The keys of a rollout, with the reason for them."""
     rollout = num_envs * steps
     reason = f"rollouts of {rollout:,} steps ({num_envs} environments x {steps})"
     if total_timesteps is not None:

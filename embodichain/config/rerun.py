@@ -59,7 +59,8 @@ def resolve_run(
     source = folder / CONFIG
     # Whoever made the folder has written its config: it does not say whom to trust.
     tree = {**read_config(source), "trust": False, **(values or {})}
-    tree = as_reader(tree) if only_reads else tree
+    if only_reads:
+        tree = as_reader(tree)
     warp = (tree.get("sim") or {}).get("warp")
     if isinstance(warp, dict):  # the run's choice was for what that run needed
         tree["sim"] = {**tree["sim"], "warp": {**warp, "arrays": "auto"}}
@@ -80,30 +81,42 @@ def resolve_run(
     locator = Locator((), parsed.values)
     changed, problems = plain_values(config, locator)
     if problems:
-        typed = [override.key_or_group for override in parsed.values]
         raise ConfigError(
-            p
-            if any(p.path == key or p.path.startswith(f"{key}.") for key in typed)
-            else not_taken(p.path, _value(tree, p.path), p.message, str(source))
-            for p in problems
+            problem
+            if _is_typed(problem, parsed)
+            else not_taken(
+                problem.path,
+                _value(tree, problem.path),
+                reason=problem.message,
+                source=str(source),
+            )
+            for problem in problems
         )
     changed, problems = remove_null_entries(changed, lambda path: _gives(tree, path))
     problems += keep_last_given(changed, locator.rank)
     if problems:
         raise ConfigError(problem.at(COMMAND_LINE) for problem in problems)
     try:
-        found = resolve_tree(
+        resolved = resolve_tree(
             changed, str(source), "run", task_name=task_of(folder), allow_import=True
         )
     except ConfigError as error:
-        keys = tuple(override.key_or_group for override in parsed.values)
         raise ConfigError(
-            dataclasses.replace(p, source=COMMAND_LINE)
-            if any(p.path == key or p.path.startswith(f"{key}.") for key in keys)
-            else p
-            for p in error.problems
+            dataclasses.replace(problem, source=COMMAND_LINE)
+            if _is_typed(problem, parsed)
+            else problem
+            for problem in error.problems
         ) from error
-    return dataclasses.replace(found, overrides=tuple(overrides))
+    return dataclasses.replace(resolved, overrides=tuple(overrides))
+
+
+def _is_typed(problem: Problem, parsed: ParsedOverrides) -> bool:
+    """Whether a mistake is at the key of an override, or below it."""
+    for override in parsed.values:
+        key = override.key_or_group
+        if problem.path == key or problem.path.startswith(f"{key}."):
+            return True
+    return False
 
 
 def _gives(tree: Any, path: str) -> bool:

@@ -69,7 +69,7 @@ _DEFAULTS: dict[Verb, dict[str, Any]] = {
 }
 _SEED_BITS = 31
 _KWARGS = ("autoreset_mode", "render_mode", "run_dir")
-"""Arguments of `BaseEnv` besides its config; it passes others on to methods of subclasses."""
+"""Arguments of `BaseEnv` besides its config."""
 _PATHS = ("output_dir", "policy", "dataset", "resume")
 """Keys of the root whose texts are paths, which a summary names."""
 _OF_ROOT = ("num_envs",)
@@ -90,7 +90,7 @@ class Resolved:
             nothing, and derived values that change the physics.
         source: Function from a key path to where the key was set, or an empty string.
         declared: The scene of the task as the check has read it, for `compile_scene_of`, which
-            reads the files anew without it. It is no part of the config.
+            reads the files anew without it. It is not a part of the config.
         token: The viewer's, which `tree` does not have; ``auto`` and ``none`` as in the config.
     """
 
@@ -122,7 +122,8 @@ class Resolved:
     @property
     def env_cfg(self) -> EnvCfg:
         """A fresh `EnvCfg` for `BaseEnv`: `num_envs`, `seed` and `sim_cfg` filled in."""
-        root, cfg = self.root, copy.deepcopy(self.root.task)
+        root = self.root
+        cfg = copy.deepcopy(root.task)
         cfg.num_envs = root.num_envs or 1
         cfg.seed = root.seed
         cfg.first_env = root.sim.first_env
@@ -150,25 +151,25 @@ class Resolved:
         Later runs change them. A path that the environment gives stays as it is.
 
         Raises:
-            ConfigError: There is no such training any more.
+            ConfigError: The training that `last` refers to does not exist any more.
         """
-        changed, data = self, self.tree.get("dataset")  # a run of an earlier version has none
-        if data is not None:
-            paths = [data] if isinstance(data, str) else data
-            changed = changed.changed(dataset=[_whole_path(path) for path in paths])
+        pinned = self
+        dataset = self.tree.get("dataset")  # a run of an earlier version has none
+        if dataset is not None:
+            paths = [dataset] if isinstance(dataset, str) else dataset
+            pinned = pinned.changed(dataset=[_absolute_path(path) for path in paths])
         policy = self.tree["policy"]
-        last = policy == "last"
-        if (
-            not isinstance(policy, str)
-            or isinstance(policy, EnvText)
-            or not (last or named_checkpoint(policy).exists())
-        ):
-            return changed
-        newest = newest_run(self.tree["output_dir"], CHECKPOINT) if last else None
-        path = newest if last else named_checkpoint(policy)
-        if path is None:
-            raise ConfigError("policy: there is no training for 'last' any more")
-        return changed.changed(policy=str(path.resolve()))
+        if not isinstance(policy, str) or isinstance(policy, EnvText):
+            return pinned
+        if policy == "last":
+            newest = newest_run(self.tree["output_dir"], CHECKPOINT)
+            if newest is None:
+                raise ConfigError("policy: there is no training for 'last' any more")
+            return pinned.changed(policy=str(newest.resolve()))
+        checkpoint = named_checkpoint(policy)
+        if not checkpoint.exists():  # another kind of policy
+            return pinned
+        return pinned.changed(policy=str(checkpoint.resolve()))
 
     def record(self, facts: Mapping[str, Any]) -> dict[str, Any]:
         """Return facts about the run for a file: paths from the environment are interpolations.
@@ -176,18 +177,21 @@ class Resolved:
         Args:
             facts: Name -> value; a text may be a value of the root, or a path below it.
         """
-        given = list(env_texts({key: self.tree.get(key) for key in _PATHS}))
+        paths_from_env = [text for _, text in env_texts({k: self.tree.get(k) for k in _PATHS})]
 
         def recorded(value: Any) -> Any:
-            for _, text in given if isinstance(value, str) else ():
-                if value == text or value.startswith(f"{text}/"):
-                    return f"{text.written}{value[len(text) :]}"
-            return hidden(repr(value)) if is_dataclass(value) else value
+            if isinstance(value, str):
+                for path in paths_from_env:
+                    if value == path or value.startswith(f"{path}/"):
+                        return f"{path.written}{value[len(path) :]}"
+            if is_dataclass(value):
+                return hidden(repr(value))
+            return value
 
-        found = {name: recorded(value) for name, value in facts.items()}
-        if isinstance(found.get("error"), str):
-            found["error"] = hidden(found["error"])
-        return found
+        record = {name: recorded(value) for name, value in facts.items()}
+        if isinstance(record.get("error"), str):
+            record["error"] = hidden(record["error"])
+        return record
 
     def locating(self, section: str = "") -> AbstractContextManager[None]:
         """Add file and line to the mistakes of a `ConfigError` raised inside the context.
@@ -198,12 +202,16 @@ class Resolved:
         return _locating(self.source, section)
 
 
-def _whole_path(path: str) -> str:
-    return path if isinstance(path, EnvText) else str(Path(path).resolve())
+def _absolute_path(path: str) -> str:
+    """A path with links resolved; one that the environment gives stays as it is."""
+    if isinstance(path, EnvText):
+        return path
+    return str(Path(path).resolve())
 
 
 @contextmanager
 def _locating(source: Callable[[str], str], section: str) -> Iterator[None]:
+    """Add file and line to mistakes; see `Resolved.locating`."""
     try:
         yield
     except ConfigError as error:
@@ -211,6 +219,7 @@ def _locating(source: Callable[[str], str], section: str) -> Iterator[None]:
 
 
 def _located(problem: Problem, source: Callable[[str], str], section: str) -> Problem:
+    """A problem with its place, if it has none."""
     if problem.source:
         return problem
     path = ".".join(part for part in (section, problem.path) if part)
@@ -287,12 +296,12 @@ def check_config(composed: Composed, verb: Verb) -> Checked:
     """
     name = (composed.choices.get("task") or "task").rpartition("/")[2]
     return Checked(
-        check_composed(composed, verb),
-        verb,
-        name,
-        composed.source,
-        composed.overrides,
-        composed.notes,
+        check=check_composed(composed, verb),
+        verb=verb,
+        task_name=name,
+        source=composed.source,
+        overrides=composed.overrides,
+        notes=composed.notes,
         ships=True,
     )
 
@@ -336,15 +345,14 @@ def _fill_in(check: Check, verb: Verb, task_name: str, source: Callable[[str], s
         tree, notes = _with_armature(tree, declared.added_armature())
         declared = declared.with_given_armature()
     if verb == "train" and isinstance(tree["algo"], Mapping):
-        tree, chosen, doubtful = _with_learning_scale(tree)
-        notes = (*notes, *chosen, *(problem.at(source(problem.path)) for problem in doubtful))
+        tree, choices, doubts = _with_learning_scale(tree)
+        notes = (*notes, *choices, *(problem.at(source(problem.path)) for problem in doubts))
     recorded, token = take_token(tree)
-    notes = (*check.notes, *notes)
     return Resolved(
         tree=freeze(recorded),
         overrides=(),
         task_name=task_name,
-        notes=notes,
+        notes=(*check.notes, *notes),
         source=source,
         declared=declared,
         token=token,
@@ -354,14 +362,15 @@ def _fill_in(check: Check, verb: Verb, task_name: str, source: Callable[[str], s
 def _with_pretrained(resolved: Resolved) -> Resolved:
     """The config with the file of the policy that ships for its task, where that is chosen."""
     policy = resolved.tree["policy"]
-    named = isinstance(policy, Mapping)
-    if (policy["func"] if named else policy) != PRETRAINED:
+    has_params = isinstance(policy, Mapping)
+    name = policy["func"] if has_params else policy
+    if name != PRETRAINED:
         return resolved
     from embodichain.data.pretrained import pretrained
 
     with resolved.locating():
         file = str(pretrained(resolved.task_name).file)
-    return resolved.changed(policy={**policy, "func": file} if named else file)
+    return resolved.changed(policy={**policy, "func": file} if has_params else file)
 
 
 def _with_defaults(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
@@ -385,36 +394,42 @@ def _with_learning_scale(
     A training that is resumed goes on as it began.
 
     Returns:
-        The config; what was chosen; what is doubtful.
+        The config; notes on chosen values; doubts about it.
     """
-    num_envs, total = tree["num_envs"], tree["total_timesteps"]
-    scale, notes = scale_learning(tree["algo"], num_envs, total), []
+    num_envs = tree["num_envs"]
+    total_timesteps = tree["total_timesteps"]
+    scale = scale_learning(tree["algo"], num_envs, total_timesteps)
     chosen: dict[str, Any] = dict(scale.chosen)
+    notes: list[Problem] = []
     if tree["resume"] is None:
         notes = scale.notes()
-    elif (earlier := _algo_of(Path(tree["resume"]))) is not None:
-        chosen = {key: earlier.get(key) for key in chosen}
-    tree = {**tree, "algo": {**tree["algo"], **chosen}}
-    return tree, notes, doubtful_scale(tree["algo"], num_envs, total)
+    else:
+        earlier = _algo_of(Path(tree["resume"]))
+        if earlier is not None:
+            chosen = {key: earlier.get(key) for key in chosen}
+    algo = {**tree["algo"], **chosen}
+    return {**tree, "algo": algo}, notes, doubtful_scale(algo, num_envs, total_timesteps)
 
 
 def _algo_of(folder: Path) -> Mapping[str, Any] | None:
     """The algorithm's config of an earlier training; None if its folder has no config.
 
     Raises:
-        ConfigError: The config is no YAML.
+        ConfigError: The config is not YAML.
     """
     path = folder / CONFIG
     if not path.is_file():
-        # `train` in Python wrote checkpoints there and nothing else; `check_training` refuses a
-        # folder that is not there.
+        # `train` in Python writes checkpoints and nothing else; `check_training` refuses a folder
+        # that does not exist.
         return None if folder.is_dir() else {}
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError([Problem("resume", f"cannot read {path}: {error}")]) from error
     algo = tree.get("algo") if isinstance(tree, Mapping) else None
-    return algo if isinstance(algo, Mapping) else {}
+    if not isinstance(algo, Mapping):
+        return {}
+    return algo
 
 
 def _with_armature(
@@ -427,15 +442,17 @@ def _with_armature(
         added: Key path of an articulation in the task -> joint -> armature; only joints for which
             the task gives none.
     """
-    changed, notes = copy.deepcopy(dict(tree)), []
-    for path, raised in added.items():
+    changed = copy.deepcopy(dict(tree))
+    notes = []
+    for path, armature in added.items():
         entity = changed["task"]
         for key in path.split("."):
             entity = entity[key]
-        drives = entity["drive_pros"] = dict(entity.get("drive_pros") or {})
-        names = {exact_pattern(name): value for name, value in raised.items()}
-        drives["armature"] = {**(drives.get("armature") or {}), **names}
-        listed = ", ".join(f"{name}: {value:.4g}" for name, value in raised.items())
+        drives = dict(entity.get("drive_pros") or {})
+        entity["drive_pros"] = drives
+        by_pattern = {exact_pattern(joint): value for joint, value in armature.items()}
+        drives["armature"] = {**(drives.get("armature") or {}), **by_pattern}
+        listed = ", ".join(f"{joint}: {value:.4g}" for joint, value in armature.items())
         message = f"raised to {{{listed}}}, because limited drives would chatter at the time step"
         notes.append(Problem(f"task.{path}.drive_pros.armature", message))
     return changed, tuple(notes)
@@ -489,7 +506,7 @@ def dump_yaml(value: Any) -> str:
 
     `EnvText` is written as its interpolation.
     """
-    text: str = yaml.dump(
+    return yaml.dump(
         thaw(value),
         Dumper=_Dumper,
         sort_keys=False,
@@ -497,7 +514,6 @@ def dump_yaml(value: Any) -> str:
         width=100,
         default_flow_style=None,
     )
-    return text
 
 
 class _Dumper(yaml.SafeDumper):

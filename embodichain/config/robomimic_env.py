@@ -30,6 +30,8 @@ _log = logging.getLogger(__name__)
 _ID = "embodichain-v0"
 ENV_NAME = f"{__name__}:{_ID}"
 """``env_name`` of data sets."""
+_HERE = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
+"""Keys of a run that are of that run only."""
 
 
 class RobomimicEnv:
@@ -44,13 +46,14 @@ class RobomimicEnv:
         observation_space: The vector of the group ``policy``, which is ``flat`` in robomimic.
 
     Raises:
-        ConfigError: If the config has mistakes, or the policy's observation is no vector.
+        ConfigError: If the config has mistakes, or the policy's observation is not a vector.
     """
 
     def __init__(self, name: str, config: Mapping[str, Any]) -> None:
-        own = {"num_envs": 1, "policy": None}
-        here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
-        tree = {**config, **own, **{k: v for k, v in here.items() if k in config}}
+        tree = {**config, "num_envs": 1, "policy": None}
+        for key, value in _HERE.items():
+            if key in config:  # a run of an earlier version may not have it
+                tree[key] = value
         source = "env_args of the data set"
         resolved = resolve_tree(as_reader(tree), source, "run", task_name=name)
         for note in notes_of_today(resolved.tree):
@@ -75,8 +78,7 @@ class RobomimicEnv:
         """Start a new episode; return (K,) the first observation."""
         obs, _ = self._env.reset()
         self._success = False
-        first: NDArray[np.float32] = obs
-        return first
+        return obs
 
     def step(
         self, action: NDArray[np.float32]

@@ -60,8 +60,18 @@ _USED = (
 )
 _MOST_SUFFIXES = 10_000
 _PACKAGES = (
-    *("embodichain", "mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3"),
-    *("hydra-core", "omegaconf", "pydantic", "mcap", "protobuf"),
+    "embodichain",
+    "mujoco",
+    "numpy",
+    "torch",
+    "tensordict",
+    "gymnasium",
+    "stable-baselines3",
+    "hydra-core",
+    "omegaconf",
+    "pydantic",
+    "mcap",
+    "protobuf",
 )
 
 
@@ -126,10 +136,11 @@ def check_unused(folder: str | Path) -> None:
         )
     if (path / CONFIG).is_file():
         raise ConfigError(_USED.format(path))
-    there = next(p for p in (path, *path.absolute().parents) if p.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK):
-        why = "not writable" if there.is_dir() else "a file"
-        raise ConfigError(f"cannot make the run folder {path}: {there} is {why}")
+    existing = next(p for p in (path, *path.absolute().parents) if p.exists())
+    if not existing.is_dir():
+        raise ConfigError(f"cannot make the run folder {path}: {existing} is a file")
+    if not os.access(existing, os.W_OK):
+        raise ConfigError(f"cannot make the run folder {path}: {existing} is not writable")
 
 
 def latest_of(output_root: str | Path) -> str | None:
@@ -200,16 +211,22 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
     Raises:
         ConfigError: There is no such run.
     """
-    path = Path(output_root) / LATEST if str(name) == "last" else Path(name)
+    if str(name) == "last":
+        path = Path(output_root) / LATEST
+        reason = f" ({path} does not exist)"
+    else:
+        path = Path(name)
+        reason = perhaps_last(name)
     if not path.is_dir():
-        there = f" ({Path(output_root) / LATEST} does not exist)" if str(name) == "last" else ""
-        raise ConfigError(f"there is no run {str(name)!r}{there}{perhaps_last(name)}")
+        raise ConfigError(f"there is no run {str(name)!r}{reason}")
     return path.resolve()
 
 
 def perhaps_last(name: str | Path) -> str:
     """Return ``". Did you mean 'last'?"`` for a name that nothing has, or ``""``."""
-    hint = did_you_mean(str(name), ["last"]) if str(name) != "last" else ""
+    if str(name) == "last":
+        return ""
+    hint = did_you_mean(str(name), ["last"])
     return f".{hint}" if hint else ""
 
 
@@ -220,10 +237,14 @@ def newest_run(output_root: str | Path, *holding: str) -> Path | None:
         output_root: The folder of runs; the jobs of sweeps are searched too.
         *holding: The file's path in a run's folder; may be a pattern (``*.zip``).
     """
-    runs = [file.parent for file in Path(output_root).rglob(CONFIG)]
-    names = (*holding,)
-    found = [run for run in runs if any(f.is_file() for name in names for f in run.glob(name))]
-    return max(found, key=_began).resolve() if found else None
+    runs = []
+    for config in Path(output_root).rglob(CONFIG):
+        run = config.parent
+        if any(file.is_file() for pattern in holding for file in run.glob(pattern)):
+            runs.append(run)
+    if not runs:
+        return None
+    return max(runs, key=_began).resolve()
 
 
 def whole_run(folder: Path) -> Path:
@@ -240,10 +261,14 @@ def named_checkpoint(path: str | Path) -> Path:
     Args:
         path: As typed; returned unchanged if none of these exist.
     """
-    given = Path(path)
-    file = f"{given.name}.zip"
-    choices = (given, given.parent / file, given.parent / Path(CHECKPOINT).parent / file)
-    return next((choice for choice in choices if choice.exists()), given)
+    typed = Path(path)
+    file = f"{typed.name}.zip"
+    choices = (
+        typed,
+        typed.parent / file,
+        typed.parent / Path(CHECKPOINT).parent / file,
+    )
+    return next((choice for choice in choices if choice.exists()), typed)
 
 
 def checkpoint_of(path: str | Path) -> Path:
@@ -252,29 +277,32 @@ def checkpoint_of(path: str | Path) -> Path:
     Raises:
         ConfigError: There is none; lists the checkpoints of the folder.
     """
-    given = named_checkpoint(path)
-    if given.is_file():
-        return given
-    if not given.is_dir():
-        message = f"no such file or folder: {given}{perhaps_last(path)}"
+    place = named_checkpoint(path)
+    if place.is_file():
+        return place
+    if not place.is_dir():
+        message = f"no such file or folder: {place}{perhaps_last(path)}"
         raise ConfigError([Problem("policy", message)])
-    remove_abandoned((given / CHECKPOINT).parent)
-    if (given / CHECKPOINT).is_file():
-        return given / CHECKPOINT
-    others = sorted((given / CHECKPOINT).parent.glob("*.zip")) or sorted(given.glob("*.zip"))
-    there = f"there are: {listing(str(other) for other in others)}" if others else "it has none"
-    message = f"{given} has no {CHECKPOINT}: it is no finished training's folder; {there}"
+    final = place / CHECKPOINT
+    remove_abandoned(final.parent)
+    if final.is_file():
+        return final
+    others = sorted(final.parent.glob("*.zip")) or sorted(place.glob("*.zip"))
+    listed = f"there are: {listing(map(str, others))}" if others else "it has none"
+    message = f"{place} has no {CHECKPOINT}: it is not the folder of a finished training; {listed}"
     raise ConfigError([Problem("policy", message)])
 
 
 def versions() -> dict[str, str | None]:
     """Return the versions of software that can change a result; None if it is not installed."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
+    by_name: dict[str, str | None] = {"python": platform.python_version()}
     for package in _PACKAGES:
-        found[package] = None
+        by_name[package] = None
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[package] = importlib.metadata.version(package)
-    return found | {"platform": platform.platform(), "machine": platform.machine()}
+            by_name[package] = importlib.metadata.version(package)
+    by_name["platform"] = platform.platform()
+    by_name["machine"] = platform.machine()
+    return by_name
 
 
 def _make_new(day: Path, name: str) -> Path:

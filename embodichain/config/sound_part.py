@@ -1,8 +1,8 @@
-"""What is left of a config without its mistakes, and the mistakes that show only there.
+"""The part of a config that has no mistakes, and the mistakes that show only when it is built.
 
 Some mistakes show when the scene is compiled, some when a term is built, some at its first value,
-and each of these ends the building. So that one report has all of them, what is wrong is left out,
-the rest is built, and so on. What may follow from a part that is missing is not reported.
+and each of these ends the building. So that one report has all of them, wrong parts are left out,
+the others are built, and so on. Mistakes that may follow from a missing part are not reported.
 """
 
 from __future__ import annotations
@@ -43,49 +43,54 @@ def further_mistakes(
         build: Builds a config and evaluates each term once; raises its mistakes as `ConfigError`.
 
     Returns:
-        Each mistake with its place; none that a known one could be the reason of.
+        Each mistake with its place, but those of which a known one could be the reason.
     """
     if checked.check.types.root is None:
         return []
     part = _SoundPart(checked.check.types.tree)
-    found: list[Problem] = []
-    known = {problem.path for problem in problems}
-    new, pruned = list(problems), True
+    further: list[Problem] = []
+    reported = {problem.path for problem in problems}
+    new = list(problems)
+    is_first = True
     while new:
-        left_out = [part.leave_out(problem) for problem in new]
-        if part.ends or not (pruned or any(left_out)):
-            return found
-        pruned = False  # the check of types has left out some of the first ones
-        new = [p for p in _mistakes_of(part.tree, checked, build, known) if p.path not in known]
-        found += [problem for problem in new if part.may_say(problem)]
-        known |= {problem.path for problem in new}
-    return found
+        was_removed = [part.leave_out(problem) for problem in new]
+        # Of the known mistakes, the check of types may have left out the parts already.
+        if part.ends or not (is_first or any(was_removed)):
+            return further
+        is_first = False
+        mistakes = _mistakes_of(part.tree, checked, build, reported)
+        new = [problem for problem in mistakes if problem.path not in reported]
+        further += [problem for problem in new if part.may_report(problem)]
+        reported |= {problem.path for problem in new}
+    return further
 
 
 def _mistakes_of(
     tree: Mapping[str, Any],
     checked: Checked,
     build: Callable[[Resolved], None],
-    known: set[str],
+    reported: set[str],
 ) -> list[Problem]:
     """The mistakes of a part: those of reading it or, without any, of building it."""
     check = check_tree(tree, checked.source, checked.verb)
-    problems = [p for p in check.problems if p.path not in known]
+    problems = [p for p in check.problems if p.path not in reported]
     if problems or check.types.root is None:
         return problems
-    # What the job itself needs, such as a device, is no part of it.
-    whole = replace(checked, verb="run", check=replace(check, problems=[]), ships=False).resolved()
-    count = min(_TRIED_ENVS, whole.root.num_envs or 1)
-    viewer = {**whole.tree["viewer"], "name": "none"}
-    sim = {**whole.tree["sim"], "engine": "mujoco", "backend": "local"}
-    tried = whole.changed(num_envs=count, device="cpu", sim=sim, viewer=viewer)
+    sound = replace(checked, verb="run", check=replace(check, problems=[]), ships=False).resolved()
+    # A trial needs nothing that only the job needs, such as a device or a viewer.
+    trial = sound.changed(
+        num_envs=min(_TRIED_ENVS, sound.root.num_envs or 1),
+        device="cpu",
+        sim={**sound.tree["sim"], "engine": "mujoco", "backend": "local"},
+        viewer={**sound.tree["viewer"], "name": "none"},
+    )
     try:
         with _quiet():
-            build(tried)
+            build(trial)
     except ConfigError as error:
         return list(error.problems)
     except FAILURES:
-        return []  # perhaps for want of what was left out; if not, the next round raises it
+        return []  # perhaps a part that was left out is missing; if not, the build raises it again
     return []
 
 
@@ -107,18 +112,19 @@ class _SoundPart:
         tree: The config, not changed.
 
     Attributes:
-        tree: What is left.
-        ends: Whether too little is left to be built.
+        tree: The remaining config.
+        ends: Whether too little remains to be built.
     """
 
     def __init__(self, tree: Mapping[str, Any]) -> None:
         self.tree: dict[str, Any] = thaw(tree)
-        for root in fields(RootCfg):  # a group whose option is wrong is missing
-            if root.name != "task":
-                self.tree.setdefault(root.name, _plain_default(root))
+        for key in fields(RootCfg):  # a group whose option is wrong is missing
+            if key.name != "task":
+                self.tree.setdefault(key.name, _plain_default(key))
         self.ends = False
-        self._lost: set[str] = set()
-        self._joints_known = True
+        # Names of entities, terms and parts that may be missing now.
+        self._lost_names: set[str] = set()
+        self._are_joints_known = True
 
     def leave_out(self, problem: Problem) -> bool:
         """Remove the part with a mistake; return whether there was something to remove."""
@@ -128,46 +134,51 @@ class _SoundPart:
         section = keys[1] if len(keys) > 1 else ""
         if section in SECTIONS and len(keys) > 2:
             return self._leave_term(section, keys[2], keys[3:], problem)
-        jointed = section in _JOINTED
-        deep = len(keys) > (2 if section == "robot" else 3)
-        if not section or (jointed and (not deep or {"fpath", "uid", *_NAMING} & {keys[-1]})):
-            self.ends = True  # its names are unknown
+        has_joints = section in _JOINTED
+        is_whole_entity = len(keys) <= (2 if section == "robot" else 3)
+        sets_names = keys[-1] in ("fpath", "uid", *_NAMING)
+        if not section or (has_joints and (is_whole_entity or sets_names)):
+            self.ends = True  # names that terms use are unknown
             return False
         removed = _remove(self.tree, keys)
-        if jointed:
-            self._joints_known = False
-            self._lost |= {key for name in _NAMING if name in keys for key in _after(keys, name)}
+        if has_joints:
+            self._are_joints_known = False
+            for name in _NAMING:
+                if name in keys:
+                    self._lost_names.update(keys[keys.index(name) + 1 :])
         elif section in named_maps() and len(keys) > 2:
-            there = self.tree["task"].get(section) or {}
-            if section == "sensors" or keys[2] not in there:
-                self._lost.add(keys[2])
+            entries = self.tree["task"].get(section) or {}
+            if section == "sensors" or keys[2] not in entries:
+                self._lost_names.add(keys[2])
         return removed
 
-    def may_say(self, problem: Problem) -> bool:
-        """Whether a mistake is certainly none that follows from what was left out."""
+    def may_report(self, problem: Problem) -> bool:
+        """Whether a mistake certainly does not follow from parts that were left out."""
         keys = problem.path.split(".")
         if keys[0] != "task" or len(keys) < 3 or keys[1] not in {*named_maps(), *_JOINTED}:
             return False
-        if keys[1] in ("actions", "curriculum") and not self._joints_known:
+        if keys[1] in ("actions", "curriculum") and not self._are_joints_known:
             return False
-        section = self.tree["task"].get(keys[1]) or {}
-        subject = {keys[2]: section.get(keys[2])} if keys[1] in SECTIONS else {}
-        if self._lost & set(_words(subject)):
-            return False
-        return not any(f"'{name}'" in problem.message for name in self._lost)
+        if keys[1] in SECTIONS:
+            terms = self.tree["task"].get(keys[1]) or {}
+            term = {keys[2]: terms.get(keys[2])}
+            if self._lost_names & set(_words(term)):
+                return False
+        return not any(f"'{name}'" in problem.message for name in self._lost_names)
 
     def _leave_term(self, section: str, name: str, below: list[str], problem: Problem) -> bool:
+        """Remove a term with a mistake at or below it; return whether it was removed."""
         terms = self.tree["task"].get(section) or {}
         term = terms.get(name)
         if term is None:
-            self._lost.add(name)
+            self._lost_names.add(name)
             return False
         if below and below[0] not in _MEANING and below[0] not in term:
-            meant = any(f"'{key}'" in problem.hint for key in _MEANING)
-            if not meant:  # the check of types has left out a key that the term can be without
+            is_misspelt = any(f"'{key}'" in problem.hint for key in _MEANING)
+            if not is_misspelt:  # the check of types has left out a key that a term need not have
                 return False
-        self._lost.add(name)
-        self._lost |= set(_names_given(term))
+        self._lost_names.add(name)
+        self._lost_names |= set(_names_set_by(term))
         del terms[name]
         return True
 
@@ -175,14 +186,12 @@ class _SoundPart:
 def _plain_default(field: Field[Any]) -> Any:
     """The default of a key of the root, as plain values."""
     default = field.default if field.default_factory is MISSING else field.default_factory()
-    return asdict(default) if is_dataclass(default) and not isinstance(default, type) else default
+    if is_dataclass(default) and not isinstance(default, type):
+        return asdict(default)
+    return default
 
 
-def _after(keys: Sequence[str], name: str) -> list[str]:
-    return list(keys[keys.index(name) + 1 :])
-
-
-def _names_given(term: Mapping[str, Any]) -> Iterator[str]:
+def _names_set_by(term: Mapping[str, Any]) -> Iterator[str]:
     """The names under which a term stores something for others."""
     for key, value in {**term, **(term.get("params") or {})}.items():
         if isinstance(value, str) and (key == "name" or str(key).endswith("_key")):

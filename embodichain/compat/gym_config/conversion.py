@@ -17,21 +17,53 @@ __all__ = ["CLASSES", "Conversion", "convert"]
 _DEFAULT_DT = 0.01  # seconds per physics step, here and in EmbodiChain
 _GENERIC = ("EmbodiedEnv-v1",)
 CLASSES = (
-    *("SimpleTask-v1", "PushCubeRL", "CartPoleRL", "PointMassRL", "StackBlocksTwo-v1"),
-    *("StackCups-v1", "ScoopIce-v1", "PlaceObjectDrawer-v1", "BlocksRankingSize-v1"),
-    *("BlocksRankingRGB-v1", "MatchObjectContainer-v1", "PourWater-v3", "PourWaterAgent-v3"),
-    *("Rearrangement-v3", "RearrangementAgent-v3", "HumanoidRun-v1", "UnitreeGo1FlatRL-v1"),
-    *("UnitreeGo2FlatRL-v1", "ANYmalCFlatRL-v1", "UnitreeG1FlatRL-v1", "UnitreeH1_2FlatRL-v1"),
-    *("MicroDuckFlatRL-v1", "FrankaReachApg-v0"),
+    "SimpleTask-v1",
+    "PushCubeRL",
+    "CartPoleRL",
+    "PointMassRL",
+    "StackBlocksTwo-v1",
+    "StackCups-v1",
+    "ScoopIce-v1",
+    "PlaceObjectDrawer-v1",
+    "BlocksRankingSize-v1",
+    "BlocksRankingRGB-v1",
+    "MatchObjectContainer-v1",
+    "PourWater-v3",
+    "PourWaterAgent-v3",
+    "Rearrangement-v3",
+    "RearrangementAgent-v3",
+    "HumanoidRun-v1",
+    "UnitreeGo1FlatRL-v1",
+    "UnitreeGo2FlatRL-v1",
+    "ANYmalCFlatRL-v1",
+    "UnitreeG1FlatRL-v1",
+    "UnitreeH1_2FlatRL-v1",
+    "MicroDuckFlatRL-v1",
+    "FrankaReachApg-v0",
 )
 """Ids of EmbodiChain's environment classes, which are not in this package."""
 _COMPONENTS = ("environment", "embodiment", "scene")
 _SIMULATED = ("robot", "objects", "articulations")
 _ORDER = (
-    *("description", "id", "physics", "sim_steps_per_control", "max_episode_steps"),
-    *("ignore_terminations", "robot", "objects", "articulations", "lights", "sensors", "actions"),
-    *("events", "observations", "rewards", "extensions", "suggested"),
+    "description",
+    "id",
+    "physics",
+    "sim_steps_per_control",
+    "max_episode_steps",
+    "ignore_terminations",
+    "robot",
+    "objects",
+    "articulations",
+    "lights",
+    "sensors",
+    "actions",
+    "events",
+    "observations",
+    "rewards",
+    "extensions",
+    "suggested",
 )
+"""Keys of a task, in the order in which they are written."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +108,9 @@ def convert(
     draft.carry(config, (), (), TOP)
     _identity(draft, config.get("id"), registered)
     _physics(draft, config)
-    robot = scene.convert_robot(draft, config["robot"]) if config.get("robot") is not None else ""
+    robot = ""
+    if config.get("robot") is not None:
+        robot = scene.convert_robot(draft, config["robot"])
     for section in ("background", "rigid_object"):
         scene.convert_objects(draft, section, config.get(section))
     scene.convert_articulations(draft, config.get("articulation"))
@@ -93,8 +127,14 @@ def convert(
     _suggest(draft, config)
     _refuse_nothing(draft, config)
     task = {key: draft.task[key] for key in _ORDER if key in draft.task}
-    name = "" if config.get("id") in (None, *_GENERIC) else str(config["id"])
-    return Conversion(name, task, draft.origins, tuple(draft.notes), tuple(draft.problems))
+    name = config.get("id")
+    return Conversion(
+        name="" if name in (None, *_GENERIC) else str(name),
+        task=task,
+        origins=draft.origins,
+        notes=tuple(draft.notes),
+        problems=tuple(draft.problems),
+    )
 
 
 def _identity(draft: Draft, name: Any, registered: Collection[str]) -> None:
@@ -157,7 +197,7 @@ def _control_period(draft: Draft, env: Mapping[str, Any]) -> None:
         return
     steps = 1.0 / (dt * frequency)
     if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
-        draft.refuse(where, f"{frequency} Hz is no whole number of physics steps of {dt} s")
+        draft.refuse(where, f"{frequency} Hz is not a whole number of physics steps of {dt} s")
         return
     draft.put(("sim_steps_per_control",), round(steps), where)
 

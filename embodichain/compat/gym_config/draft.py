@@ -69,7 +69,8 @@ class Draft:
             self.refuse(source, f"expected a map, got {data!r}")
             return False
         for key, value in data.items():
-            rule, where = vocabulary.get(str(key)), (*source, str(key))
+            rule = vocabulary.get(str(key))
+            where = (*source, str(key))
             if rule is None and self.ours:
                 self.put((*target, str(key)), value, where)
             elif rule is None:

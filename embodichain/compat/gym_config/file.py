@@ -49,7 +49,7 @@ def read_gym_config(path: str | Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from error
     if not isinstance(data, dict):
-        raise ConfigError(f"{path} is no gym config: a map is expected at its top")
+        raise ConfigError(f"{path} is not a gym config: a map is expected at its top")
     return data
 
 

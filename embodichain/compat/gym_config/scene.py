@@ -112,6 +112,7 @@ def convert_sensors(draft: Draft, data: Any, observe: bool = True) -> None:
 
 
 def _camera(draft: Draft, item: Mapping[str, Any], source: Path, kind: str, observe: bool) -> None:
+    """Convert a camera, or a pair of them."""
     target = draft.entity(item, source, "sensors")
     if target is None or not draft.carry(item, source, target, known.CAMERAS[kind]):
         return
@@ -122,15 +123,17 @@ def _camera(draft: Draft, item: Mapping[str, Any], source: Path, kind: str, obse
         if key not in item:
             draft.put((*target, key), list(_LENS), source)
     extrinsics = item.get("extrinsics")
-    attached = isinstance(extrinsics, Mapping) and extrinsics.get("parent")
+    is_attached = isinstance(extrinsics, Mapping) and extrinsics.get("parent")
     # EmbodiChain turns the axes of cameras that are fixed in the environment.
-    draft.put((*target, "convention"), "opengl" if attached else "ros", source)
+    draft.put((*target, "convention"), "opengl" if is_attached else "ros", source)
 
 
 def _body_type(
     draft: Draft, section: str, item: Mapping[str, Any], source: Path, target: Path
 ) -> None:
-    kind, where = item.get("body_type"), (*source, "body_type")
+    """Convert `body_type`; a background is static by default."""
+    kind = item.get("body_type")
+    where = (*source, "body_type")
     if section == "background" and kind == "dynamic":
         draft.refuse(where, "a background object is static or kinematic; use rigid_object")
     elif kind is not None:
@@ -140,6 +143,7 @@ def _body_type(
 
 
 def _shape(draft: Draft, data: Any, source: Path, target: Path) -> None:
+    """Convert a shape, with its material."""
     written = str(data.get("shape_type", "")) if isinstance(data, Mapping) else ""
     kind = written.removesuffix("Cfg")
     if kind not in known.SHAPES and draft.ours:
@@ -175,11 +179,18 @@ def convert_robot(draft: Draft, data: Any) -> str:
     _init_qpos(draft, data.get("init_qpos"), joints)
     _solvers(draft, data.get("solver_cfg"))
     _parts_of_articulation(draft, data, source, ("robot",))
-    fields = draft.task.get("robot", {})
-    uid, fpath = (str(fields.get(key) or "") for key in ("uid", "fpath"))
-    parts = fields.get("urdf_cfg", {}).get("components", [])
-    urdf = URDFCfg([URDFComponentCfg(urdf_path=str(part.get("urdf_path"))) for part in parts])
-    return name_of(RobotCfg(uid=uid, fpath=fpath, urdf_cfg=urdf)) if uid or fpath or parts else ""
+    return _robot_uid(draft.task.get("robot", {}))
+
+
+def _robot_uid(robot: Mapping[str, Any]) -> str:
+    """The uid of a converted robot, which may be the name of its file; empty if it has none."""
+    uid = str(robot.get("uid") or "")
+    fpath = str(robot.get("fpath") or "")
+    components = robot.get("urdf_cfg", {}).get("components", [])
+    if not (uid or fpath or components):
+        return ""
+    files = [URDFComponentCfg(urdf_path=str(part.get("urdf_path"))) for part in components]
+    return name_of(RobotCfg(uid=uid, fpath=fpath, urdf_cfg=URDFCfg(files)))
 
 
 def convert_articulations(draft: Draft, data: Any) -> None:
@@ -193,11 +204,13 @@ def convert_articulations(draft: Draft, data: Any) -> None:
 def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
     """Set the robot's file; return its number of joints if a preset has it."""
     kind_key = "class_type" if "class_type" in data else "robot_type"
-    kind, urdf, own = data.get(kind_key), data.get("urdf_cfg"), bool(data.get("fpath"))
+    kind = data.get(kind_key)
+    urdf = data.get("urdf_cfg")
+    has_file = bool(data.get("fpath"))
     joints = None
     preset = _PRESETS.get(str(kind))
     fpath = ""
-    if not own and preset is not None:
+    if not has_file and preset is not None:
         fpath, joints, parts = preset
         if data.get("control_parts") is None:
             draft.put(("robot", "control_parts"), parts, ("robot", kind_key))
@@ -206,17 +219,18 @@ def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
         else:
             joints = None  # components add joints
     elif kind is not None and preset is None and kind not in _PLAIN:
-        _unknown_kind(draft, kind, kind_key, own or urdf is not None)
-    if urdf is not None and own:
+        _unknown_kind(draft, kind, kind_key, has_file=has_file or urdf is not None)
+    if urdf is not None and has_file:
         draft.note(("robot", "urdf_cfg"), "fpath names the robot's file")
     elif urdf is not None:
         _urdf(draft, urdf, fpath)
     return joints
 
 
-def _unknown_kind(draft: Draft, kind: Any, key: str, own: bool) -> None:
+def _unknown_kind(draft: Draft, kind: Any, key: str, *, has_file: bool) -> None:
+    """Note a robot class that is not in this package; refuse it if no file is named either."""
     message = f"the class {kind!r} is not here"
-    if own:
+    if has_file:
         draft.note(("robot", key), f"{message}: only the keys of this file count")
     else:
         message = f"{message}; name the robot's file in fpath, or {', '.join(_PRESETS)}."
@@ -228,11 +242,12 @@ def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
     source: Path = ("robot", "urdf_cfg")
     if not draft.carry(urdf, source, source, known.URDF):
         return
-    given, where = urdf.get("components"), (*source, "components")
-    if isinstance(given, Mapping):  # by component_type
-        given = [{"component_type": key, **dict(value or {})} for key, value in given.items()]
+    where = (*source, "components")
+    data = urdf.get("components")
+    if isinstance(data, Mapping):  # by component_type
+        data = [{"component_type": key, **dict(value or {})} for key, value in data.items()]
     components: list[Any] = []
-    for place, component in draft.items(given, where):
+    for place, component in draft.items(data, where):
         if isinstance(component, Mapping):
             keys = {key: value for key, value in component.items() if key in known.URDF_COMPONENT}
             for key in component.keys() - keys.keys():
@@ -278,14 +293,14 @@ def _parts_of_articulation(
             draft.carry(data[key], (*source, key), (*target, "drive_pros"), known.DRIVE)
     if data.get("attrs") is not None:
         _attrs(draft, data["attrs"], (*source, "attrs"), (*target, "attrs"))
-    root, where = data.get("root_props"), (*source, "root_props")
-    given = root.get("self_collision_enabled") if isinstance(root, Mapping) else None
-    if given is None and data.get("disable_self_collision") is None:  # EmbodiChain's default
+    root = data.get("root_props")
+    where = (*source, "root_props")
+    collides = root.get("self_collision_enabled") if isinstance(root, Mapping) else None
+    if collides is None and data.get("disable_self_collision") is None:  # EmbodiChain's default
         draft.put((*target, "disable_self_collision"), True, source)
     if root is not None and draft.carry(root, where, target, known.ROOT_PROPS):
         if "fixed_base" in root:
             draft.put((*target, "fix_base"), root["fixed_base"], (*where, "fixed_base"))
-        collides = root.get("self_collision_enabled")
         if collides is not None:
             name = (*where, "self_collision_enabled")
             draft.put((*target, "disable_self_collision"), not collides, name)

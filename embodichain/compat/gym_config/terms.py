@@ -139,10 +139,13 @@ def _local(name: str) -> str:
     if "." not in name or ":" in name or "@" in name:
         return name
     module, _, function = name.rpartition(".")
-    return function if name.startswith(_OWN) else f"{module}:{function}"
+    if name.startswith(_OWN):
+        return function
+    return f"{module}:{function}"
 
 
 def _params(draft: Draft, functor: Mapping[str, Any], source: Path) -> dict[str, Any]:
+    """The parameters of a functor; empty if they are not a map."""
     params = functor.get("params")
     if params is not None and not isinstance(params, Mapping):
         draft.refuse((*source, "params"), f"expected a map, got {params!r}")
@@ -162,11 +165,11 @@ def _known_params(draft: Draft, params: dict[str, Any], func: str, source: Path)
 def _of_camera(params: dict[str, Any], func: str) -> dict[str, Any]:
     """Parameters of a camera's event, under their names here."""
     names = OF_CAMERA.get(func, {})
-    found = {names.get(key, key): value for key, value in params.items()}
-    camera = found.get(names.get("entity_cfg", ""))
+    renamed = {names.get(key, key): value for key, value in params.items()}
+    camera = renamed.get(names.get("entity_cfg", ""))
     if isinstance(camera, Mapping) and isinstance(camera.get("uid"), str):
-        found[names["entity_cfg"]] = camera["uid"]
-    return found
+        renamed[names["entity_cfg"]] = camera["uid"]
+    return renamed
 
 
 def _with_entity(
@@ -175,14 +178,21 @@ def _with_entity(
     """Move parameters that pick joints, and that the term here lacks, into its `entity_cfg`."""
     if spec is None or "of" not in spec.params or "of" in spec.written(params).values():
         return params
-    picked = {k: params[k] for k in (*_JOINTS, "robot_uid") if k in params and k not in spec.params}
-    if not picked and spec.kind != "action":  # the user has to name the term's entity
+    of_entity = {}
+    for key in (*_JOINTS, "robot_uid"):
+        if key in params and key not in spec.params:
+            of_entity[key] = params[key]
+    if not of_entity and spec.kind != "action":  # the user has to name the term's entity
         return params
-    rest = {k: v for k, v in params.items() if k not in picked}
-    wanted = {_JOINTS[k]: v for k, v in picked.items() if k in _JOINTS and v is not None}
-    which = {} if wanted.keys() - {"preserve_order"} else entity
-    uid = picked.get("robot_uid", entity["uid"])
-    return {"entity_cfg": {**which, "uid": uid, **wanted}, **rest}
+    others = {key: value for key, value in params.items() if key not in of_entity}
+    joints = {}
+    for key, value in of_entity.items():
+        if key in _JOINTS and value is not None:
+            joints[_JOINTS[key]] = value
+    names_joints = bool(joints.keys() - {"preserve_order"})
+    reference = {} if names_joints else dict(entity)
+    reference["uid"] = of_entity.get("robot_uid", entity["uid"])
+    return {"entity_cfg": {**reference, **joints}, **others}
 
 
 def _action_params(

@@ -34,7 +34,9 @@ class _Has(Reference):
     """A reference to an entity of one kind, recognized by an attribute of its handle."""
 
     def __init__(self, attribute: str, kind: str, links: bool) -> None:
-        self._attribute, self._kind, self._links = attribute, kind, links
+        self._attribute = attribute
+        self._kind = kind
+        self._links = links
 
     def resolve(self, env: TermContext, value: Any) -> Any:
         if not hasattr(value.asset, self._attribute):
@@ -87,11 +89,11 @@ def joints_of(
     Raises:
         ConfigError: If there is no such robot, joint or part, or both forms are given.
     """
-    given = {"robot_uid": robot_uid, "joint_ids": joint_ids, "part_name": part_name}
-    mixed = [name for name, value in given.items() if value is not None]
+    parameters = {"robot_uid": robot_uid, "joint_ids": joint_ids, "part_name": part_name}
     if entity_cfg is not None:
-        if mixed:
-            raise ConfigError([Problem(mixed[0], "give either `of` or this")])
+        for name, value in parameters.items():
+            if value is not None:
+                raise ConfigError([Problem(name, "give either `of` or this")])
         entity_cfg.require_joints()
         entity_cfg.require_whole()
         return entity_cfg
@@ -102,11 +104,11 @@ def joints_of(
             raise ConfigError([Problem("robot_uid", "the task has no robot: give `of`")])
         robot_uid = env.robot.uid
     with as_parameters({"": "robot_uid", "uid": "robot_uid", "control_parts": "part_name"}):
-        found = env.scene_entity(
+        joints = env.scene_entity(
             {"uid": robot_uid, "control_parts": part_name, "joint_ids": joint_ids}
         )
-        found.require_joints()
-    return found
+        joints.require_joints()
+    return joints
 
 
 def target_position(env: TermContext, key: str) -> Floats:
@@ -180,19 +182,21 @@ def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
         ConfigError: If the name is not an identifier, or is an attribute of the environment class.
     """
     bases = [base for base in type(env).__mro__ if base.__module__.startswith("embodichain.lab.")]
-    own = {n for base in bases for n in (*vars(base), *vars(base).get("__annotations__", {}))}
-    taken = name in own and name not in _SHARED
-    if not name.isidentifier() or name.startswith("_") or taken:
+    attributes: set[str] = set()
+    for base in bases:
+        attributes.update(vars(base))
+        attributes.update(vars(base).get("__annotations__", {}))
+    is_taken = name in attributes and name not in _SHARED
+    if not name.isidentifier() or name.startswith("_") or is_taken:
         message = f"{name!r} is not an identifier, or taken by the environment"
         raise ConfigError([Problem(path, message)])
     if not hasattr(env, name):
         setattr(env, name, first())
-    found: Any = getattr(env, name)
-    if type(found) is not type(first()):
-        wanted = type(first()).__name__
-        message = f"env.{name} is a {type(found).__name__}; a {wanted} is stored there"
+    value: Any = getattr(env, name)
+    expected = type(first())
+    if type(value) is not expected:
+        message = f"env.{name} is a {type(value).__name__}; a {expected.__name__} is stored there"
         raise ConfigError([Problem(path, message)])
-    value: T = found
     return value
 
 

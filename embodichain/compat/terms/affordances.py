@@ -164,7 +164,8 @@ def _value_of(
     env: TermContext, attr: ExtraAttr, uid: str, path: str
 ) -> Callable[[EnvIndex | None], Any]:
     """Return a function that returns the value of an entity's attribute."""
-    name, handle = attr.func_name, env.sim.get_asset(uid)
+    name = attr.func_name
+    handle = env.sim.get_asset(uid)
     if attr.mode == "static":
         if attr.value is None or name is not None:
             raise ConfigError([Problem(f"{path}.value", "a static attribute needs a value")])
@@ -209,7 +210,8 @@ class RegisterInfoToEnv(Term):
         registration: str = "affordance_datas",
         sim_update: bool = True,
     ) -> None:
-        self._env, self._table = env, registration
+        self._env = env
+        self._table = registration
         stored(env, registration, dict, "registration")
         self._keys: dict[str, None] = {}
         self._registry = [(env.scene_entity(entry.entity_cfg), entry) for entry in registry]
@@ -274,24 +276,30 @@ class RegisterInfoToEnv(Term):
             self._put(f"{uid}_{attr}" if prefix else attr, value, env_ids)
 
     def _put_pose(self, entity: ResolvedEntity, how: PoseParams, env_ids: EnvIndex | None) -> None:
-        env, uid = self._env, entity.uid
+        """Copy the pose of an entity, and others in its frame."""
+        env = self._env
+        uid = entity.uid
         name = uid if entity.frame_name is None else f"{uid}_{entity.frame_name}"
-        pos, quat = entity.position(), entity.orientation()
-        found = {f"{name}_pose": (pos, quat)}
-        back = quat_conjugate(quat)
-        for other in _uids_of(env, how.compute_relative, "compute_relative"):
-            if other != uid:
-                seen = env.scene_entity({"uid": other})
-                relative = quat_rotate(back, seen.position() - pos)
-                found[f"{other}_pose_{name}"] = relative, quat_multiply(back, seen.orientation())
+        pos = entity.position()
+        quat = entity.orientation()
+        poses = {f"{name}_pose": (pos, quat)}
+        inverse = quat_conjugate(quat)
+        for other_uid in _uids_of(env, how.compute_relative, "compute_relative"):
+            if other_uid == uid:
+                continue
+            other = env.scene_entity({"uid": other_uid})
+            relative_pos = quat_rotate(inverse, other.position() - pos)
+            relative_quat = quat_multiply(inverse, other.orientation())
+            poses[f"{other_uid}_pose_{name}"] = (relative_pos, relative_quat)
         if how.compute_pose_object_to_arena:
             for attr, value in getattr(env, EXTRA_ATTRS, {}).get(uid, {}).items():
                 if attr.endswith("_pose_object"):
                     part_pos, part_quat = _as_pose(env.arrays.of(value), len(pos))
-                    found[f"{uid}_{attr}"] = part_pos, part_quat
-                    arena = pos + quat_rotate(quat, part_pos), quat_multiply(quat, part_quat)
-                    found[f"{uid}_{attr.removesuffix('_object')}"] = arena
-        for key, pose in found.items():
+                    poses[f"{uid}_{attr}"] = (part_pos, part_quat)
+                    arena_pos = pos + quat_rotate(quat, part_pos)
+                    arena_quat = quat_multiply(quat, part_quat)
+                    poses[f"{uid}_{attr.removesuffix('_object')}"] = (arena_pos, arena_quat)
+        for key, pose in poses.items():
             values = np.concatenate(pose, axis=1)
             values = pose_to_matrix(values) if how.to_matrix else values
             self._put(key, tensor_of(values.astype(np.float32)), env_ids)

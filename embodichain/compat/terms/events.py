@@ -92,7 +92,8 @@ class SampleRigidObjectPoseFromWorkspace(Term):
             robot_cfg = env.scene_entity(picked | tool)
         env.arrays.require_host("searches for joint positions")
         self._arm = arm_solver(robot_cfg, "robot_cfg")
-        self._robot, self._asset = robot_cfg.asset, entity_cfg.asset
+        self._robot = robot_cfg.asset
+        self._asset = entity_cfg.asset
         box = np.array(position_bounds, np.float64)
         if reference_height is not None:
             box[:, 2] = reference_height
@@ -107,18 +108,18 @@ class SampleRigidObjectPoseFromWorkspace(Term):
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw positions until each of these environments has one; place the object."""
-        left: EnvIndex = np.arange(env.num_envs) if env_ids is None else env_ids
+        unsolved: EnvIndex = np.arange(env.num_envs) if env_ids is None else env_ids
         places: Floats = np.zeros((env.num_envs, 3))
-        found = []
+        solved_ids = []
         for _ in range(self._attempts):
-            pos = self._position(env.event_manager, left)
-            solved = self._arm.inverse(self._home[left], pos, None, left, restarts=False)[1]
-            places[left[solved]] = pos[solved]
-            found.append(left[solved])
-            left = left[~solved]
-            if not len(left):
+            pos = self._position(env.event_manager, unsolved)
+            _, solved = self._arm.inverse(self._home[unsolved], pos, None, unsolved, restarts=False)
+            places[unsolved[solved]] = pos[solved]
+            solved_ids.append(unsolved[solved])
+            unsolved = unsolved[~solved]
+            if not len(unsolved):
                 break
-        ids = np.sort(np.concatenate(found))
+        ids = np.sort(np.concatenate(solved_ids))
         if len(ids):
             self._place(env, places[ids], ids)
 
@@ -229,7 +230,8 @@ class RandomizeAnchorHeight(Term):
         if (height_delta_range is None) == (height_delta_candidates is None):
             message = "give either height_delta_range or height_delta_candidates"
             raise ConfigError([Problem("height_delta_range", message)])
-        self._env, self._key = env, store_key
+        self._env = env
+        self._key = store_key
         self._ground = ground_of(env)
         self._anchor = asset_of(env, anchor_uid, "anchor_uid")
         excluded = {anchor_uid}
@@ -321,9 +323,11 @@ class RandomizeTargetPose(Term):
         if reference_entity_cfg is None and (relative_position or relative_rotation):
             name = "relative_position" if relative_position else "relative_rotation"
             raise ConfigError([Problem(name, "needs reference_entity_cfg: relative to what?")])
-        self._env, self._key = env, store_key
+        self._env = env
+        self._key = store_key
         self._reference = reference_entity_cfg
-        self._moves, self._turns = relative_position, relative_rotation
+        self._moves = relative_position
+        self._turns = relative_rotation
         self._position = Uniform("position", *position_range)
         self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
         count = env.num_envs

@@ -1,10 +1,9 @@
-"""Answers to names of Isaac Lab and mjlab that are no terms here: ``names_of_others.yaml``."""
+"""Answers to names of Isaac Lab and mjlab that are not terms here: ``names_of_others.yaml``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import resources
-from typing import Any
 
 import yaml
 
@@ -16,8 +15,7 @@ __all__ = ["translations"]
 def translations() -> Mapping[str, Mapping[str, str]]:
     """Project -> its name -> what to write here, or that there is nothing like it."""
     file = resources.files("embodichain.compat.terms").joinpath("names_of_others.yaml")
-    found: dict[str, Any] = yaml.safe_load(file.read_text(encoding="utf-8"))
-    return found
+    return yaml.safe_load(file.read_text(encoding="utf-8"))
 
 
 register_translations(translations)

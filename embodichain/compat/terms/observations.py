@@ -195,10 +195,10 @@ def get_articulation_joint_drive(
         ``{func: get_articulation_joint_drive, params: {of: {uid: ur10}, gains:
         [damping]}}``
     """
-    drives, ids = entity_cfg.asset.drives, list(entity_cfg.joint_ids)
-    parts = [getattr(drives, name)[:, ids] for name in gains]
-    found: Floats = np.minimum(np.concatenate(parts, axis=1), _NO_LIMIT)
-    return found
+    drives = entity_cfg.asset.drives
+    joint_ids = list(entity_cfg.joint_ids)
+    columns = [getattr(drives, name)[:, joint_ids] for name in gains]
+    return np.minimum(np.concatenate(columns, axis=1), _NO_LIMIT)
 
 
 @register_term("observation", name="normalize_robot_joint_data")
@@ -251,7 +251,8 @@ class NormalizeRobotJointData(Term):
         if missing:
             message = f"joints of {joints.uid!r} without {limit}: {', '.join(missing)}"
             raise ConfigError([Problem("limit", message)])
-        self._start, self._span = float(range[0]), float(range[1]) - float(range[0])
+        self._start = float(range[0])
+        self._span = float(range[1]) - float(range[0])
 
     def __call__(self, env: TermContext, data: torch.Tensor) -> torch.Tensor:
         """(N, A) the data with the picked columns mapped."""
@@ -264,7 +265,8 @@ class NormalizeRobotJointData(Term):
         low, high = self._limits.T
         if self._drives is not None:
             low, high = self._drives.limits.of(self._ids, None)
-            low, high = np.where(self._turning, -np.pi, low), np.where(self._turning, np.pi, high)
+            low = np.where(self._turning, -np.pi, low)
+            high = np.where(self._turning, np.pi, high)
         picked = values[:, self._columns]
         values[:, self._columns] = (picked - low) / (high - low) * self._span + self._start
         return tensor_of(values.astype(np.float32))

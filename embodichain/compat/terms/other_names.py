@@ -234,8 +234,7 @@ def _links(
         return entity_cfg
     if entity_cfg.link_names:
         raise ConfigError([Problem("link_names", "`of` names links already")])
-    found: ResolvedEntity = env.scene_entity({"uid": entity_cfg.uid, "link_names": link_names})
-    return found
+    return env.scene_entity({"uid": entity_cfg.uid, "link_names": link_names})
 
 
 def _joints(env: Any, entity_cfg: Whole, joint_ids: list[int] | None = None) -> ResolvedEntity:
@@ -247,8 +246,7 @@ def _joints(env: Any, entity_cfg: Whole, joint_ids: list[int] | None = None) -> 
     """
     if joint_ids is None:
         return entity_cfg
-    found: ResolvedEntity = env.scene_entity({"uid": entity_cfg.uid, "joint_ids": joint_ids})
-    return found
+    return env.scene_entity({"uid": entity_cfg.uid, "joint_ids": joint_ids})
 
 
 def _of_position(env: Any, relative_qpos: bool = True) -> Operation:

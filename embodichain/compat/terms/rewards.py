@@ -37,10 +37,10 @@ __all__ = [
 
 
 def _closeness(d: Floats, exponential: bool, sigma: float) -> Floats:
+    """A value that grows as distances shrink: a Gaussian of them, or their negative."""
     if not exponential:
         return -d
-    found: Floats = np.exp(contiguous(d * d * (-0.5 / (sigma * sigma))))
-    return found
+    return np.exp(contiguous(d * d * (-0.5 / (sigma * sigma))))
 
 
 @quantity("reward", "metric")
@@ -174,19 +174,22 @@ class ReachingBehindObject:
         part_name: str | None = None,
         end_effector_cfg: Body | None = None,
     ) -> None:
-        self._env, self._object, self._key = env, object_cfg, target_pose_key
+        self._env = env
+        self._object = object_cfg
+        self._key = target_pose_key
         self._tool = tool_of(env, end_effector_cfg, part_name)
-        self._behind, self._up = behind_offset, np.array([0.0, 0.0, height_offset])
+        self._behind = behind_offset
+        self._up = np.array([0.0, 0.0, height_offset])
         self._scale = distance_scale
 
     def __call__(self) -> Floats:
         """(N,) in (0, 1]."""
-        place = self._object.position()
-        way = target_position(self._env, self._key) - place
-        length = norm(way)[:, None]
-        direction = way / np.where(length == 0.0, 1.0, length)
-        wanted = place - self._behind * direction + self._up
-        return tanh_kernel(norm(self._tool.position() - wanted), 1.0 / self._scale)
+        position = self._object.position()
+        to_target = target_position(self._env, self._key) - position
+        distance = norm(to_target)[:, None]
+        direction = to_target / np.where(distance == 0.0, 1.0, distance)
+        point_behind = position - self._behind * direction + self._up
+        return tanh_kernel(norm(self._tool.position() - point_behind), 1.0 / self._scale)
 
 
 @quantity("reward", "metric")

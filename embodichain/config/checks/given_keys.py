@@ -26,7 +26,7 @@ from embodichain.utils.fields.no_effect import config_nodes, no_effect_fields
 __all__ = ["check_given"]
 
 _REFUSED = ("restitution", "static_friction")
-"""Attributes that a task would not have the physics of."""
+"""Attributes that MuJoCo has no physics for: a mistake, not only without effect."""
 _OF_FILE = ("mass", "density", "linear_damping", "angular_damping")
 """Attributes that an articulation takes from its file."""
 
@@ -51,22 +51,22 @@ def check_given(root: Any, tree: Mapping[str, Any]) -> tuple[list[Problem], list
 
 def _ignored(cfg: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
     """Given keys of one config that change nothing."""
-    attributes = isinstance(cfg, RigidBodyAttributesCfg)
+    is_attributes = isinstance(cfg, RigidBodyAttributesCfg)
     for name, mark in no_effect_fields(cfg).items():
-        if given.get(name) is not None and not (attributes and name in _REFUSED):
+        if given.get(name) is not None and not (is_attributes and name in _REFUSED):
             yield Problem(name, mark.message)
-    if attributes and given.get("density") is not None and cfg.mass > 0:
-        where = "1 kg unless given" if given.get("mass") is None else f"{cfg.mass:g} kg"
-        yield Problem("density", f"has no effect: the mass is {where}; mass: 0 uses the density")
+    if is_attributes and given.get("density") is not None and cfg.mass > 0:
+        mass = "1 kg unless given" if given.get("mass") is None else f"{cfg.mass:g} kg"
+        yield Problem("density", f"has no effect: the mass is {mass}; mass: 0 uses the density")
     if isinstance(cfg, ArticulationCfg | AttachedFileCfg):
-        own = given.get("attrs") or {}
+        attrs = given.get("attrs") or {}
         for name in _OF_FILE:
-            if own.get(name) is not None:
+            if attrs.get(name) is not None:
                 yield Problem(f"attrs.{name}", "has no effect: links have that of their file")
 
 
 def _mistakes(cfg: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
-    """Given keys of one config that say what cannot be, or what another key says."""
+    """Given keys of one config that are impossible, or that another key sets too."""
     from embodichain.lab.sim.compiler.scene.rigid_objects import (  # imports MuJoCo
         HAS_SHAPES,
         OF_EACH_SHAPE,
@@ -83,7 +83,7 @@ def _mistakes(cfg: Any, given: Mapping[str, Any]) -> Iterator[Problem]:
 
 
 def _refusal(name: str, value: float) -> Problem:
-    """What is wrong with a coefficient that MuJoCo does not have, and what to write instead."""
+    """The problem of a coefficient that MuJoCo does not have, and what to write instead."""
     from embodichain.lab.sim.compiler.geoms.contact_parameters import (  # imports MuJoCo
         LEAST_RESTITUTION,
         bouncing_solref,

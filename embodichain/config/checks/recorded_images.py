@@ -44,27 +44,29 @@ def check_images(
         model: The compiled scene.
         sensors: Name of each picture of camera sensors to the id of the camera, and its size.
     """
-    known = {model.camera(i).name: (i, camera_size(model, i)) for i in range(model.ncam)}
-    known |= sensors
-    there = f"Cameras: {', '.join(known) or 'none'}"
+    cameras = {model.camera(i).name: (i, camera_size(model, i)) for i in range(model.ncam)}
+    cameras |= sensors
+    listed = f"Cameras: {', '.join(cameras) or 'none'}"
     if chosen.cameras is None and not sensors:
-        message = f"the task has no camera sensors: name cameras. {there}"
+        message = f"the task has no camera sensors: name cameras. {listed}"
         return [Problem(f"{_KEY}.cameras", message)]
     if chosen.cameras is not None and not chosen.cameras:
-        message = f"names no camera; leave it out for all camera sensors. {there}"
+        message = f"names no camera; leave it out for all camera sensors. {listed}"
         return [Problem(f"{_KEY}.cameras", message)]
     problems: list[Problem] = []
-    for number, name in enumerate(sensors if chosen.cameras is None else chosen.cameras):
-        key = f"{_KEY}.cameras" if chosen.cameras is None else f"{_KEY}.cameras.{number}"
-        if name not in known:
-            hint = did_you_mean(name, known).strip()
-            problems.append(Problem(key, f"no camera {name!r}. {there}", hint))
+    for index, name in enumerate(sensors if chosen.cameras is None else chosen.cameras):
+        key = f"{_KEY}.cameras"
+        if chosen.cameras is not None:
+            key += f".{index}"
+        if name not in cameras:
+            hint = did_you_mean(name, cameras).strip()
+            problems.append(Problem(key, f"no camera {name!r}. {listed}", hint))
             continue
-        camera, own = known[name]
+        camera, camera_pixels = cameras[name]
         if model.cam_projection[camera] != int(mujoco.mjtProjection.mjPROJ_PERSPECTIVE):
             message = f"camera {name!r} is orthographic: only pinhole cameras can be drawn"
             problems.append(Problem(key, message))
-        width, height = chosen.size or own
+        width, height = chosen.size or camera_pixels
         if chosen.format == "h264" and (width % 2 or height % 2):
             size = f"{name} has {width} x {height} pixels"
             message = f"h264 needs even widths and heights; {size}: set a size, or format: jpeg"

@@ -34,11 +34,13 @@ def check_shards(root: RootCfg, verb: Verb, allow_import: bool) -> list[Problem]
                 message = "is for sim.backend=ray; one process has threads: sim.num_threads"
                 problems.append(Problem(f"sim.{name}", message))
         return problems
-    return [*_of_root(root, verb), *_of_task(root, allow_import)]
+    return [*_check_root(root, verb), *_check_task(root, allow_import)]
 
 
-def _of_root(root: RootCfg, verb: Verb) -> Iterator[Problem]:
-    sim, here = root.sim, "sim.backend=ray"
+def _check_root(root: RootCfg, verb: Verb) -> Iterator[Problem]:
+    """Check keys besides the task."""
+    sim = root.sim
+    here = "sim.backend=ray"
     engine, _ = choose_engine(sim.engine, root.device or "cpu")
     if engine != "mujoco" or (root.device or "cpu") != "cpu":
         message = f"ray: shards run on the CPU with engine mujoco, not {engine} on {root.device}"
@@ -63,13 +65,15 @@ def _of_root(root: RootCfg, verb: Verb) -> Iterator[Problem]:
         yield Problem("policy", f"{message}; there are: {', '.join(IN_SHARDS)}, or a policy's file")
 
 
-def _of_task(root: RootCfg, allow_import: bool) -> Iterator[Problem]:
+def _check_task(root: RootCfg, allow_import: bool) -> Iterator[Problem]:
+    """Check that no term needs all environments in one process."""
     for name, event in root.task.events.items():
         path = f"task.events.{name}"
         if event.is_global and event.mode == "interval":
             message = "must be false with sim.backend=ray: the timer would be one for each shard"
             yield Problem(f"{path}.is_global", message)
-        if reason := _whole_batch("event", event.func, allow_import):
+        reason = _whole_batch("event", event.func, allow_import)
+        if reason:
             yield Problem(f"{path}.func", f"not with sim.backend=ray: {reason}")
     for name, curriculum in root.task.curriculum.items():
         reason = _whole_batch("curriculum", curriculum.func, allow_import)
@@ -80,10 +84,9 @@ def _of_task(root: RootCfg, allow_import: bool) -> Iterator[Problem]:
 def _whole_batch(kind: Kind, func: str | Callable[..., Any], allow_import: bool) -> str:
     """Why a term needs all environments in one process; empty if it does not."""
     try:
-        found: Any = resolve_term(kind, func, allow_import=allow_import).func
+        term: Any = resolve_term(kind, func, allow_import=allow_import).func
     except ConfigError:
-        return ""  # the check of the terms says it
-    if kind == "curriculum" and "whole_batch" not in vars(found):
+        return ""  # the check of the terms reports it
+    if kind == "curriculum" and "whole_batch" not in vars(term):
         return f"{func} may depend on all environments; a class that does not has whole_batch = ''"
-    reason: str = getattr(found, "whole_batch", "")
-    return reason
+    return getattr(term, "whole_batch", "")

@@ -2,8 +2,8 @@
 
 Types are checked by `check_types`, terms by `lab.gym.envs.managers.terms.check`, the scene by
 `lab.gym.envs.scene_setup`; values of the root and of the task are checked here. The scene of a
-config with mistakes is compiled, too, for the report to have those that MuJoCo finds; that of a
-config without is compiled in a step of its own, after the config is resolved.
+config with mistakes is compiled too, so that the report has the mistakes that MuJoCo finds. That of
+a config without mistakes is compiled in a step of its own, after the config is resolved.
 """
 
 from __future__ import annotations
@@ -86,32 +86,36 @@ def validate(composed: Composed, verb: Verb = "run") -> list[Problem]:
         composed: The result of `compose`.
         verb: The verb for which the task's suggestions are used.
     """
-    found = check_composed(composed, verb)
-    if found.problems or found.types.root is None or found.scene is None:
-        return found.problems
-    return _located(_mistakes_in_model(found.types.root, found.scene, ()), composed.source)
+    check = check_composed(composed, verb)
+    if check.problems or check.types.root is None or check.scene is None:
+        return check.problems
+    return _located(_mistakes_in_model(check.types.root, check.scene, ()), composed.source)
 
 
 def check_composed(composed: Composed, verb: Verb) -> Check:
     """Check a whole composed config, with the task's suggestions for a verb."""
-    unknown: list[Problem] = []
-    if composed.usable:
-        said = {problem.path for problem in composed.problems}
-        unknown = [p for p in _unknown_entries(composed) if p.path not in said]
-        misread = composed.locator.misread()
-        wrong = [p.path for p in (*composed.problems, *unknown)]
-        lost = [path for path in wrong if path not in misread]
-        chosen = composed.locator.chosen
-        found = check_tree(composed.tree, composed.source, verb, chosen=chosen, lost=lost)
-        numbers = composed.locator.misread(keys=False)
-        once = [p for p in _causes(found.problems) if p.path not in numbers]
-        found = replace(found, problems=[_advised(p, composed.locator) for p in once])
-    else:
+    if not composed.usable:
         types = check_types({**composed.tree, "task": {}})
-        located = _located(types.problems, composed.source)
-        found = Check(located, replace(types, root=None))
-    before = [*composed.problems, *_located(unknown, composed.source)]
-    return replace(found, problems=[*before, *found.problems])
+        problems = [*composed.problems, *_located(types.problems, composed.source)]
+        return Check(problems, replace(types, root=None))
+    locator = composed.locator
+    reported = {problem.path for problem in composed.problems}
+    unknown = [p for p in _unknown_entries(composed) if p.path not in reported]
+    # A key that is not read as written is a mistake, but its value can be checked.
+    misread = locator.misread()
+    wrong_paths = [p.path for p in (*composed.problems, *unknown)]
+    check = check_tree(
+        composed.tree,
+        composed.source,
+        verb,
+        chosen=locator.chosen,
+        lost=[path for path in wrong_paths if path not in misread],
+    )
+    misread_numbers = locator.misread(keys=False)  # these are reported already
+    causes = [p for p in _causes(check.problems) if p.path not in misread_numbers]
+    problems = [*composed.problems, *_located(unknown, composed.source)]
+    problems += [_advised(problem, locator) for problem in causes]
+    return replace(check, problems=problems)
 
 
 def check_tree(
@@ -134,20 +138,20 @@ def check_tree(
         lost: Key paths known to be wrong; they are not reported again.
         allow_import: Whether ``package.module:function`` may be imported.
     """
-    rest = copy.deepcopy(dict(tree))
+    remaining = copy.deepcopy(dict(tree))
     for path in lost:
-        _remove(rest, path)
-    problems = _check_suggested(rest)
+        _remove(remaining, path)
+    problems = _check_suggested(remaining)
     for problem in problems:
-        _remove(rest, ".".join(problem.path.split(".")[:4]))  # task.suggested.VERB.KEY
-    types = check_types(_with_suggestions(rest, verb, chosen))
+        _remove(remaining, ".".join(problem.path.split(".")[:4]))  # task.suggested.VERB.KEY
+    types = check_types(_with_suggestions(remaining, verb, chosen))
     problems += types.problems
     missing = [*lost, *types.pruned]
     scene: DeclaredScene | None = None
     notes: list[Problem] = []
     if types.root is not None:
-        found, notes = check_given(types.root, types.tree)
-        problems += found
+        mistakes, notes = check_given(types.root, types.tree)
+        problems += mistakes
         scene = _read_scene(types.root, missing, allow_import)
         further = _check_meaning(types.root, verb, missing, allow_import, scene)
         if scene is not None and (problems or lost or further):
@@ -168,8 +172,8 @@ def _as_written(problem: Problem, tree: Mapping[str, Any]) -> Problem:
         if not isinstance(node, Mapping):
             break
         if part not in node:
-            written = [name for name, word in REFERENCE_WORDS.items() if word == part]
-            parts[depth] = next((name for name in written if name in node), part)
+            aliases = [name for name, word in REFERENCE_WORDS.items() if word == part]
+            parts[depth] = next((name for name in aliases if name in node), part)
         node = node.get(parts[depth])
     return replace(problem, path=".".join(parts))
 
@@ -180,22 +184,25 @@ def _located(problems: Iterable[Problem], source: Callable[[str], str]) -> list[
 
 def _causes(problems: Sequence[Problem]) -> list[Problem]:
     """The problems without those of a value that is of the wrong kind: `on` names no entity."""
-    wrong = {re.sub(r"(\.\d+)*$", "", p.path) for p in problems if p.expected}
-    return [p for p in problems if p.expected or p.path not in wrong]
+    wrong_kind = {re.sub(r"(\.\d+)*$", "", p.path) for p in problems if p.expected}
+    return [p for p in problems if p.expected or p.path not in wrong_kind]
 
 
 def _advised(problem: Problem, locator: Locator) -> Problem:
-    """The problem with what to write, where a word was read as another kind of value."""
-    written = locator.written(problem.path) if problem.expected and not problem.hint else ""
+    """The problem with a hint on what to write, where a word was read as another kind of value."""
+    if not problem.expected or problem.hint:
+        return problem
+    written = locator.written(problem.path)
     if not written:
         return problem
-    typed = problem.source == COMMAND_LINE
-    if problem.expected == "text":
-        quoted = f"For the text write {problem.path}=\"'{written}'\"."
-        hint = quoted if typed else quoting(written)
+    is_typed = problem.source == COMMAND_LINE
+    if problem.expected == "text" and is_typed:
+        hint = f"For the text write {problem.path}=\"'{written}'\"."
+    elif problem.expected == "text":
+        hint = quoting(written)
     elif "${oc.env:" in written:
         hint = f"A variable of the environment is text: write ${{oc.decode:{written}}}."
-    elif typed and problem.expected == "flag" and written.lower() in _FLAGS:
+    elif is_typed and problem.expected == "flag" and written.lower() in _FLAGS:
         hint = f"Write {problem.path}={_FLAGS[written.lower()]}."
     else:
         return problem
@@ -226,7 +233,7 @@ def _check_meaning(
         problems += check_training_keys(root)
     if verb == "collect":
         problems += _check_collecting(root)
-    known = {p.path for p in problems}
+    reported = {p.path for p in problems}
     in_task = check_terms(root.task, allow_import=allow_import)
     if scene is not None:
         in_task += scene.problems
@@ -235,8 +242,10 @@ def _check_meaning(
 
         entities = None if scene is None else scene.known
         in_task += check_expert(root.task, entities, allow_import)
-    found = [replace(p, path=f"task.{p.path}".rstrip(".")) for p in in_task]
-    problems += [p for p in found if p.path not in known]
+    for problem in in_task:
+        path = f"task.{problem.path}".rstrip(".")
+        if path not in reported:
+            problems.append(replace(problem, path=path))
     if verb != "train" and _policy_name(root) == "teleop" and not _below("task.actions", missing):
         problems += _check_teleop(root, allow_import)
     return problems
@@ -273,43 +282,47 @@ def _unknown_entries(composed: Composed) -> list[Problem]:
     problems: dict[str, Problem] = {}
     for override in composed.locator.overrides:
         parts = override.key_or_group.split(".")
-        if override.type is not OverrideType.CHANGE:
+        if override.type is not OverrideType.CHANGE or len(parts) < 3:
             continue
-        for depth in range(2, len(parts)):
-            path = ".".join(parts[: depth + 1])
-            named = parts[0] == "task" and depth == 2 and parts[1] in named_maps()
-            if named and not composed.locator.sets(path):
-                problems[path] = _unknown_entry(path, composed)
+        path = ".".join(parts[:3])  # task.SECTION.NAME
+        is_named = parts[0] == "task" and parts[1] in named_maps()
+        if is_named and not composed.locator.sets(path):
+            problems[path] = _unknown_entry(path, composed)
     return list(problems.values())
 
 
 @cache
 def named_maps() -> set[str]:
     """Return the keys of a task that are maps from names to entities or terms."""
-    hints = typing.get_type_hints(EnvCfg)
-    return {
-        key
-        for key, hint in hints.items()
-        if typing.get_origin(hint) is dict and dataclasses.is_dataclass(typing.get_args(hint)[1])
-    }
+    names = set()
+    for key, hint in typing.get_type_hints(EnvCfg).items():
+        if typing.get_origin(hint) is not dict:
+            continue
+        _, value_type = typing.get_args(hint)
+        if dataclasses.is_dataclass(value_type):
+            names.add(key)
+    return names
 
 
 def _unknown_entry(path: str, composed: Composed) -> Problem:
+    """The problem of an override that changes an entry that does not exist."""
     section, _, name = path.rpartition(".")
-    there: Any = composed.tree
+    entries: Any = composed.tree
     for part in section.split("."):
-        there = there.get(part, {}) if isinstance(there, dict) else {}
-    names = [str(key) for key in there if composed.locator.sets(f"{section}.{key}")]
+        entries = entries.get(part, {}) if isinstance(entries, dict) else {}
+    names = [str(key) for key in entries if composed.locator.sets(f"{section}.{key}")]
     message = f"there is no {name!r} in {section}; there are: {', '.join(names) or 'none'}."
     hint = did_you_mean(name, names).strip() or f"Add one with +{path}={{...}}"
     return Problem(path, message, hint)
 
 
 def _below(path: str, ancestors: Iterable[str]) -> bool:
+    """Whether a key path is one of some others, or below one."""
     return any(path == a or path.startswith(f"{a}.") for a in ancestors)
 
 
 def _remove(tree: dict[str, Any], path: str) -> None:
+    """Remove a key, if there is one."""
     *parents, name = path.split(".")
     node: Any = tree
     for part in parents:
@@ -322,15 +335,10 @@ def _check_root(root: RootCfg, allow_import: bool) -> list[Problem]:
     """Check the everyday keys; a policy is imported to read its signature, if that is allowed."""
     problems = _check_engine(root) + _check_policy(root, allow_import)
     count = root.num_envs or 1
-    beyond = [i for i in root.record.view_envs if i >= count]
-    if beyond and root.record.format != "none":
-        message = f"no such environments: {beyond}; num_envs is {count}"
-        problems.append(Problem("record.view_envs", message))
-    images = root.record.images
-    beyond = [i for i in images.envs if i >= count] if images is not None else []
-    if beyond:
-        message = f"no such environments: {beyond}; num_envs is {count}"
-        problems.append(Problem("record.images.envs", message))
+    if root.record.format != "none":
+        problems += _check_envs("record.view_envs", root.record.view_envs, count)
+    if root.record.images is not None:
+        problems += _check_envs("record.images.envs", root.record.images.envs, count)
     if root.viewer.name != "none" and root.viewer.env >= count:
         message = f"no such environment: {root.viewer.env}; num_envs is {count}"
         problems.append(Problem("viewer.env", message))
@@ -339,6 +347,14 @@ def _check_root(root: RootCfg, allow_import: bool) -> list[Problem]:
         message = "films are made from the log: they need record=mcap with record.state=all"
         problems.append(Problem("video", message))
     return problems
+
+
+def _check_envs(key: str, envs: Sequence[int], count: int) -> list[Problem]:
+    """Check that environments exist among `count`."""
+    missing = [env for env in envs if env >= count]
+    if not missing:
+        return []
+    return [Problem(key, f"no such environments: {missing}; num_envs is {count}")]
 
 
 def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
@@ -354,7 +370,8 @@ def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
         )
 
         reason = require_registered(task.id, allow_import=allow_import)
-        problems += [Problem("task.id", reason)] if reason else []
+        if reason:
+            problems.append(Problem("task.id", reason))
     for section in SECTIONS:
         for name, term in getattr(task, section).items():
             if term.func == "":
@@ -367,16 +384,20 @@ def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
     """Check `task.suggested.VERB` as values of root keys."""
     problems: list[Problem] = []
     for verb in VERBS:
-        values = _suggested(tree, verb)
-        allowed = [*SUGGESTED_KEYS, *(["algo"] if verb == "train" else [])]
+        allowed = list(SUGGESTED_KEYS)
+        if verb == "train":
+            allowed.append("algo")
         path = f"task.suggested.{verb}"
-        for name in values:
-            if name not in allowed:
-                problems.append(Problem(f"{path}.{name}", *unknown_key(name, allowed)))
-        known = {k: v for k, v in values.items() if k in allowed}
-        if known:
-            found = check_types({"task": {}, **known}).problems
-            problems += [replace(p, path=f"{path}.{p.path}") for p in found]
+        values = {}
+        for name, value in _suggested(tree, verb).items():
+            if name in allowed:
+                values[name] = value
+            else:
+                message, hint = unknown_key(name, allowed)
+                problems.append(Problem(f"{path}.{name}", message, hint))
+        if values:
+            mistakes = check_types({"task": {}, **values}).problems
+            problems += [replace(p, path=f"{path}.{p.path}") for p in mistakes]
     return problems
 
 
@@ -396,8 +417,9 @@ def _check_engine(root: RootCfg) -> list[Problem]:
 
 def _check_backend(root: RootCfg, verb: Verb, allow_import: bool) -> list[Problem]:
     """Check what a job in shards cannot do, and keys that only have a meaning with shards."""
-    sim, usual = root.sim, SimCfg()
-    if (sim.backend, sim.shards, sim.ray) == (usual.backend, usual.shards, usual.ray):
+    sim = root.sim
+    default = SimCfg()
+    if (sim.backend, sim.shards, sim.ray) == (default.backend, default.shards, default.ray):
         return []
     from embodichain.config.checks.shard_checks import check_shards
 
@@ -407,7 +429,8 @@ def _check_backend(root: RootCfg, verb: Verb, allow_import: bool) -> list[Proble
 def _check_collecting(root: RootCfg) -> list[Problem]:
     """Check that a collection has a whole log, and a task that says what success is."""
     problems = []
-    record, task = root.record, root.task
+    record = root.record
+    task = root.task
     if record.format == "none":
         problems.append(Problem("record.format", "a collection is a log: must not be none"))
     elif record.state == "none":
@@ -423,7 +446,7 @@ def _check_collecting(root: RootCfg) -> list[Problem]:
 
 
 def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
-    """Check that a policy exists and accepts its parameters; for a trained one, that it exists."""
+    """Check that a policy exists and accepts its parameters; a trained one, that its file does."""
     policy = root.policy
     name = _policy_name(root)
     if policy is None or name is None:
@@ -436,15 +459,20 @@ def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
         message = f"{name!r} would be imported, which is not allowed for this config"
         return [Problem("policy", message)]
     try:
-        params = {} if isinstance(policy, str) else {"params": policy.params}
-        resolve_policy({"func": name, **params}, load_file=lambda path: _existing(root, path))
+        cfg: dict[str, Any] = {"func": name}
+        if not isinstance(policy, str):
+            cfg["params"] = policy.params
+        resolve_policy(cfg, load_file=lambda path: _check_checkpoint(root, path))
     except ConfigError as error:
         return list(error.problems)
     return []
 
 
 def _policy_name(root: RootCfg) -> str | None:
-    return root.policy.func if isinstance(root.policy, PolicyCfg) else root.policy
+    """The policy, without its parameters."""
+    if isinstance(root.policy, PolicyCfg):
+        return root.policy.func
+    return root.policy
 
 
 def _check_teleop(root: RootCfg, allow_import: bool) -> list[Problem]:
@@ -452,30 +480,33 @@ def _check_teleop(root: RootCfg, allow_import: bool) -> list[Problem]:
     from embodichain.lab.gym.teleop import check_teleop
 
     problems = []
-    shown = None if root.viewer.name == NO_VIEWER else VIEWERS[root.viewer.name]
-    if shown is None or not shown.controls:
+    if root.viewer.name == NO_VIEWER or not VIEWERS[root.viewer.name].controls:
         names = [name for name, entry in VIEWERS.items() if entry.controls]
-        names.sort(key=lambda name: name != "web")  # first the one that needs no display
+        names.sort(key=lambda name: name != "web")  # first the viewer that needs no display
         allowed = " or ".join(f"viewer={name}" for name in names)
         message = f"teleop needs a viewer: {allowed}, not {root.viewer.name}"
         problems.append(Problem("policy", message))
     if (root.num_envs or 1) > 1:
         message = f"policy: teleop moves one robot; set num_envs=1, not {root.num_envs}"
         problems.append(Problem("num_envs", message))
+    actions = {}
     try:
-        found = {
-            name: (
-                str(term.func),
-                resolve_term("action", term.func, allow_import=allow_import).func,
-            )
-            for name, term in root.task.actions.items()
-        }
+        for name, term in root.task.actions.items():
+            function = resolve_term("action", term.func, allow_import=allow_import).func
+            actions[name] = (str(term.func), function)
     except ConfigError:
-        return problems  # the check of the terms says which one there is not
-    return problems if root.task.id is not None else [*problems, *check_teleop(found)]
+        return problems  # the check of the terms reports it
+    if root.task.id is None:
+        problems += check_teleop(actions)
+    return problems
 
 
-def _existing(root: RootCfg, path: Path) -> Any:
+def _check_checkpoint(root: RootCfg, path: Path) -> Any:
+    """Check that there is a checkpoint; return a policy that does nothing.
+
+    Raises:
+        ConfigError: If there is none.
+    """
     if str(path) == "last":
         if newest_run(root.output_dir, CHECKPOINT) is None:
             message = f"there is no finished training in {root.output_dir} (train first)"
@@ -490,24 +521,31 @@ def _with_suggestions(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None
     filled = copy.deepcopy(dict(tree))
     suggested = _suggested(filled, verb)
     policy = filled.get("policy")
-    if "teleop" in (policy, policy.get("func") if isinstance(policy, dict) else None):
+    if isinstance(policy, dict):
+        policy = policy.get("func")
+    if policy == "teleop":
         suggested["num_envs"] = 1  # a person moves one robot
     for key in SUGGESTED_KEYS:
         if filled.get(key) is None and suggested.get(key) is not None:
             filled[key] = suggested[key]
-    algo, mine = filled.get("algo"), suggested.get("algo")
-    if chosen is None or not (isinstance(algo, dict) and isinstance(mine, dict)):
+    algo = filled.get("algo")
+    suggested_algo = suggested.get("algo")
+    if chosen is None or not isinstance(algo, dict) or not isinstance(suggested_algo, dict):
         return filled
-    if mine.get("name", algo.get("name")) == algo.get("name"):
-        filled["algo"] = _merge_suggested(algo, mine, "algo", chosen)
+    name = algo.get("name")
+    if suggested_algo.get("name", name) == name:  # else it is for another algorithm
+        filled["algo"] = _merge_suggested(algo, suggested_algo, "algo", chosen)
     return filled
 
 
 def _suggested(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
+    """The task's suggestions for a verb; empty if it has none."""
     node: Any = tree
     for key in ("task", "suggested", verb):
         node = node.get(key) if isinstance(node, Mapping) else None
-    return dict(node) if isinstance(node, Mapping) else {}
+    if not isinstance(node, Mapping):
+        return {}
+    return dict(node)
 
 
 def _merge_suggested(
@@ -515,10 +553,11 @@ def _merge_suggested(
 ) -> Any:
     """Merge suggestions over the group option's values, except for keys that the user set."""
     merged = dict(algo)
-    for key, value in suggested.items():
-        where, mine = f"{path}.{key}", merged.get(key)
-        if isinstance(mine, dict) and isinstance(value, dict):
-            merged[key] = _merge_suggested(mine, value, where, chosen)
-        elif not chosen(where, "algo"):
-            merged[key] = value
+    for key, suggestion in suggested.items():
+        key_path = f"{path}.{key}"
+        value = merged.get(key)
+        if isinstance(value, dict) and isinstance(suggestion, dict):
+            merged[key] = _merge_suggested(value, suggestion, key_path, chosen)
+        elif not chosen(key_path, "algo"):
+            merged[key] = suggestion
     return merged

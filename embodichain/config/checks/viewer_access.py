@@ -15,7 +15,7 @@ __all__ = ["access_of", "refuse_token", "take_token", "without_token"]
 
 _KEY = "viewer.token"
 _REFERENCE = re.compile(r"""['"]?\$\{[^{}]*\}['"]?""")
-"""A value that refers to another, such as ``${oc.env:TOKEN}``: no secret itself."""
+"""A value that refers to another, such as ``${oc.env:TOKEN}``: not a secret itself."""
 
 
 def access_of(viewer: ViewerCfg, token: str | None = None) -> Access:
@@ -27,9 +27,9 @@ def access_of(viewer: ViewerCfg, token: str | None = None) -> Access:
     """
     origins = viewer.allow_origins
     return Access(
-        viewer.token if token is None else token,
-        tuple(viewer.allow_hosts),
-        None if origins is None else tuple(origins),
+        token=viewer.token if token is None else token,
+        allow_hosts=tuple(viewer.allow_hosts),
+        allow_origins=None if origins is None else tuple(origins),
     )
 
 
@@ -42,10 +42,14 @@ def take_token(tree: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
         tree: A checked config.
     """
     viewer = tree.get("viewer")
-    token = viewer.get("token", AUTO) if isinstance(viewer, Mapping) else AUTO
+    if not isinstance(viewer, Mapping):
+        return tree, AUTO
+    token = viewer.get("token", AUTO)
+    if token == WITHHELD:
+        return tree, AUTO
     if not is_secret(token):
-        return tree, AUTO if token == WITHHELD else token
-    return {**tree, "viewer": {**tree["viewer"], "token": WITHHELD}}, token
+        return tree, token
+    return {**tree, "viewer": {**viewer, "token": WITHHELD}}, token
 
 
 def without_token(lines: Iterable[str]) -> tuple[str, ...]:
@@ -66,6 +70,7 @@ def refuse_token(lines: Iterable[str]) -> None:
 
 
 def _withheld(line: str) -> str:
+    """An override with `WITHHELD` for the token that it gives."""
     key, _, value = line.partition("=")
     if key.lstrip("+~").strip() != _KEY or not is_secret(value) or _REFERENCE.fullmatch(value):
         return line

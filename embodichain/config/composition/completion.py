@@ -31,15 +31,14 @@ def complete_override(
     key, has_value, value = typed[len(prefix) :].partition("=")
     with config_loader(config_dir) as loader:
         if has_value:
-            return [
-                f"{prefix}{key}={o}" for o in loader.get_group_options(key) if o.startswith(value)
-            ]
+            options = loader.get_group_options(key)
+            return [f"{prefix}{key}={name}" for name in options if name.startswith(value)]
         group, slash, _ = key.rpartition("/")
         if slash:
             groups = [f"{group}/{name}" for name in loader.list_groups(group)]
         else:
             groups = [name for name in loader.list_groups("") if name != "hydra"]
-        found = [f"{name}=" for name in groups if loader.get_group_options(name)]
+        words = [f"{name}=" for name in groups if loader.get_group_options(name)]
     parent, dot, _ = key.rpartition(".")
     tree: Any = compose(before, config_name, config_dir).tree
     parts = parent.split(".") if dot else []
@@ -50,7 +49,7 @@ def complete_override(
     names += key_names(schema_at(parts, tree))
     for name in map(str, dict.fromkeys(names)):
         path = f"{parent}{dot}{name}"
-        below = isinstance(node, Mapping) and isinstance(node.get(name), Mapping)
+        is_map = isinstance(node, Mapping) and isinstance(node.get(name), Mapping)
         keys = key_names(schema_at([*parts, name], tree))
-        found.append(f"{path}." if below or keys else f"{path}=")
-    return [f"{prefix}{word}" for word in dict.fromkeys(found) if word.startswith(key)]
+        words.append(f"{path}." if is_map or keys else f"{path}=")
+    return [f"{prefix}{word}" for word in dict.fromkeys(words) if word.startswith(key)]

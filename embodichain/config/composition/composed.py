@@ -82,7 +82,7 @@ class Composed:
         problems: The mistakes found so far.
         usable: Whether `tree` is complete; otherwise it has at most values of the root, and only
             their types can be checked.
-        notes: What was left out or changed in converting a gym config.
+        notes: Parts of a gym config that were left out or changed in the conversion.
     """
 
     config_name: str
@@ -96,8 +96,9 @@ class Composed:
 
     def source(self, path: str) -> str:
         """Return where a key was set: ``FILE:LINE``, or the command line (also for null keys)."""
-        unset = "." not in path and self.tree.get(path) is None
-        return COMMAND_LINE if unset else self.locator.source(path)
+        if "." not in path and self.tree.get(path) is None:
+            return COMMAND_LINE
+        return self.locator.source(path)
 
 
 def compose(
@@ -119,11 +120,11 @@ def compose(
         ConfigError: `config_dir` does not exist.
     """
     lines = tuple(overrides)
-    places, wrong = search_path(lines)
+    places, mistakes = search_path(lines)
     register_resolvers()
     with searched(places), config_loader(config_dir) as loader:
         parsed = parse(lines, loader)
-        parsed = replace(parsed, problems=(*wrong, *parsed.problems))
+        parsed = replace(parsed, problems=(*mistakes, *parsed.problems))
         gym, parsed = _gym_config(parsed)
         if gym is None and WITHOUT_TASK in parsed.for_hydra:
             return _without_task(loader, config_name, lines, parsed, [])
@@ -136,9 +137,10 @@ def compose(
                 config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
         except COMPOSING as error:
             # A group without an option is a consequence of leaving out its wrong one.
-            known = any(f"You must specify '{group}'" in str(error) for group in parsed.broken)
-            found = [] if known else explain(error, loader)
-            return _without_task(loader, config_name, lines, parsed, found)
+            unspecified = [f"You must specify '{group}'" for group in parsed.broken]
+            if any(text in str(error) for text in unspecified):
+                return _without_task(loader, config_name, lines, parsed, [])
+            return _without_task(loader, config_name, lines, parsed, explain(error, loader))
     choices = dict(config.hydra.runtime.choices)
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
     try:
@@ -151,20 +153,28 @@ def compose(
     if gym is not None:
         choices["task"] = gym.name
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
-    problems = (*parsed.problems, *apply_values(config, parsed.values))
+    problems = [*parsed.problems, *apply_values(config, parsed.values)]
     locator = Locator(files, parsed.values)
-    problems += tuple(p for file in (*files, *of_hydra) for p in file.problems())
-    problems += tuple(
-        Problem("task", "the file is empty: a task has at least a key", source=display_path(f.path))
-        for f in files
-        if f.package == "task" and not f.keys
-    )
+    for file in (*files, *of_hydra):
+        problems += file.problems()
+    for file in files:
+        if file.package == "task" and not file.keys:
+            message = "the file is empty: a task has at least a key"
+            problems.append(Problem("task", message, source=display_path(file.path)))
     tree, unresolved = plain_values(config, locator)
-    tree, kept = remove_null_entries(tree, locator.gives)
-    kept += keep_last_given(tree, locator.rank)
-    problems = (*problems, *unresolved, *(p.at(locator.source(p.path)) for p in kept))
-    notes = gym.notes if gym is not None else ()
-    return Composed(config_name, lines, tree, choices, locator, problems, notes=notes)
+    problems += unresolved
+    tree, mistakes = remove_null_entries(tree, locator.gives)
+    mistakes += keep_last_given(tree, locator.rank)
+    problems += [problem.at(locator.source(problem.path)) for problem in mistakes]
+    return Composed(
+        config_name=config_name,
+        overrides=lines,
+        tree=tree,
+        choices=choices,
+        locator=locator,
+        problems=tuple(problems),
+        notes=gym.notes if gym is not None else (),
+    )
 
 
 def from_hydra() -> Composed:
@@ -176,8 +186,11 @@ def from_hydra() -> Composed:
     job = HydraConfig.get()
     sources = [s.path for s in job.runtime.config_sources if s.provider == "--config-dir"]
     typed: Any = OmegaConf.to_container(job.overrides, resolve=False)  # not what they refer to
-    lines = [*typed["hydra"], *typed["task"]]
-    return compose(lines, job.job.config_name or "run", sources[0] if sources else None)
+    return compose(
+        [*typed["hydra"], *typed["task"]],
+        config_name=job.job.config_name or "run",
+        config_dir=sources[0] if sources else None,
+    )
 
 
 def list_options(group: str, config_dir: str | Path | None = None) -> list[str]:
@@ -191,11 +204,11 @@ def _gym_config(parsed: ParsedOverrides) -> tuple[GymConfig | None, ParsedOverri
     paths = [o.value() for o in parsed.values if o.key_or_group == "gym_config"]
     if not paths or paths[-1] is None:
         return None, parsed
-    chosen = [line for line in parsed.for_hydra if line.lstrip("+").startswith("task=")]
-    rest = [line for line in parsed.for_hydra if line not in chosen and line != WITHOUT_TASK]
+    tasks = [line for line in parsed.for_hydra if line.lstrip("+").startswith("task=")]
+    others = [line for line in parsed.for_hydra if line not in tasks and line != WITHOUT_TASK]
     problems = list(parsed.problems)
-    if chosen:
-        message = f"either a gym config or a task: {chosen[-1]}"
+    if tasks:
+        message = f"either a gym config or a task: {tasks[-1]}"
         problems.append(Problem("task", message, source=COMMAND_LINE))
     gym = None
     from embodichain.config.composition.gym_config import load_gym_config  # terms: only when needed
@@ -205,7 +218,7 @@ def _gym_config(parsed: ParsedOverrides) -> tuple[GymConfig | None, ParsedOverri
         problems += gym.problems
     except ConfigError as error:
         problems += [p.at("") for p in error.problems]
-    for_hydra = (*rest, WITHOUT_TASK)
+    for_hydra = (*others, WITHOUT_TASK)
     return gym, replace(parsed, for_hydra=for_hydra, problems=tuple(problems))
 
 
@@ -223,9 +236,13 @@ def _files(
             continue
         paths = [folder / f"{name}.yaml" for folder in folders if folder is not None]
         path = next((p for p in paths if p.is_file()), None)
-        if path is not None:
-            kind = of_hydra if name.startswith("hydra/") else files
-            kind.append(ConfigFile.read(path, default.package or ""))
+        if path is None:
+            continue
+        file = ConfigFile.read(path, default.package or "")
+        if name.startswith("hydra/"):
+            of_hydra.append(file)
+        else:
+            files.append(file)
     return files, of_hydra
 
 
@@ -236,14 +253,14 @@ _WHOLE_OPTIONS = {"sim": "default", "record": "mcap", "viewer": "none"}
 def _complete_options(config: DictConfig, files: Sequence[ConfigFile]) -> list[ConfigFile]:
     """Merge users' options of groups over the package's, in place; return the files below them."""
     own = own_folder()
-    below: list[ConfigFile] = []
+    base_files: list[ConfigFile] = []
     for group, option in _WHOLE_OPTIONS.items():
-        theirs = [f for f in files if f.package == group and not f.path.is_relative_to(own)]
-        path = own / group / f"{option}.yaml"
-        if theirs and isinstance(config.get(group), DictConfig):
+        users = [f for f in files if f.package == group and not f.path.is_relative_to(own)]
+        if users and isinstance(config.get(group), DictConfig):
+            path = own / group / f"{option}.yaml"
             config[group] = OmegaConf.merge(OmegaConf.load(path), config[group])
-            below.append(ConfigFile.read(path, group))
-    return below
+            base_files.append(ConfigFile.read(path, group))
+    return base_files
 
 
 def _without_task(
@@ -251,7 +268,7 @@ def _without_task(
     config_name: str,
     lines: tuple[str, ...],
     parsed: ParsedOverrides,
-    found: Sequence[Problem],
+    mistakes: Sequence[Problem],
 ) -> Composed:
     """The values of the root with their overrides, for when task and groups cannot be composed."""
     values = [o for o in parsed.values if o.key_or_group.split(".")[0] != "task"]
@@ -262,9 +279,16 @@ def _without_task(
         OmegaConf.set_struct(config, False)
         del config["hydra"]
         apply_values(config, values)
-        tree = plain_values(config, locator)[0]
-    problems = (*parsed.problems, *found)
-    return Composed(config_name, lines, tree, {}, locator, problems, usable=False)
+        tree, _ = plain_values(config, locator)
+    return Composed(
+        config_name=config_name,
+        overrides=lines,
+        tree=tree,
+        choices={},
+        locator=locator,
+        problems=(*parsed.problems, *mistakes),
+        usable=False,
+    )
 
 
 def _algorithm(
@@ -276,10 +300,10 @@ def _algorithm(
     """
     if config.hydra.runtime.choices.get("algo", "") is not None:
         return None
-    named = [o.value() for o in values if o.key_or_group == "algo.name"]
-    suggested = OmegaConf.select(config, "task.suggested.train.algo.name")
-    written = OmegaConf.select(config, "algo.name")
-    return next((n for n in (*named, written, suggested) if n in options), DEFAULT_ALGORITHM)
+    names: list[Any] = [o.value() for o in values if o.key_or_group == "algo.name"]
+    names.append(OmegaConf.select(config, "algo.name"))
+    names.append(OmegaConf.select(config, "task.suggested.train.algo.name"))
+    return next((name for name in names if name in options), DEFAULT_ALGORITHM)
 
 
 _INSTANTIATE = ("_target_", "_recursive_", "_convert_", "_partial_", "_args_")
@@ -300,29 +324,30 @@ def plain_values(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, 
         problems.append(Problem(path, message, source=locator.source(path)))
 
     def plain(node: DictConfig | ListConfig, path: str) -> Any:
-        found: dict[Any, Any] = {}
+        prefix = f"{path}." if path else ""
+        values: dict[Any, Any] = {}
         for key in range(len(node)) if isinstance(node, ListConfig) else list(node):
-            where = f"{path}.{key!s}" if path else str(key)
-            name = names.get(where, key)  # as written: `off`, not False
-            where = f"{path}.{name!s}" if path else str(name)
+            name = names.get(f"{prefix}{key!s}", key)  # as written: `off`, not False
+            key_path = f"{prefix}{name!s}"
             if key in _INSTANTIATE:
-                report(where, f"{key} is not used here: name a function with func: NAME")
+                report(key_path, f"{key} is not used here: name a function with func: NAME")
                 continue
             if OmegaConf.is_missing(node, key):
-                report(where, "missing value (???): it must be set")
+                report(key_path, "missing value (???): it must be set")
                 continue
             try:
                 value = value_of(node, key)
             except OmegaConfBaseException as error:
                 written: Any = OmegaConf.to_container(node, resolve=False)
                 reason = str(error).splitlines()[0]
-                report(where, f"cannot resolve {written[key]!r}: {reason}")
+                report(key_path, f"cannot resolve {written[key]!r}: {reason}")
                 continue
-            nested = isinstance(value, (DictConfig, ListConfig))
-            found[name] = plain(value, where) if nested else value
+            if isinstance(value, (DictConfig, ListConfig)):
+                value = plain(value, key_path)
+            values[name] = value
         if isinstance(node, ListConfig):
-            return list(found.values())
-        return {str(key): value for key, value in found.items()}
+            return list(values.values())
+        return {str(name): value for name, value in values.items()}
 
     return plain(node, ""), problems
 
@@ -382,7 +407,7 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
         elif options := loader.get_group_options(override.key_or_group):
             problem = _check_option(override, options)
             if problem is None:
-                for_hydra.append(_as_text(override, line, options))
+                for_hydra.append(_quote_number(override, line, options))
             else:
                 broken.add(override.key_or_group)
                 problems.append(problem)
@@ -393,18 +418,18 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
 
 
 def search_path(lines: Iterable[str]) -> tuple[list[str], list[Problem]]:
-    """Return the places that ``hydra.searchpath=[...]`` names, and what is wrong in it.
+    """Return the places that ``hydra.searchpath=[...]`` names, and its mistakes.
 
     Args:
         lines: Overrides, as typed; the last one counts.
     """
-    found = [line for line in lines if line.lstrip("+~").partition("=")[0] == SEARCH_PATH]
-    if not found:
+    matching = [line for line in lines if line.lstrip("+~").partition("=")[0] == SEARCH_PATH]
+    if not matching:
         return [], []
     try:
-        override = OverridesParser.create().parse_override(readable(found[-1]))
+        override = OverridesParser.create().parse_override(readable(matching[-1]))
     except HydraException as error:
-        return [], [malformed(found[-1], error)]
+        return [], [malformed(matching[-1], error)]
     return search_path_of(override)
 
 
@@ -422,9 +447,10 @@ def relax(lines: Iterable[str], loader: ConfigLoader) -> list[str]:
         except HydraException:
             relaxed.append(line)
             continue
-        plain = override.type is OverrideType.CHANGE and not _is_hydras(override)
-        value = plain and not loader.get_group_options(override.key_or_group)
-        relaxed.append(f"++{line}" if value else line)
+        is_change = override.type is OverrideType.CHANGE and not _is_hydras(override)
+        if is_change and not loader.get_group_options(override.key_or_group):
+            line = f"++{line}"
+        relaxed.append(line)
     return relaxed
 
 
@@ -440,12 +466,11 @@ def apply_values(config: DictConfig, overrides: Iterable[Override]) -> list[Prob
         try:
             if override.is_delete():
                 _delete(config, key)
-            elif (
-                key == "video" and override.value() is True and isinstance(config[key], DictConfig)
-            ):
+                continue
+            value = override.value()
+            if key == "video" and value is True and isinstance(config[key], DictConfig):
                 continue  # settings of a film turn it on: `video.every=2 video=true`
-            else:
-                OmegaConf.update(config, key, override.value(), merge=True, force_add=True)
+            OmegaConf.update(config, key, value, merge=True, force_add=True)
         except KeyError as error:
             problems.append(Problem(key, str(error.args[0]), source=COMMAND_LINE))
         except (OmegaConfBaseException, TypeError, ValueError) as error:
@@ -459,9 +484,9 @@ def _delete(config: DictConfig, key: str) -> None:
     parent: Any = OmegaConf.select(config, parent_key) if parent_key else config
     if not isinstance(parent, DictConfig) or name not in parent:
         siblings = [str(k) for k in parent] if isinstance(parent, DictConfig) else []
-        there = f"; there are: {', '.join(siblings)}." if siblings else ""
+        listed = f"; there are: {', '.join(siblings)}." if siblings else ""
         hint = did_you_mean(name, siblings)
-        raise KeyError(f"cannot delete it: there is no such key{there}{hint}")
+        raise KeyError(f"cannot delete it: there is no such key{listed}{hint}")
     del parent[name]
 
 
@@ -474,36 +499,37 @@ def _is_hydras(override: Override) -> bool:
     return key == "hydra" or key.startswith(("hydra.", "hydra/"))
 
 
-def _as_text(override: Override, line: str, options: list[str]) -> str:
-    """The choice of an option whose name is a number (``task=10``), with quotes for Hydra."""
+def _quote_number(override: Override, line: str, options: list[str]) -> str:
+    """The choice of an option; a name that is a number (``task=10``) has quotes for Hydra."""
     key, _, name = line.partition("=")
-    quoted = isinstance(override.value(), int | float) and name in options
-    return f"{key}='{name}'" if quoted else line
+    if isinstance(override.value(), int | float) and name in options:
+        return f"{key}='{name}'"
+    return line
 
 
 def _odd_keys(value: Any, path: str) -> Iterator[Problem]:
-    """A problem for each key of a typed map that is a flag or no whole number: ``{true: 1}``."""
+    """A problem for each key of a typed map that is a flag, a fraction or null: ``{true: 1}``."""
     if isinstance(value, list):
         for i, item in enumerate(value):
             yield from _odd_keys(item, f"{path}.{i}")
     elif isinstance(value, dict):
         for key, item in value.items():
             if key is None or isinstance(key, bool | float):
-                where = f"{path}.{show_value(key)}"
-                message = f"the key {show_value(key)} is read as no text: write +{where}.KEY=VALUE"
-                yield Problem(where, message, source=COMMAND_LINE)
+                shown = show_value(key)
+                message = f"the key {shown} is not read as text: write +{path}.{shown}.KEY=VALUE"
+                yield Problem(f"{path}.{shown}", message, source=COMMAND_LINE)
             yield from _odd_keys(item, f"{path}.{key}")
 
 
 def _check_option(override: Override, options: list[str]) -> Problem | None:
+    """The problem of a choice that is not an option of its group."""
     value = override.value()
-    chosen = value if isinstance(value, list) else [value]
     if override.is_delete():
         return None
     typed = (override.input_line or "").partition("=")[2]
     if isinstance(value, int | float) and typed in options:
         return None
-    for option in chosen:
+    for option in value if isinstance(value, list) else [value]:
         name = "null" if option is None else str(option)
         if name not in options:
             group = override.key_or_group

@@ -16,14 +16,19 @@ __all__ = ["chosen_twice", "explain_defaults"]
 
 
 class _Entry(NamedTuple):
-    """An entry of a `defaults:`: the file's name that it chooses, and its place."""
+    """An entry of a `defaults:`.
+
+    Attributes:
+        name: Name of the file that it chooses.
+        source: Its place, ``FILE:LINE``.
+        written: The option as written, if YAML reads it as a flag or a number; else empty.
+        key: The group as written: ``/scene@scene``, ``override /scene@scene``.
+    """
 
     name: str
     source: str
     written: str
-    """The option as written, if YAML reads it as a flag or a number; else empty."""
     key: str = ""
-    """The group as written: ``/scene@scene``, ``override /scene@scene``."""
 
 
 def explain_defaults(folders: Sequence[Path], *, circles: bool) -> list[Problem]:
@@ -33,20 +38,21 @@ def explain_defaults(folders: Sequence[Path], *, circles: bool) -> list[Problem]
         folders: Folders with groups, in the order in which they are searched.
         circles: Whether to look for circles, else for entries that are not read as text.
     """
-    found: dict[str, list[_Entry]] = {}
+    entries_of: dict[str, list[_Entry]] = {}
     for folder in folders:
         for path in sorted(folder.rglob("*.yaml")):
-            name = path.relative_to(folder).with_suffix("").as_posix()
-            if name not in found:
-                found[name] = list(_entries(path, name))
+            name = _name_of(path, folder)
+            if name not in entries_of:
+                entries_of[name] = list(_entries(path, name))
     if circles:
-        return list(_circles(found))
-    return [
-        Problem("defaults", "expected a name.", quoting(entry.written), entry.source)
-        for entries in found.values()
-        for entry in entries
-        if entry.written
-    ]
+        return list(_circles(entries_of))
+    problems = []
+    for entries in entries_of.values():
+        for entry in entries:
+            if entry.written:
+                hint = quoting(entry.written)
+                problems.append(Problem("defaults", "expected a name.", hint, entry.source))
+    return problems
 
 
 def chosen_twice(folders: Sequence[Path], group: str, option: str) -> list[Problem]:
@@ -60,18 +66,26 @@ def chosen_twice(folders: Sequence[Path], group: str, option: str) -> list[Probl
     """
     name = f"{group.partition('@')[0]}/{option}"
     for folder in folders:
-        paths = [(p, p.relative_to(folder).with_suffix("")) for p in sorted(folder.rglob("*.yaml"))]
-        entries = [e for path, own in paths for e in _entries(path, own.as_posix())]
-        found = [e for e in entries if e.name == name and e.key and not e.key.startswith("over")]
-        if found:
-            message = "another file has chosen an option: write `override {}: {}`"
-            return [
-                Problem("defaults", message.format(e.key, option), source=e.source) for e in found
-            ]
+        problems = []
+        for path in sorted(folder.rglob("*.yaml")):
+            for entry in _entries(path, _name_of(path, folder)):
+                if entry.name == name and entry.key and not entry.key.startswith("over"):
+                    message = (
+                        f"another file has chosen an option: write `override {entry.key}: {option}`"
+                    )
+                    problems.append(Problem("defaults", message, source=entry.source))
+        if problems:
+            return problems
     return []
 
 
+def _name_of(path: Path, folder: Path) -> str:
+    """The name of a file for Hydra: its path in a folder of groups, without the suffix."""
+    return path.relative_to(folder).with_suffix("").as_posix()
+
+
 def _entries(path: Path, name: str) -> Iterator[_Entry]:
+    """The entries of the `defaults:` of a file with a name."""
     try:
         root = compose_nodes(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError):
@@ -85,12 +99,17 @@ def _entries(path: Path, name: str) -> Iterator[_Entry]:
             if isinstance(item, yaml.ScalarNode) and item.value != "_self_":
                 yield _Entry(_absolute(item.value, group), source, scalar_text(item))
             elif isinstance(item, yaml.MappingNode):
-                for of, option in item.value:
-                    chosen = option.value if isinstance(option, yaml.SequenceNode) else [option]
-                    for one in chosen:
-                        below = _absolute(str(of.value), group)
-                        word = scalar_text(one)
-                        yield _Entry(f"{below}/{one.value}", source, word, str(of.value))
+                for group_node, node in item.value:
+                    written_group = str(group_node.value)
+                    chosen_group = _absolute(written_group, group)
+                    options = node.value if isinstance(node, yaml.SequenceNode) else [node]
+                    for option in options:
+                        yield _Entry(
+                            name=f"{chosen_group}/{option.value}",
+                            source=source,
+                            written=scalar_text(option),
+                            key=written_group,
+                        )
 
 
 def _absolute(name: str, group: str) -> str:
@@ -98,22 +117,25 @@ def _absolute(name: str, group: str) -> str:
 
     Words before it (``override``, ``optional``) and a package after it are left out.
     """
-    bare = name.split()[-1].partition("@")[0] if name.split() else name
-    return bare.lstrip("/") if bare.startswith("/") or not group else f"{group}/{bare}"
+    words = name.split()
+    bare = words[-1].partition("@")[0] if words else name
+    if bare.startswith("/") or not group:
+        return bare.lstrip("/")
+    return f"{group}/{bare}"
 
 
 def _circles(entries: Mapping[str, Sequence[_Entry]]) -> Iterator[Problem]:
     """A problem for each circle, at the entry that closes it."""
     done: set[str] = set()
 
-    def walk(name: str, way: tuple[str, ...]) -> Iterator[Problem]:
+    def walk(name: str, including: tuple[str, ...]) -> Iterator[Problem]:
         for entry in entries.get(name, ()):
-            if entry.name in way:
-                circle = [*way[way.index(entry.name) :], entry.name]
-                message = f"a circle of files that take each other in: {' -> '.join(circle)}"
+            if entry.name in including:
+                circle = [*including[including.index(entry.name) :], entry.name]
+                message = f"a circle of files that include each other: {' -> '.join(circle)}"
                 yield Problem("defaults", message, source=entry.source)
             elif entry.name not in done:
-                yield from walk(entry.name, (*way, entry.name))
+                yield from walk(entry.name, (*including, entry.name))
         done.add(name)
 
     for name in entries:

@@ -1,4 +1,4 @@
-"""Variables of the environment in a config: what OmegaConf makes of them, and their records.
+"""Variables of the environment in a config: how OmegaConf reads them, and how they are recorded.
 
 `value_of` resolves a value and notes what it read from the environment. Numbers and flags are then
 plain values, so that a record repeats the run; text becomes an `EnvText`, of which a record keeps
@@ -78,28 +78,34 @@ class _Reading:
         if not isinstance(text, str) or self.tokens is None:
             return text
         tokens = self.tokens
-        if (one := _TOKEN.fullmatch(text)) is not None:
-            return tokens[int(one[1])][0]
-        return _TOKEN.sub(lambda found: str(tokens[int(found[1])][0]), text)
+        token = _TOKEN.fullmatch(text)
+        if token is not None:
+            return tokens[int(token[1])][0]
+        return _TOKEN.sub(lambda match: str(tokens[int(match[1])][0]), text)
 
     def interpolations(self, text: str) -> str:
         """Text with interpolations for its tokens, in which nothing else is one."""
         tokens = self.tokens or []
         parts = _TOKEN.split(text)  # text, number, text, number, ...
-        return "".join(
-            tokens[int(part)][1] if odd % 2 else escaped(part) for odd, part in enumerate(parts)
-        )
+        written = []
+        for index, part in enumerate(parts):
+            is_number = index % 2 == 1
+            written.append(tokens[int(part)][1] if is_number else escaped(part))
+        return "".join(written)
 
     def argument(self, value: Any) -> str:
         """An argument of a resolver, as it is written in an interpolation."""
         if value is None:
             return "null"
+        if isinstance(value, bool):
+            return str(value).lower()
         if not isinstance(value, str):
-            return str(value).lower() if isinstance(value, bool) else str(value)
+            return str(value)
         if _TOKEN.fullmatch(value) or _PLAIN_NAME.fullmatch(value):
             return self.interpolations(value)
-        quoted = re.sub(r"(\\*)'", lambda found: f"{found[1] * 2}\\'", self.interpolations(value))
-        quoted = re.sub(r"\\+$", lambda found: found[0] * 2, quoted)
+        # A backslash before a quote, or at the end, is written twice.
+        quoted = re.sub(r"(\\*)'", lambda match: f"{match[1] * 2}\\'", self.interpolations(value))
+        quoted = re.sub(r"\\+$", lambda match: match[0] * 2, quoted)
         return f"'{quoted}'"
 
 
@@ -126,21 +132,27 @@ def register_env_resolvers() -> None:
 
 
 def _env(key: str, default: Any = _UNSET) -> str | None:
-    given = () if default is _UNSET else (default,)
+    """OmegaConf's ``oc.env``; notes the variable."""
+    arguments: list[Any] = [key]
+    if default is not _UNSET:
+        arguments.append(default)
     reading = _reading.get()
     if reading is None:
-        return oc.env(key, *given)
+        return oc.env(*arguments)
     reading.touched = True
     if reading.tokens is None:
         if key in os.environ:
             reading.names[key] = os.environ[key]
-        return oc.env(key, *given)
-    value = oc.env(reading.values(key), *map(reading.values, given))
-    arguments = ",".join(map(reading.argument, (key, *given)))
-    return None if value is None else reading.token(value, f"${{oc.env:{arguments}}}")
+        return oc.env(*arguments)
+    value = oc.env(*map(reading.values, arguments))
+    if value is None:
+        return None
+    written = ",".join(map(reading.argument, arguments))
+    return reading.token(value, f"${{oc.env:{written}}}")
 
 
 def _decode(expr: str | None, _parent_: Any, _node_: Any) -> Any:
+    """OmegaConf's ``oc.decode``; notes text that was read from the environment."""
     reading = _reading.get()
     if reading is None or reading.tokens is None or not _TOKEN.search(expr or ""):
         return oc.decode(expr, _parent_, _node_)
@@ -154,13 +166,13 @@ def _decode(expr: str | None, _parent_: Any, _node_: Any) -> Any:
 def _part(value: Any, *keys: Any) -> Any:
     """The value at keys of a list or a map."""
     reading = _reading.get()
-    found = value if reading is None else reading.values(value)
+    part = value if reading is None else reading.values(value)
     for key in keys:
-        found = found[key]
-    if reading is None or found is value or not isinstance(value, str):
-        return found
+        part = part[key]
+    if reading is None or part is value or not isinstance(value, str):
+        return part
     arguments = ",".join(map(reading.argument, (value, *keys)))
-    return reading.token(found, f"${{{_PART}:{arguments}}}")
+    return reading.token(part, f"${{{_PART}:{arguments}}}")
 
 
 def value_of(node: DictConfig | ListConfig, key: Any) -> Any:
@@ -197,7 +209,7 @@ def value_of(node: DictConfig | ListConfig, key: Any) -> Any:
 
 
 def _remember_decoded(name: str, value: str, reading: _Reading) -> None:
-    """Note text that was decoded: it is no part of the variable where that has escapes."""
+    """Note text that was decoded: it is not a part of a variable that has escapes."""
     if not any(text in value for text in reading.names.values() if text):
         remember(name, value)
 
@@ -211,8 +223,9 @@ def _written(node: DictConfig | ListConfig, key: Any, value: Any) -> str:
             text = node[key]
     except (OmegaConfBaseException, LookupError, TypeError, ValueError):
         return str(raw[key])  # a resolver that does not take a token
-    known = isinstance(text, str) and _TOKEN.search(text) and reading.values(text) == value
-    return reading.interpolations(text) if known else str(raw[key])
+    if isinstance(text, str) and _TOKEN.search(text) and reading.values(text) == value:
+        return reading.interpolations(text)
+    return str(raw[key])
 
 
 def _parts(value: Any, written: str, name: str | None, keys: Sequence[Any] = ()) -> Any:
@@ -262,10 +275,10 @@ def taken_today(tree: Mapping[str, Any], source: str = "") -> dict[str, Any]:
             problems.append(not_taken(path, value, str(error).splitlines()[0], source))
             return value
 
-    found: dict[str, Any] = today(tree, "")
+    taken: dict[str, Any] = today(tree, "")
     if problems:
         raise ConfigError(problems)
-    return found
+    return taken
 
 
 def not_taken(path: str, text: object, reason: str, source: str) -> Problem:
@@ -285,6 +298,7 @@ def not_taken(path: str, text: object, reason: str, source: str) -> Problem:
 
 
 def _today(text: str) -> Any:
+    """The value of a record's text today."""
     _check_asks(text)
     return value_of(OmegaConf.create({"value": text}), "value")
 
@@ -322,23 +336,26 @@ def for_omegaconf(tree: Mapping[str, Any], source: str = "") -> dict[str, Any]:
             raise ConfigError([Problem(path, f"{value!r}: {error}", source=source)]) from error
         return value
 
-    found: dict[str, Any] = safe(tree, "")
-    return found
+    escaped_tree: dict[str, Any] = safe(tree, "")
+    return escaped_tree
 
 
 def as_reader(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a record's tree in which what no environment reads shows ``<env NAME>``.
+    """Return a record's tree in which texts that no environment reads show ``<env NAME>``.
 
-    Its variables need not be set for those who only read the record.
+    Their variables need not be set to read the record.
 
     Args:
         tree: The YAML of a run's `config.yaml`.
     """
-    found = {**tree, **{name: shown(tree[name]) for name in _NOT_READ if name in tree}}
-    task = found.get("task")
+    readable = dict(tree)
+    for name in _NOT_READ:
+        if name in tree:
+            readable[name] = shown(tree[name])
+    task = readable.get("task")
     if isinstance(task, Mapping) and "description" in task:
-        found["task"] = {**task, "description": shown(task["description"])}
-    return found
+        readable["task"] = {**task, "description": shown(task["description"])}
+    return readable
 
 
 def notes_of_today(tree: Any) -> tuple[Problem, ...]:
@@ -347,11 +364,12 @@ def notes_of_today(tree: Any) -> tuple[Problem, ...]:
     Args:
         tree: A result of `taken_today`.
     """
-    found: dict[str, str] = {}
+    first_paths: dict[str, str] = {}
     for path, text in env_texts(tree):
         for name in text.names:
             if name in os.environ:
-                found.setdefault(name, path)
+                first_paths.setdefault(name, path)
     return tuple(
-        Problem(path, f"{name} is taken from today's environment") for name, path in found.items()
+        Problem(path, f"{name} is taken from today's environment")
+        for name, path in first_paths.items()
     )

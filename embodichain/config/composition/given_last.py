@@ -29,14 +29,19 @@ def keep_last_given(tree: dict[str, Any], rank: Callable[[str], int]) -> list[Pr
         A problem for each pair that one file or override sets.
     """
     task: Any = tree.get("task")
+    if not isinstance(task, dict):
+        return []
     problems: list[Problem] = []
-    for name, other in _SAME.items() if isinstance(task, dict) else ():
+    for name, other in _SAME.items():
         if task.get(name) is None or other not in task:
             continue
-        first, second = rank(f"task.{name}"), rank(f"task.{other}")
-        if first == second != -1:
-            message = f"task.{name} says it as well; set one of them"
+        name_rank = rank(f"task.{name}")
+        other_rank = rank(f"task.{other}")
+        if name_rank == other_rank != -1:
+            message = f"task.{name} sets it too; set one of them"
             problems.append(Problem(f"task.{other}", message))
+        elif name_rank >= other_rank:
+            del task[other]
         else:
-            del task[other if first >= second else name]
+            del task[name]
     return problems

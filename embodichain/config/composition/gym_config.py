@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,21 +52,24 @@ def load_gym_config(path: str | Path) -> GymConfig:
     source = ConfigFile.of(file, "", _nodes(file))
 
     def located(problem: Problem) -> Problem:
-        line = source.find(problem.path.split("."))[1]
+        _, line = source.find(problem.path.split("."))
         place = display_path(file)
-        return problem.at(f"{place}:{line}" if line else place)
+        if line:
+            place += f":{line}"
+        return problem.at(place)
 
     def line_of(problem: Problem) -> int:
         line = problem.source.rpartition(":")[2]
         return int(line) if line.isdigit() else 0
 
     problems = [*map(located, converted.problems), *source.problems()]
+    places = dict(_placed(converted.task, (), converted, source))
     return GymConfig(
-        converted.name or file.stem,
-        converted.task,
-        ConfigFile(file, "task", dict(_placed(converted.task, (), converted, source))),
-        tuple(sorted(map(located, converted.notes), key=line_of)),
-        tuple(sorted(problems, key=line_of)),
+        name=converted.name or file.stem,
+        task=converted.task,
+        file=ConfigFile(file, "task", places),
+        notes=tuple(sorted(map(located, converted.notes), key=line_of)),
+        problems=tuple(sorted(problems, key=line_of)),
     )
 
 
@@ -84,7 +87,9 @@ def _registered(env_id: Any) -> tuple[str, ...]:
         require_registered,  # Gymnasium: only when needed
     )
 
-    return (env_id,) if require_registered(env_id) is None else ()
+    if require_registered(env_id) is not None:
+        return ()
+    return (env_id,)
 
 
 def _nodes(file: Path) -> yaml.Node | None:
@@ -104,9 +109,16 @@ def _placed(
     value: Any, path: tuple[str, ...], converted: Conversion, source: ConfigFile
 ) -> Iterator[tuple[str, KeyPlace]]:
     """The keys of a part of the task, each with the line of the gym config that it came from."""
-    kind = "map" if isinstance(value, dict) else "list" if isinstance(value, list) else "scalar"
-    line = source.find(converted.origin(path))[1] or 1
-    yield ".".join(("task", *path)), KeyPlace(line, kind)
-    if kind != "scalar":
-        for key, item in value.items() if kind == "map" else enumerate(value):
-            yield from _placed(item, (*path, str(key)), converted, source)
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(value, dict):
+        kind = "map"
+        items = value.items()
+    elif isinstance(value, list):
+        kind = "list"
+        items = enumerate(value)
+    else:
+        kind = "scalar"
+    _, line = source.find(converted.origin(path))
+    yield ".".join(("task", *path)), KeyPlace(line or 1, kind)
+    for key, item in items:
+        yield from _placed(item, (*path, str(key)), converted, source)

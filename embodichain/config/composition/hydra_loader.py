@@ -72,7 +72,7 @@ COMPOSING = (HydraException, yaml.YAMLError, OSError, ValueError, RecursionError
 SEARCH_PATH = "hydra.searchpath"
 """Hydra's key for places to search."""
 _DEEPEST = 200
-"""Maps and lists in one another that Python's recursion takes, with Hydra's and OmegaConf's."""
+"""Depth of nested maps and lists that Python's recursion allows in Hydra and OmegaConf."""
 _SHOWN_BY = {"task": "embodichain list tasks"}
 # Options that the packages of the extra `sweep` provide.
 _PLUGINS = {("hydra/launcher", "joblib"), ("hydra/sweeper", "optuna")}
@@ -124,30 +124,35 @@ def search_path_of(override: Override) -> tuple[list[str], list[Problem]]:
 
     A folder needs no ``file://``.
     """
-    given = None if override.is_delete() else override.value()
-    if given is None:
+    value = None if override.is_delete() else override.value()
+    if value is None:
         return [], []
-    if not isinstance(given, list) or not all(isinstance(place, str) for place in given):
+    if not isinstance(value, list) or not all(isinstance(place, str) for place in value):
         message = "expected a list of folders: hydra.searchpath=[file:///path/to/conf]"
         return [], [Problem(SEARCH_PATH, message, source=COMMAND_LINE)]
-    places, problems = [], []
-    for place in given:
+    places = []
+    problems = []
+    for place in value:
         scheme, separator, name = place.rpartition("://")
         if scheme == "pkg":
-            try:
-                there = find_spec(name) is not None
-            except ModuleNotFoundError:  # a package above it
-                there = False
+            exists = _is_package(name)
         else:
-            there = not separator or scheme == "file"
+            exists = (not separator or scheme == "file") and Path(name).is_dir()
             place = f"file://{Path(name).resolve()}"
-            there = there and Path(name).is_dir()
-        if there:
+        if exists:
             places.append(place)
         else:
             message = f"no such folder or package: {place}"
             problems.append(Problem(SEARCH_PATH, message, source=COMMAND_LINE))
     return places, problems
+
+
+def _is_package(name: str) -> bool:
+    """Whether a package is installed; those above it are imported."""
+    try:
+        return find_spec(name) is not None
+    except ModuleNotFoundError:  # a package above it
+        return False
 
 
 @contextmanager
@@ -221,10 +226,12 @@ class EmbodichainSearchPath(SearchPathPlugin):
         if f"pkg://{CONFIG_MODULE}" not in paths:
             return
         own = own_folder()
-        chosen = _config_dir.get()
+        config_dir = _config_dir.get()
+        # Each is put before all others, so the last one is searched first.
         places = [("./conf", f"file://{Path(LOCAL).resolve()}")]
         places += [(SEARCH_PATH, place) for place in reversed(_search_path.get())]
-        places += [("--config-dir", f"file://{chosen}")] if chosen is not None else []
+        if config_dir is not None:
+            places.append(("--config-dir", f"file://{config_dir}"))
         for provider, place in places:
             folder = Path(place.removeprefix("file://"))
             if place.startswith("pkg://") or (folder.is_dir() and folder != own):
@@ -235,7 +242,7 @@ class EmbodichainSearchPath(SearchPathPlugin):
 
 
 def _register_plugins() -> None:
-    """Tell Hydra of our places; in a job of a sweep it has replaced its plug-ins by others."""
+    """Register our places with Hydra, which replaces its plug-ins in a job of a sweep."""
     Plugins.instance().register(EmbodichainSearchPath)
     Plugins.instance().register(RegisteredOptions)
 
@@ -247,7 +254,9 @@ def folder_of_source(scheme: str, path: str) -> Path | None:
     """Return the folder of an entry of a search path; None for Hydra's own and for non-folders."""
     if scheme == "file":
         return Path(path)
-    return _folder_of(path) if scheme == "pkg" and not path.startswith("hydra") else None
+    if scheme == "pkg" and not path.startswith("hydra"):
+        return _folder_of(path)
+    return None
 
 
 def own_folder() -> Path:
@@ -275,27 +284,25 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
         return [Problem("", f"cannot be read: {error.strerror}", source=name)]
     if isinstance(error, ValueError | RecursionError) and not isinstance(error, HydraException):
         folders = _folders(loader)
-        circles = isinstance(error, RecursionError)
-        if found := explain_defaults(folders, circles=circles):
-            return found
-        if circles and (found := _too_deep(folders)):
-            return found
+        is_recursion = isinstance(error, RecursionError)
+        problems = explain_defaults(folders, circles=is_recursion)
+        if is_recursion and not problems:
+            problems = _too_deep(folders)
+        if problems:
+            return problems
     unchosen = re.search(r"You must specify '([^']+)'", str(error))
     if unchosen:
         return [_unchosen(unchosen[1], loader)]
     if isinstance(error, MissingConfigException):
         return [_no_such_config(error, loader)]
-    twice = re.search(r"Multiple values for (\S+)\.|(\S+) appears more than once", str(error))
-    if twice:
-        group = twice[1] or twice[2]
-        refused = re.search(r"'override [^:']+: ([^']+)'", str(error))
-        if refused and (found := chosen_twice(_folders(loader), group, refused[1])):
-            return found
-        message = f"an option is chosen already: write {group}=NAME, without +"
-        return [Problem(group, message, source=COMMAND_LINE)]
+    duplicate = re.search(r"Multiple values for (\S+)\.|(\S+) appears more than once", str(error))
+    if duplicate:
+        return _chosen_twice(duplicate[1] or duplicate[2], error, loader)
     cause = error.__cause__ or error
-    if "Incompatible key type 'NoneType'" in str(cause) and (keys := _null_keys(loader)):
-        return keys
+    if "Incompatible key type 'NoneType'" in str(cause):
+        problems = _null_keys(loader)
+        if problems:
+            return problems
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
     key = next((line[9:].strip() for line in lines if line.startswith("full_key:")), "")
     text = lines[0] if lines else type(cause).__name__
@@ -307,35 +314,50 @@ def explain_yaml(error: yaml.YAMLError, path: Path | None = None) -> Problem:
     mark = getattr(error, "problem_mark", None)
     reason = getattr(error, "problem", None) or str(error)
     context = getattr(error, "context", None)
-    where = "" if path is None else display_path(path)
+    source = "" if path is None else display_path(path)
     if mark is not None:
-        name = where or (display_path(Path(mark.name)) if Path(mark.name).is_file() else mark.name)
-        where = f"{name}:{mark.line + 1}"
+        if path is None:
+            source = display_path(Path(mark.name)) if Path(mark.name).is_file() else mark.name
+        source = f"{source}:{mark.line + 1}"
     if reason.startswith("could not determine a constructor for the tag"):
         reason = f"tags are not used here, found {reason.split()[-1]}"
-    detail = f"{reason} ({context})" if context else reason
-    return Problem("", f"malformed YAML: {detail}", source=where)
+    if context:
+        reason = f"{reason} ({context})"
+    return Problem("", f"malformed YAML: {reason}", source=source)
+
+
+def _chosen_twice(group: str, error: Exception, loader: ConfigLoader) -> list[Problem]:
+    """The problems of a group of which two options are chosen, in files or by an override."""
+    refused = re.search(r"'override [^':]+: ([^']+)'", str(error))
+    if refused:
+        problems = chosen_twice(_folders(loader), group, refused[1])
+        if problems:
+            return problems
+    message = f"an option is chosen already: write {group}=NAME, without +"
+    return [Problem(group, message, source=COMMAND_LINE)]
 
 
 def _unchosen(group: str, loader: ConfigLoader) -> Problem:
+    """The problem of a group without an option."""
     options = listing(loader.get_group_options(group), shown_by=_SHOWN_BY.get(group, ""))
     message = f"missing value: choose one with {group}=NAME; there are: {options}"
     return Problem(group, message, source=COMMAND_LINE)
 
 
 def _no_such_config(error: MissingConfigException, loader: ConfigLoader) -> Problem:
+    """The problem of an option that does not exist."""
     name = error.missing_cfg_file or ""
     group, _, option = name.rpartition("/")
-    asked = re.search(r"In '([^']+)'", str(error))
-    place = f" (in the defaults list of '{asked[1]}')" if asked else ""
+    asking_file = re.search(r"In '([^']+)'", str(error))
+    place = f" (in the defaults list of '{asking_file[1]}')" if asking_file else ""
     if (group, option) in _PLUGINS:
         message = f"{option!r}{place} needs packages: pip install 'embodichain[sweep]'"
         return Problem(group, message, source=COMMAND_LINE)
     options = list(error.options or loader.get_group_options(group))
     if not options:
         return Problem("", f"there is no config '{name}'{place}", source=COMMAND_LINE)
-    there = listing(options, option, _SHOWN_BY.get(group, ""))
-    message = f"unknown option {option!r}{place}; {group} is one of: {there}."
+    listed = listing(options, option, _SHOWN_BY.get(group, ""))
+    message = f"unknown option {option!r}{place}; {group} is one of: {listed}."
     return Problem(group, message, did_you_mean(option, options).strip(), COMMAND_LINE)
 
 
@@ -347,36 +369,41 @@ def _folders(loader: ConfigLoader) -> list[Path]:
 
 def _null_keys(loader: ConfigLoader) -> list[Problem]:
     """The keys that are null, in all files of the search path: the error does not name the file."""
-    found: list[Problem] = []
+    problems: list[Problem] = []
     for folder in _folders(loader):
         for path in sorted(folder.rglob("*.yaml")):
             with suppress(yaml.YAMLError, UnicodeDecodeError):  # another file than that one
                 package = path.parent.relative_to(folder).as_posix().replace("/", ".").strip(".")
                 file = ConfigFile.read(path, package)
-                null = {m.path for m in file.misread if m.read.rpartition(".")[2] == "None"}
-                found += [problem for problem in file.problems() if problem.path in null]
-    return found
+                null_keys = {m.path for m in file.misread if m.read.rpartition(".")[2] == "None"}
+                problems += [problem for problem in file.problems() if problem.path in null_keys]
+    return problems
 
 
 def _too_deep(folders: Sequence[Path]) -> list[Problem]:
     """A problem for each file that nests too deeply: the error does not name the file."""
-    found = []
-    for path in (path for folder in folders for path in sorted(folder.rglob("*.yaml"))):
+    problems = []
+    for path in _files(folders):
         try:
             if depth_of(path) > _DEEPEST:
                 raise TooDeepError(path)
             ConfigFile.read(path, "")
         except yaml.YAMLError as error:
-            found.append(explain_yaml(error, path))
+            problems.append(explain_yaml(error, path))
         except (OSError, UnicodeDecodeError):
-            continue  # another mistake, of a file that may not be asked for
-    return found
+            continue  # another mistake, of a file that may not be composed
+    return problems
+
+
+def _files(folders: Sequence[Path]) -> Iterator[Path]:
+    """Yield the YAML files of some folders."""
+    for folder in folders:
+        yield from sorted(folder.rglob("*.yaml"))
 
 
 def _not_utf8(loader: ConfigLoader) -> list[str]:
     """The files of the search path that are not UTF-8: the error does not name the file."""
-    paths = [path for folder in _folders(loader) for path in sorted(folder.rglob("*.yaml"))]
-    return [display_path(path) for path in paths if not _is_utf8(path)]
+    return [display_path(path) for path in _files(_folders(loader)) if not _is_utf8(path)]
 
 
 def _is_utf8(path: Path) -> bool:

@@ -113,8 +113,10 @@ class ConfigFile:
         """
         for depth in range(len(parts), -1, -1):
             place = self.keys.get(".".join(parts[:depth]))
-            leaf = place is not None and place.kind in ("scalar", "null")
-            if place is not None and (not leaf or depth == len(parts)):
+            if place is None:
+                continue
+            is_leaf = place.kind in ("scalar", "null")
+            if not is_leaf or depth == len(parts):
                 return depth, place.line
         return 0, 0
 
@@ -127,16 +129,19 @@ def _keys_below(node: yaml.Node, prefix: str) -> Iterator[tuple[str, KeyPlace]]:
     elif isinstance(node, yaml.MappingNode):
         merged: list[yaml.Node] = []
         for key, value in node.value:
-            if key.tag == _MERGE:
-                merged += value.value if isinstance(value, yaml.SequenceNode) else [value]
+            if key.tag != _MERGE:
+                entries[str(key.value)] = (key, value)
+            elif isinstance(value, yaml.SequenceNode):
+                merged += value.value
             else:
-                entries[str(key.value)] = key, value
+                merged.append(value)
         for part in merged:
             if isinstance(part, yaml.MappingNode):
                 entries = {str(k.value): (k, v) for k, v in part.value} | entries
     for name, (key, value) in entries.items():
-        interpolated = isinstance(value, yaml.ScalarNode) and "${" in value.value
-        text = str(value.value) if interpolated else scalar_text(value)
+        text = scalar_text(value)
+        if isinstance(value, yaml.ScalarNode) and "${" in value.value:  # an interpolation
+            text = str(value.value)
         place = KeyPlace(key.start_mark.line + 1, node_kind(value), text)
         yield f"{prefix}{name}", place
         yield from _keys_below(value, f"{prefix}{name}.")
@@ -153,12 +158,13 @@ def _refuse_tags(stream: TextIO) -> None:
 
 
 def depth_of(path: Path) -> int:
-    """Return how many maps and lists of a file are in one another, at most.
+    """Return the largest depth of nested maps and lists of a file.
 
     Raises:
         yaml.YAMLError: It is malformed.
     """
-    depth = deepest = 0
+    depth = 0
+    deepest = 0
     with path.open(encoding="utf-8") as stream:
         for event in yaml.parse(stream, Loader=yaml.CSafeLoader):
             if isinstance(event, yaml.CollectionStartEvent):
@@ -172,8 +178,10 @@ def depth_of(path: Path) -> int:
 def display_path(path: Path) -> str:
     """Return a path for messages: relative if it is below the working directory."""
     resolved = path.resolve()
-    here = Path.cwd().resolve()
-    return str(resolved.relative_to(here)) if resolved.is_relative_to(here) else str(resolved)
+    folder = Path.cwd().resolve()
+    if resolved.is_relative_to(folder):
+        return str(resolved.relative_to(folder))
+    return str(resolved)
 
 
 class TooDeepError(yaml.MarkedYAMLError):
@@ -234,21 +242,24 @@ class Locator:
 
         It is empty if the key is set in another way, or by nothing.
         """
-        parts, found = path.split("."), ""
+        parts = path.split(".")
+        text = ""
         for file in self.files:
             if path in file.keys:
-                found = file.keys[path].text
+                text = file.keys[path].text
         for override in self.overrides:
-            if _depth_of_override(override, parts) == len(parts):
-                key = override.key_or_group.replace("[", ".").replace("]", "")
+            if _depth_of_override(override, parts) < len(parts):
+                continue
+            if _parts_of_key(override) == parts:
                 line = override.input_line or ""
-                found = line.partition("=")[2] if key == path else ""
-        return found
+                text = line.partition("=")[2]
+            else:  # the value of a key above it has this one
+                text = ""
+        return text
 
     def misread(self, *, keys: bool = True) -> set[str]:
         """Return the paths at which YAML 1.1 does not read numbers, or keys, as written."""
-        found = (m for file in self.files for m in file.misread)
-        return {m.path for m in found if keys or not m.name}
+        return {m.path for file in self.files for m in file.misread if keys or not m.name}
 
     def names(self) -> dict[str, str]:
         """Return the names that files write otherwise: the config's key path -> the name there."""
@@ -273,9 +284,10 @@ class Locator:
         They are numbered in the order in which they are merged, files before overrides.
         """
         parts = path.split(".")
-        set_here = [path in file.keys for file in self.files]
-        set_here += [_depth_of_override(one, parts) == len(parts) for one in self.overrides]
-        return max((i for i, given in enumerate(set_here) if given), default=-1)
+        sets_key = [path in file.keys for file in self.files]
+        for override in self.overrides:
+            sets_key.append(_depth_of_override(override, parts) == len(parts))
+        return max((i for i, sets in enumerate(sets_key) if sets), default=-1)
 
     def chosen(self, path: str, package: str) -> bool:
         """Whether a file or override, other than the group option at `package`, sets this key."""
@@ -286,9 +298,14 @@ class Locator:
         )
 
 
+def _parts_of_key(override: Override) -> list[str]:
+    """The key of an override as a path; ``a[0]`` is ``a.0``."""
+    return override.key_or_group.replace("[", ".").replace("]", "").split(".")
+
+
 def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
     """Number of parts of a path that an override sets; less a half if it sets a key below."""
-    key = override.key_or_group.replace("[", ".").replace("]", "").split(".")
+    key = _parts_of_key(override)
     common = len(commonprefix([key, list(parts)]))
     if common < len(key):
         return max(0.0, common - 0.5)
@@ -298,10 +315,10 @@ def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
 
 
 def _value_below(override: Override, parts: list[str]) -> Any:
-    """What an override sets a path to; None for null and for a deletion."""
+    """The value that an override gives a path; None for null and for a deletion."""
     if override.is_delete():
         return None
-    depth = len(override.key_or_group.replace("[", ".").replace("]", "").split("."))
+    depth = len(_parts_of_key(override))
     values = [override.value(), *_walk(override, parts[depth:])]
     return values[-1]
 
@@ -309,7 +326,7 @@ def _value_below(override: Override, parts: list[str]) -> Any:
 def _walk(override: Override, parts: Sequence[str]) -> list[Any]:
     """The values of an override's value along a path, as far as it has them."""
     value: Any = override.value()
-    found: list[Any] = []
+    values: list[Any] = []
     for part in parts:
         if isinstance(value, dict) and part in value:
             value = value[part]
@@ -317,5 +334,5 @@ def _walk(override: Override, parts: Sequence[str]) -> list[Any]:
             value = value[int(part)]
         else:
             break
-        found.append(value)
-    return found
+        values.append(value)
+    return values

@@ -33,25 +33,27 @@ def readable(line: str) -> str:
     key, equals, value = line.partition("=")
     if not equals or not _UNKNOWN.search(value):
         return line
-    found: list[str] = []
-    depth: list[str] = []
+    texts: list[str] = []
+    open_brackets: list[str] = []
     for piece in _PIECES.finditer(value):
         text = piece[0]
         if piece["sign"] and text in "[{(":
-            depth.append(text)
-        elif piece["sign"] and text in "]})" and depth:
-            depth.pop()
+            open_brackets.append(text)
+        elif piece["sign"] and text in "]})" and open_brackets:
+            open_brackets.pop()
         if piece["word"]:
-            text = _quoted_words(text, inside=depth[-1] if depth else "")
-        found.append(text)
-    return f"{key}={''.join(found)}"
+            text = _quoted_words(text, inside=open_brackets[-1] if open_brackets else "")
+        texts.append(text)
+    return f"{key}={''.join(texts)}"
 
 
 def _quoted_words(text: str, inside: str) -> str:
     """A word with quotes if it needs them. Keys of maps cannot have any."""
     if inside == "{":
         key, colon, value = text.partition(":")
-        return f"{key}{colon}{_quoted(value)}" if colon else _quoted(text)
+        if not colon:
+            return _quoted(text)
+        return f"{key}:{_quoted(value)}"
     if inside == "(" and "=" in text:  # a named argument of a function: sort(1,2,reverse=true)
         name, _, rest = text.partition("=")
         return f"{name}={_quoted(rest)}"
@@ -59,6 +61,7 @@ def _quoted_words(text: str, inside: str) -> str:
 
 
 def _quoted(text: str) -> str:
+    """A text with quotes, if Hydra cannot read it without."""
     bare = text.strip()
     if not _UNKNOWN.search(re.sub(r"\$\{[^{}]*(?:\{[^{}]*\}[^{}]*)*\}", "", bare)):
         return text

@@ -33,28 +33,32 @@ def remove_null_entries(
     Returns:
         The copy, and a problem for each null that removes nothing.
     """
-    rest = copy.deepcopy(dict(tree))
+    remaining = copy.deepcopy(dict(tree))
     problems: list[Problem] = []
-    for parts in list(_null_entries(rest.get("task"), ("task",))):
+    for parts in list(_null_entries(remaining.get("task"), ("task",))):
         *parents, name = parts
-        entries: Any = rest
+        entries: Any = remaining
         for part in parents:
             entries = entries[part]
-        if not _is_keyed_by_name(parents, rest):
+        if not _is_keyed_by_name(parents, remaining):
             continue
         del entries[name]
-        path, section = ".".join(parts), ".".join(parents)
+        path = ".".join(parts)
         if not inherited(path):
-            there = ", ".join(entries) or "none"
-            message = f"null removes an inherited entry, and there is no {name!r} in {section}; "
+            message = (
+                f"null removes an inherited entry, and there is no {name!r} in "
+                f"{'.'.join(parents)}; there are: {', '.join(entries) or 'none'}"
+            )
             hint = did_you_mean(name, entries).strip()
-            problems.append(Problem(path, f"{message}there are: {there}", hint))
-    return rest, problems
+            problems.append(Problem(path, message, hint))
+    return remaining, problems
 
 
 def _null_entries(node: Any, parts: Parts) -> Iterator[Parts]:
     """The paths of all nulls that are entries of a map below a section of the task."""
-    for key, value in node.items() if isinstance(node, dict) else ():
+    if not isinstance(node, dict):
+        return
+    for key, value in node.items():
         if value is None and len(parts) > 1:
             yield (*parts, key)
         yield from _null_entries(value, (*parts, key))
@@ -64,10 +68,11 @@ def _is_keyed_by_name(parts: list[str], tree: dict[str, Any]) -> bool:
     """Whether a map has free names, and values of a type that null is not of."""
     if tuple(parts[-2:]) == _NESTED_TERMS:
         return True
-    below = schema_at(parts, tree).get("additionalProperties")
-    return isinstance(below, Mapping) and bool(below) and not _takes_null(below)
+    values = schema_at(parts, tree).get("additionalProperties")
+    return isinstance(values, Mapping) and bool(values) and not _allows_null(values)
 
 
-def _takes_null(schema: Mapping[str, Any]) -> bool:
+def _allows_null(schema: Mapping[str, Any]) -> bool:
+    """Whether null is a value of a schema."""
     members = [*schema.get("anyOf", ()), *schema.get("oneOf", ())]
-    return schema.get("type") == "null" or any(_takes_null(one) for one in members)
+    return schema.get("type") == "null" or any(_allows_null(member) for member in members)

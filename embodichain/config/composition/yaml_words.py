@@ -73,29 +73,33 @@ def compose_nodes(stream: str | TextIO) -> yaml.Node | None:
     Raises:
         yaml.YAMLError: It is malformed.
     """
-    found: yaml.Node | None = yaml.compose(stream, Loader=_Loader)
-    return found
+    return yaml.compose(stream, Loader=_Loader)
 
 
 def scalar_text(node: yaml.Node) -> str:
     """Return a flag or a number as written; empty for anything else."""
-    scalar = isinstance(node, yaml.ScalarNode) and node.tag in _SCALARS - {_NULL}
-    return str(node.value) if scalar else ""
+    if isinstance(node, yaml.ScalarNode) and node.tag in _SCALARS - {_NULL}:
+        return str(node.value)
+    return ""
 
 
 def node_kind(node: yaml.Node) -> str:
     """Return whether a node is a ``map``, a ``list``, ``null`` or another ``scalar``."""
+    if isinstance(node, yaml.SequenceNode):
+        return "list"
     if isinstance(node, yaml.ScalarNode):
         return "null" if node.tag == _NULL else "scalar"
-    return "list" if isinstance(node, yaml.SequenceNode) else "map"
+    return "map"
 
 
 def quoting(text: str) -> str:
     """Return what to write for a word that was meant as text, as a sentence."""
     node = compose_nodes(text)
     read = "" if node is None else _shown(_value(node))
-    what = f"YAML 1.1 reads {text} as {read}" if read != text else f"{text} is no text in YAML"
-    return f"{what}: for the text write '{text}', with the quotes."
+    reason = f"YAML 1.1 reads {text} as {read}"
+    if read == text:
+        reason = f"{text} is not text in YAML"
+    return f"{reason}: for the text write '{text}', with the quotes."
 
 
 def misread(root: yaml.Node | None, package: str = "") -> Iterator[Misread]:
@@ -129,16 +133,23 @@ def _misread_below(node: yaml.Node, prefix: str, seen: set[int]) -> Iterator[Mis
 def _misread_key(key: yaml.Node, prefix: str) -> Iterator[Misread]:
     if key.tag not in _SCALARS:
         return
-    text, read = str(key.value), str(_value(key))
-    if read == text and not isinstance(_value(key), bool):
+    text = str(key.value)
+    value = _value(key)
+    if str(value) == text and not isinstance(value, bool):
         return
     if not text:
         message = "a key is missing before the colon"
     else:
-        shown = _shown(_value(key))
-        message = f"YAML 1.1 reads the key {text} as {shown}: write '{text}', with the quotes"
-    line = key.start_mark.line + 1
-    yield Misread(f"{prefix}{text}", line, message, text, f"{prefix}{read}")
+        message = (
+            f"YAML 1.1 reads the key {text} as {_shown(value)}: write '{text}', with the quotes"
+        )
+    yield Misread(
+        path=f"{prefix}{text}",
+        line=key.start_mark.line + 1,
+        message=message,
+        name=text,
+        read=f"{prefix}{value}",
+    )
 
 
 def _misread_number(node: yaml.Node, path: str) -> Iterator[Misread]:
@@ -150,15 +161,22 @@ def _misread_number(node: yaml.Node, path: str) -> Iterator[Misread]:
     else:
         return
     number = _shown(_value(node))
-    message = f"YAML 1.1 reads {text} as {number}, in base {base}: write {number} for the number"
-    line = node.start_mark.line + 1
-    yield Misread(path, line, f"{message}, '{text}' with the quotes for the text")
+    message = (
+        f"YAML 1.1 reads {text} as {number}, in base {base}: write {number} for the number, "
+        f"'{text}' with the quotes for the text"
+    )
+    yield Misread(path, node.start_mark.line + 1, message)
 
 
 def _value(node: yaml.Node) -> Any:
+    """The value that YAML 1.1 reads."""
     return SafeConstructor().construct_object(node)
 
 
 def _shown(value: Any) -> str:
-    words = {None: "null", True: "true", False: "false"}
-    return words[value] if value is None or isinstance(value, bool) else str(value)
+    """A value as it is written in YAML."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return str(value)

@@ -68,7 +68,8 @@ def make(
     lines = [f"task={task}", *overrides]
     if not any(line.lstrip("+~").startswith(("policy=", "policy.")) for line in overrides):
         lines.append("policy=random")  # the environment has none: not the task's suggestion
-    for key, value in (("num_envs", num_envs), ("seed", seed)):
+    arguments = {"num_envs": num_envs, "seed": seed}
+    for key, value in arguments.items():
         if value is not None:
             _check_once(key, value, overrides)
             lines.append(f"{key}={value}")
@@ -133,8 +134,12 @@ def make_batch(
     return cast("BaseEnv", make_sharded(resolved, kwargs, compiled_scene))
 
 
-_PROBE_ENVS, _PROBE_STEPS, _PROBE_EVERY = 8, 64, 4
-"""Environments, control steps, and steps between two measured states of `with_warp_sizes`."""
+_PROBE_ENVS = 8
+"""Environments that `with_warp_sizes` steps."""
+_PROBE_STEPS = 64
+"""Control steps that it takes."""
+_PROBE_EVERY = 4
+"""Control steps between two states that it measures."""
 _PROBE_DIVERGED = (
     "sim.warp: %d of %d environments diverged in %d control steps with random actions, which "
     "measure the memory of MuJoCo Warp on the CPU. A run with such actions diverges too "
@@ -167,9 +172,12 @@ def with_warp_sizes(resolved: Resolved, compiled_scene: CompiledScene | None = N
     from embodichain.lab.gym.policies import resolve_policy
     from embodichain.lab.sim.engine.warp.warp_worlds import measured_sizes
 
-    probe = {**sim, "engine": "mujoco", "warp": {"nconmax": None, "njmax": None}}
-    unseen = {**resolved.tree["viewer"], "name": "none"}
-    on_cpu = resolved.changed(num_envs=_PROBE_ENVS, device="cpu", sim=probe, viewer=unseen)
+    on_cpu = resolved.changed(
+        num_envs=_PROBE_ENVS,
+        device="cpu",
+        sim={**sim, "engine": "mujoco", "warp": {"nconmax": None, "njmax": None}},
+        viewer={**resolved.tree["viewer"], "name": "none"},
+    )
     env = make_env(on_cpu, compiled_scene=compiled_scene)
     try:
         policy = resolve_policy("random")
@@ -180,31 +188,36 @@ def with_warp_sizes(resolved: Resolved, compiled_scene: CompiledScene | None = N
             for step in range(1, _PROBE_STEPS + 1):
                 obs, *_, info = env.step(policy(obs, env))
                 diverged |= np.asarray(info["diverged"])
-                if not step % _PROBE_EVERY:
+                if step % _PROBE_EVERY == 0:
                     states.append(env.sim.engine.rows.copy())
-        found = measured_sizes(env.sim.engine.model, np.concatenate(states))
+        measured = measured_sizes(env.sim.engine.model, np.concatenate(states))
     finally:
         env.close()
     if diverged.any():
         count = int(diverged.sum())
         _log.warning(_PROBE_DIVERGED, count, _PROBE_ENVS, _PROBE_STEPS)
-    filled = {key: found[key] if given is None else given for key, given in sizes.items()}
+    filled = {}
+    for key, size in sizes.items():
+        filled[key] = measured[key] if size is None else size
     return resolved.changed(sim={**sim, "warp": filled})
 
 
 @contextmanager
 def _without_step_warnings() -> Iterator[None]:
-    """Suppress the warnings of single control steps of an environment that is no user's."""
+    """Suppress the warnings of single control steps of an environment that no user has."""
     logger = logging.getLogger("embodichain.lab.gym.envs.step.judging")
-    before, logger.disabled = logger.disabled, True
+    before = logger.disabled
+    logger.disabled = True
     try:
         yield
     finally:
         logger.disabled = before
 
 
-_TRIED_ENVS, _TRIED_STEPS = 2, 3
-"""Environments and control steps of a trial with arrays on the device."""
+_TRIED_ENVS = 2
+"""Environments of a trial with arrays on the device."""
+_TRIED_STEPS = 3
+"""Control steps of the trial."""
 
 
 def with_warp_values(
@@ -232,21 +245,24 @@ def with_warp_values(
     if resolved.tree["sim"]["engine"] != "warp":
         return resolved
     resolved = with_warp_sizes(resolved, compiled_scene)
-    chosen = resolved.root.sim.warp.arrays
-    if chosen == "host" or (chosen == "device" and verb is None):  # `BaseEnv` says it itself
+    arrays = resolved.root.sim.warp.arrays
+    if arrays == "host" or (arrays == "device" and verb is None):  # `BaseEnv` reports it itself
         return resolved
-    reasons = (why_host if chosen == "auto" else why_not_device)(resolved.root, verb)
+    if arrays == "auto":
+        reasons = why_host(resolved.root, verb)
+    else:
+        reasons = why_not_device(resolved.root, verb)
     if not reasons:
+        has_log = verb not in (None, "train") and resolved.root.record.format != "none"
         try:
-            logged = verb not in (None, "train") and resolved.root.record.format != "none"
-            _try_device(resolved, kwargs or {}, compiled_scene, logged=logged)
+            _try_device(resolved, kwargs or {}, compiled_scene, has_log=has_log)
         except (ConfigError, IndexError, RuntimeError, TypeError, ValueError) as error:
-            raised = _raised_by_term(error)
-            if chosen == "device" and not isinstance(raised, TypeError):
+            cause = _raised_by_term(error)
+            if arrays == "device" and not isinstance(cause, TypeError):
                 raise
-            # What is wrong on the host too, the environment of the job raises again.
-            reasons = [f"{_term_of(raised)}{raised}"]
-    if chosen == "device":
+            # A mistake that is one on the host too is raised again by the environment of the job.
+            reasons = [f"{_term_of(cause)}{cause}"]
+    if arrays == "device":
         if reasons:
             raise ConfigError([Problem("sim.warp.arrays", f"device: {why}") for why in reasons])
         return resolved
@@ -263,17 +279,19 @@ def _try_device(
     kwargs: Mapping[str, Any],
     compiled_scene: CompiledScene | None,
     *,
-    logged: bool,
+    has_log: bool,
 ) -> None:
     """Step a few environments with arrays on the device; with copies for a log if there is one."""
     from embodichain.lab.gym.envs.observers import StepObserver
     from embodichain.lab.gym.policies import resolve_policy
 
-    unseen = {**resolved.tree["viewer"], "name": "none"}
-    tried = with_arrays(resolved, "device").changed(num_envs=_TRIED_ENVS, viewer=unseen)
-    given = {key: value for key, value in kwargs.items() if key != "run_dir"}
-    with closing(make_env(tried, compiled_scene=compiled_scene, **given)) as env:
-        if logged:
+    trial = with_arrays(resolved, "device").changed(
+        num_envs=_TRIED_ENVS,
+        viewer={**resolved.tree["viewer"], "name": "none"},
+    )
+    arguments = {key: value for key, value in kwargs.items() if key != "run_dir"}
+    with closing(make_env(trial, compiled_scene=compiled_scene, **arguments)) as env:
+        if has_log:
             observer = StepObserver()
             observer.may_lag = True
             env.add_observer(observer)
@@ -284,7 +302,7 @@ def _try_device(
 
 
 def _raised_by_term(error: BaseException) -> BaseException:
-    """What a term raised, of the error that names the term."""
+    """The exception of a term, of the error that names the term."""
     while isinstance(error, TermError) and error.__cause__ is not None:
         error = error.__cause__
     return error

@@ -45,12 +45,13 @@ class TaskEnv(SingleEnv):
     def __init__(
         self, task: str, overrides: Sequence[str] = (), flatten: bool = True, **kwargs: Any
     ) -> None:
-        wrong = [
+        of_batches = [
             f"{key}={kwargs[key]!r}" for key in ("num_envs", "autoreset_mode") if key in kwargs
         ]
-        wrong += [line for line in overrides if line.lstrip("+").startswith("num_envs=")]
-        if wrong:
-            raise ConfigError(_BATCHES.format(wrong=", ".join(wrong), id=task_id(task), task=task))
+        of_batches += [line for line in overrides if line.lstrip("+").startswith("num_envs=")]
+        if of_batches:
+            wrong = ", ".join(of_batches)
+            raise ConfigError(_BATCHES.format(wrong=wrong, id=task_id(task), task=task))
         super().__init__(make(task, 1, [_HOST, *overrides], **kwargs), flatten)
         self._spec: EnvSpec | None = None
 
@@ -84,11 +85,12 @@ class TaskVectorEnv(NumpyVectorEnv, VectorEnv):
 
 
 def _with_limit(spec: EnvSpec | None, env: BaseEnv) -> EnvSpec | None:
+    """A copy of a spec with the task's limit, if it has none and the task has one."""
     if spec is None or spec.max_episode_steps is not None or env.max_episode_steps == NO_LIMIT:
         return spec
-    own = copy.copy(spec)
-    own.max_episode_steps = env.max_episode_steps
-    return own
+    limited = copy.copy(spec)
+    limited.max_episode_steps = env.max_episode_steps
+    return limited
 
 
 _BATCHES = (

@@ -1,4 +1,4 @@
-"""Where arrays are on Warp (`sim.warp.arrays`): what of a job reads arrays of the host."""
+"""Where arrays are on Warp (`sim.warp.arrays`): parts of a job that read arrays of the host."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ def why_not_device(root: RootCfg, verb: Verb | None) -> list[str]:
         root: The config.
         verb: The verb of the job; None is an environment without a log, a viewer or a policy.
     """
-    found: list[str] = []
+    reasons: list[str] = []
     if root.viewer.name == "native" or (verb is not None and root.viewer.name != "none"):
-        found.append(f"viewer={root.viewer.name} shows arrays of the host")
+        reasons.append(f"viewer={root.viewer.name} shows arrays of the host")
     if verb in (None, "train"):
-        return found
+        return reasons
     if verb == "collect":
-        found.append("collect chooses episodes by arrays of the host")
+        reasons.append("collect chooses episodes by arrays of the host")
     if root.record.format != "none" and root.record.images is not None:
-        found.append("record.images: pictures are drawn on the host")
-    if (name := _policy(root)) in _PLANNED:
-        found.append(f"policy={name} plans with arrays of the host")
-    return found
+        reasons.append("record.images: pictures are drawn on the host")
+    name = _policy_name(root)
+    if name in _PLANNED:
+        reasons.append(f"policy={name} plans with arrays of the host")
+    return reasons
 
 
 def why_host(root: RootCfg, verb: Verb | None) -> list[str]:
@@ -39,16 +40,19 @@ def why_host(root: RootCfg, verb: Verb | None) -> list[str]:
         root: The config.
         verb: The verb of the job.
     """
-    found = why_not_device(root, verb)
-    name = _policy(root)
+    reasons = why_not_device(root, verb)
+    name = _policy_name(root)
     if verb not in (None, "train") and name not in POLICIES and ":" in name:
-        found.append(f"policy={name} may read arrays of the host")
-    return found
+        reasons.append(f"policy={name} may read arrays of the host")
+    return reasons
 
 
-def _policy(root: RootCfg) -> str:
+def _policy_name(root: RootCfg) -> str:
+    """The policy, without its parameters."""
     policy = root.policy or "random"
-    return policy.func if isinstance(policy, PolicyCfg) else policy
+    if isinstance(policy, PolicyCfg):
+        return policy.func
+    return policy
 
 
 def with_arrays(resolved: Resolved, arrays: str) -> Resolved:

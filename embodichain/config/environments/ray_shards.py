@@ -64,18 +64,20 @@ def shard_config(resolved: Resolved, first: int, count: int) -> Resolved:
         count: Its number of environments.
     """
     sim = thaw(resolved.tree["sim"])
-    threads = sim["num_threads"] or sim["ray"]["cpus"]
-    mine = {"backend": "local", "shards": 1, "ray": vars(RayCfg()), "num_threads": threads}
-    mine["first_env"] = sim["first_env"] + first
+    sim["num_threads"] = sim["num_threads"] or sim["ray"]["cpus"]
+    sim["backend"] = "local"
+    sim["shards"] = 1
+    sim["ray"] = vars(RayCfg())
+    sim["first_env"] += first
     viewer = {**thaw(resolved.tree["viewer"]), "name": "none"}
     record = thaw(resolved.tree["record"])
     if "view_envs" in record:  # not with record=none
         record["view_envs"] = numbers_in_shard(record["view_envs"], first, count)
-    if (images := record.get("images")) is not None:
+    images = record.get("images")
+    if images is not None:
         images["envs"] = numbers_in_shard(images["envs"], first, count)
         record["images"] = images if images["envs"] else None
-    changed = {"sim": {**sim, **mine}, "record": record, "viewer": viewer}
-    return resolved.changed(num_envs=count, video=False, **changed)
+    return resolved.changed(num_envs=count, video=False, sim=sim, record=record, viewer=viewer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,44 +148,51 @@ class RemoteShard:
 
 
 class _Warnings(logging.Handler):
-    """Keeps warnings until they are sent."""
+    """Stores warnings until they are sent."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
-        self._kept: list[tuple[int, str]] = []
+        self._waiting: list[tuple[int, str]] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep a record."""
-        self._kept.append((record.levelno, record.getMessage()))
+        """Store level and text of a record."""
+        self._waiting.append((record.levelno, record.getMessage()))
 
     def take(self) -> list[tuple[int, str]]:
-        """Return the kept records, and forget them."""
-        kept, self._kept = self._kept, []
-        return kept
+        """Return the stored warnings, and forget them."""
+        waiting = self._waiting
+        self._waiting = []
+        return waiting
 
 
 class _RayPending:
     """A call of an actor that is under way."""
 
     def __init__(self, ray: Any, reference: Any, name: str, *, returns_warnings: bool) -> None:
-        self._ray, self._reference, self._name = ray, reference, name
+        self._ray = ray
+        self._reference = reference
+        self._name = name
         self._returns_warnings = returns_warnings
 
     def result(self) -> Any:
         """Wait for the result."""
         errors = self._ray.exceptions
-        gone = errors.RayActorError, errors.NodeDiedError, errors.ObjectLostError
         try:
-            found = self._ray.get(self._reference)
-        except (*gone, errors.WorkerCrashedError) as error:
+            answer = self._ray.get(self._reference)
+        except (
+            errors.RayActorError,
+            errors.NodeDiedError,
+            errors.ObjectLostError,
+            errors.WorkerCrashedError,
+        ) as error:
             raise ShardLostError(_first_line(error)) from error
         except errors.RayTaskError as error:
             if isinstance(error.cause, Exception):
                 raise error.cause from error
             raise
         if not self._returns_warnings:
-            return found
-        result, warnings = found
+            return answer
+        result, warnings = answer
         for level, text in warnings:
             _log.log(level, "%s: %s", self._name, text)
         return result
@@ -257,30 +266,31 @@ class RayShards:
     def __init__(
         self, builders: Sequence[ShardBuilder], cpus: int, address: str | None = None
     ) -> None:
-        self._ray = ray = need_ray()
+        ray = need_ray()
+        self._ray = ray
         self._builders = tuple(builders)
-        wanted = len(builders) * cpus
-        self._ours = not ray.is_initialized()
-        if self._ours:
-            _connect(ray, address, wanted)
-        there = int(ray.cluster_resources().get("CPU", 0))
-        if there < wanted:
+        needed = len(builders) * cpus
+        self._has_connected = not ray.is_initialized()
+        if self._has_connected:
+            _connect(ray, address, needed)
+        available = int(ray.cluster_resources().get("CPU", 0))
+        if available < needed:
             self.disconnect()
             message = (
-                f"{len(builders)} shards of {cpus} cores each need {wanted}, there are {there}"
+                f"{len(builders)} shards of {cpus} cores each need {needed}, there are {available}"
             )
             raise ConfigError([Problem("sim.shards", message)])
-        how = {"num_cpus": cpus, "max_restarts": 0, "scheduling_strategy": "SPREAD"}
-        self._actor = ray.remote(**how)(RemoteShard)
+        as_actor = ray.remote(num_cpus=cpus, max_restarts=0, scheduling_strategy="SPREAD")
+        self._actor = as_actor(RemoteShard)
         self._started: set[int] = set()
-        self._begun = [RayShard(self._actor, builder, k) for k, builder in enumerate(builders)]
+        self._shards = [RayShard(self._actor, builder, k) for k, builder in enumerate(builders)]
 
     def start(self, index: int) -> RayShard:
         """Start a shard; the first time, all of them are built at once."""
-        shard = self._begun[index]
         if index in self._started:
-            shard = self._begun[index] = RayShard(self._actor, self._builders[index], index)
+            self._shards[index] = RayShard(self._actor, self._builders[index], index)
         self._started.add(index)
+        shard = self._shards[index]
         try:
             shard.ready()
         except ShardLostError:
@@ -290,7 +300,7 @@ class RayShards:
 
     def disconnect(self) -> None:
         """Leave the cluster, unless the caller of this process had connected."""
-        if self._ours:
+        if self._has_connected:
             self._ray.shutdown()
 
 
@@ -303,10 +313,10 @@ def _connect(ray: Any, address: str | None, cores: int) -> None:
             ray.init(address=address, **quiet)
             return
         os.environ.setdefault("RAY_max_direct_call_object_size", str(_INLINE))
-        here = len(os.sched_getaffinity(0))
-        if cores > here:
-            _log.warning("%d cores of shards share the %d cores of this machine", cores, here)
-        ray.init(num_cpus=max(cores, here), include_dashboard=False, **quiet)
+        available = len(os.sched_getaffinity(0))
+        if cores > available:
+            _log.warning("%d cores of shards share the %d cores of this machine", cores, available)
+        ray.init(num_cpus=max(cores, available), include_dashboard=False, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:
         message = f"no Ray cluster at {address or 'this machine'}: {_first_line(error)}"
         raise ConfigError([Problem("sim.ray.address", message)]) from error
@@ -361,9 +371,14 @@ def make_sharded(
     paths = tuple(path for path in sys.path if path)
     builders = []
     for k, count in enumerate(counts):
-        tree = thaw(shard_config(resolved, sum(counts[:k]), count).tree)
-        about = tree, resolved.task_name, rest, os.getcwd(), paths
-        builders.append(ShardBuilder(*about))
+        builder = ShardBuilder(
+            tree=thaw(shard_config(resolved, sum(counts[:k]), count).tree),
+            task_name=resolved.task_name,
+            kwargs=rest,
+            folder=os.getcwd(),
+            paths=paths,
+        )
+        builders.append(builder)
     source = RayShards(builders, sim.ray.cpus, sim.ray.address)
     template = None
     try:

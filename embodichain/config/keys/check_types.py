@@ -106,20 +106,21 @@ def _grouped(errors: Iterable[ErrorDetails], data: Any) -> dict[Loc, list[ErrorD
     groups: dict[Loc, list[ErrorDetails]] = {}
     for error in errors:
         groups.setdefault(_clean(error, data), []).append(error)
-    above = {loc[:depth] for loc in groups for depth in range(len(loc))}
-    return {loc: found for loc, found in groups.items() if loc not in above}
+    ancestors = {loc[:depth] for loc in groups for depth in range(len(loc))}
+    return {loc: group for loc, group in groups.items() if loc not in ancestors}
 
 
 def _clean(error: ErrorDetails, data: Any) -> Loc:
     """A location without the tags of unions that pydantic puts between the keys."""
-    loc, kind = error["loc"], error["type"]
+    loc = error["loc"]
+    kind = error["type"]
     clean: list[str | int] = []
     for i, part in enumerate(loc):
-        last = i == len(loc) - 1
+        is_missing_key = kind == "missing" and i == len(loc) - 1
         if _has(data, part):
             data = data[part]
-        elif not (last and kind == "missing"):
-            continue
+        elif not is_missing_key:
+            continue  # a tag
         clean.append(part)
     if kind.startswith("union_tag"):
         clean.append(_tag_key(error))
@@ -127,6 +128,7 @@ def _clean(error: ErrorDetails, data: Any) -> Loc:
 
 
 def _has(data: Any, part: str | int) -> bool:
+    """Whether a map has a key, or a list an index."""
     if isinstance(data, dict):
         return part in data
     return isinstance(data, list) and isinstance(part, int) and part < len(data)
@@ -161,24 +163,35 @@ def _prune(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> Loc:
 def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> Problem:
     """The message for the user."""
     error = errors[0]
-    kind, value = error["type"], error["input"]
+    kind = error["type"]
+    value = error["input"]
     if kind == "unexpected_keyword_argument":
         return _unknown_key(path, loc, value, data)
     if kind.startswith("union_tag"):
         return _wrong_tag(path, value, _tag_key(error))
     if kind in ("too_short", "too_long"):
-        schema = schema_at(loc, data)
-        low, high = schema.get("minItems"), schema.get("maxItems")
-        wanted = f"at most {high}" if low is None else low if low == high else f"at least {low}"
-        values = "value" if 1 in (low, high) else "values"
-        return Problem(path, f"expected {wanted} {values}, got {len(value)}: {show_value(value)}")
+        expected = _expected_length(schema_at(loc, data))
+        return Problem(path, f"expected {expected}, got {len(value)}: {show_value(value)}")
     message, hint = what_is_wrong(errors, PATTERNS)
     if value is None and not hint and schema_at(loc, data).get("additionalProperties"):
         hint = "Null takes out single entries: NAME: null."
     return Problem(path, message, hint, expected=expected_kind(errors))
 
 
+def _expected_length(schema: Mapping[str, Any]) -> str:
+    """The length of a list, from its schema: ``at least 2 values``."""
+    low = schema.get("minItems")
+    high = schema.get("maxItems")
+    values = "value" if 1 in (low, high) else "values"
+    if low is None:
+        return f"at most {high} {values}"
+    if low == high:
+        return f"{low} {values}"
+    return f"at least {low} {values}"
+
+
 def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:
+    """The problem of a key that does not exist, with the key that was meant."""
     allowed = key_names(schema_at(loc[:-1], data))
     if len(loc) > 1 and loc[:-1] == ("task",):
         allowed = [name for name in allowed if name not in ROOT_INSTEAD]
@@ -199,6 +212,7 @@ def _tag_key(error: ErrorDetails) -> str:
 
 
 def _wrong_tag(path: str, value: Any, key: str) -> Problem:
+    """The problem of a map whose key `key` names no member of a union."""
     tag = value.get(key) if isinstance(value, dict) else None
     names = _first_tags(key)
     what = "algorithm" if key == "name" else key.removesuffix("_type")
@@ -214,14 +228,19 @@ def _wrong_tag(path: str, value: Any, key: str) -> Problem:
 def _first_tags(key: str) -> list[str]:
     """The names of the members of the union that a key chooses between."""
     schema = TypeAdapter(_TAGS[key]).json_schema()
-    members = [schema["$defs"][one["$ref"].rpartition("/")[2]] for one in schema["oneOf"]]
-    return [_tags(member, key)[0] for member in members]
+    names = []
+    for reference in schema["oneOf"]:
+        member = schema["$defs"][reference["$ref"].rpartition("/")[2]]
+        names.append(_tags(member, key)[0])
+    return names
 
 
 def _tags(member: Mapping[str, Any], key: str) -> list[str]:
     """The tags of a union's member: its name, then other names of it."""
     tag = member["properties"][key]
-    return list(tag["enum"]) if "enum" in tag else [tag["const"]]
+    if "enum" in tag:
+        return list(tag["enum"])
+    return [tag["const"]]
 
 
 def schema_at(parts: Sequence[str | int], data: Any) -> Mapping[str, Any]:
@@ -238,10 +257,12 @@ def schema_at(parts: Sequence[str | int], data: Any) -> Mapping[str, Any]:
         if part not in keys and REFERENCE_WORDS.get(str(part)) in keys:
             part = REFERENCE_WORDS[str(part)]
         if part in keys:
-            below = keys[part]
+            child = keys[part]
+        elif isinstance(part, int):
+            child = schema.get("items")
         else:
-            below = schema.get("items" if isinstance(part, int) else "additionalProperties")
-        schema = _chosen(below or {}, data)
+            child = schema.get("additionalProperties")
+        schema = _chosen(child or {}, data)
     return schema
 
 
@@ -269,8 +290,8 @@ def _chosen(schema: Any, value: Any) -> Mapping[str, Any]:
     if not members:
         return schema
     tag = schema.get("discriminator", {"propertyName": ""})["propertyName"]
-    chosen = [_chosen(member, value) for member in members]
+    schemas = [_chosen(member, value) for member in members]
     if isinstance(value, Mapping) and tag in value:
-        chosen.sort(key=lambda one: value[tag] not in _tags(one, tag))
+        schemas.sort(key=lambda member: value[tag] not in _tags(member, tag))
     kind = "array" if isinstance(value, list) else "object"
-    return next((one for one in chosen if one.get("type") == kind), chosen[0])
+    return next((member for member in schemas if member.get("type") == kind), schemas[0])

@@ -29,7 +29,7 @@ class DataSet:
     Attributes:
         first: The first episode, which has the entries and shapes of all.
         group: The observation group.
-        vectors: Names of the entries of the group that are no images, in order.
+        vectors: Names of the entries of the group that are not images, in order.
         images: Names of those that are images; of the group ``policy`` also of the pictures of
             sensors with ``observe: true``.
 
@@ -49,19 +49,26 @@ class DataSet:
 
     def _add_observed(self) -> None:
         """Add the pictures that sensors put into the observation; name what is left out."""
-        grouped = {name for names in self.first.groups.values() for name in names}
-        left = [n for n in self.first.observations if n.startswith("sensor/") and n not in grouped]
-        if left and self.group == "policy":
+        grouped: set[str] = set()
+        for names in self.first.groups.values():
+            grouped.update(names)
+        ungrouped = [
+            name
+            for name in self.first.observations
+            if name.startswith("sensor/") and name not in grouped
+        ]
+        if ungrouped and self.group == "policy":
             with self.log() as log:
                 cameras = camera_uids(log.config["task"])
-            self._observed = observed_images(left, cameras, [*self.images, *self.vectors])
+            self._observed = observed_images(ungrouped, cameras, [*self.images, *self.vectors])
             self.images += self._observed
-            left = [name for name in left if name not in self._observed.values()]
-        if left:
+            used = self._observed.values()
+            ungrouped = [name for name in ungrouped if name not in used]
+        if ungrouped:
             _log.warning(
                 "left out: %s (observe: true); only observation terms are in a group, and pictures "
                 "of sensors go with the group policy",
-                ", ".join(left),
+                ", ".join(ungrouped),
             )
 
     def __iter__(self) -> Iterator[Episode]:
@@ -84,6 +91,8 @@ class DataSet:
         return np.moveaxis(episode.observations[name], 1, -1)
 
     def columns(self, name: str) -> list[str]:
-        """Names of the columns of an entry: ``to_cube[0]``, or its own if there is one."""
+        """Names of an entry's columns: ``to_cube[0]``, or the entry's name if it has one column."""
         width = self.vector(self.first, name).shape[1]
-        return [name] if width == 1 else [f"{name}[{i}]" for i in range(width)]
+        if width == 1:
+            return [name]
+        return [f"{name}[{i}]" for i in range(width)]

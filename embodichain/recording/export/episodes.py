@@ -45,18 +45,24 @@ def export_episodes(
     if format not in EPISODE_FORMATS and format in FORMATS.names():
         names = ", ".join(EPISODE_FORMATS)
         raise ConfigError(f"{format} has no observations. Formats that have: {names}")
-    chosen = EPISODE_FORMATS[format]
-    logs = [paths] if isinstance(paths, (str, Path)) else list(paths)
-    first = sources_of(logs[0])[0].path
-    name = f"{first.stem}_{format}{chosen.suffix}"
-    path = Path(output) if output else first.with_name(name)
-    with new_file(path, chosen.suffix) as partial:
+    file_format = EPISODE_FORMATS[format]
+    if isinstance(paths, (str, Path)):
+        logs: list[str | Path] = [paths]
+    else:
+        logs = list(paths)
+    first_log = sources_of(logs[0])[0].path
+    if output:
+        path = Path(output)
+    else:
+        path = first_log.with_name(f"{first_log.stem}_{format}{file_format.suffix}")
 
-        def counted() -> Iterator[Episode]:
-            for number, episode in enumerate(read_episodes(logs, failures=failures), start=1):
-                yield episode
-                if progress is not None:
-                    progress(number)
+    def read_counted() -> Iterator[Episode]:
+        for number, episode in enumerate(read_episodes(logs, failures=failures), start=1):
+            yield episode
+            # The writer asks for the next episode when it has written this one.
+            if progress is not None:
+                progress(number)
 
-        chosen.write(DataSet(counted(), group), partial)
+    with new_file(path, file_format.suffix) as partial:
+        file_format.write(DataSet(read_counted(), group), partial)
     return path

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,13 +19,19 @@ from embodichain.recording.format.attachments import SCENE, scene_files
 from embodichain.recording.format.log_error import LogError
 from embodichain.recording.read.recorded_log import RecordedLog
 
-__all__ = ["ModelFiles", "describe_root", "new_hdf5", "say_action", "say_task"]
+__all__ = [
+    "ModelFiles",
+    "describe_root",
+    "new_hdf5",
+    "write_action_attributes",
+    "write_instruction",
+]
 
 _GYM_TYPE = 2  # robomimic's EnvType.GYM_TYPE
 _MODEL = "model.xml"
 ASSETS = "assets"
 """Group with the files that models name, each an array of bytes."""
-_HOW = (
+_HOW_TO_COMPILE = (
     "mujoco.MjModel.from_xml_string(demo.attrs['model_file'], "
     "{path: file['assets'][path][()].tobytes() for path in demo.attrs['model_assets']})"
 )
@@ -35,8 +41,9 @@ _HOW = (
 def new_hdf5(path: Path, format: str) -> Iterator[tuple[Any, Callable[[], None]]]:
     """Open a new file, in the version of HDF5 from 1.8 on, whose attributes may exceed 64 KB.
 
-    Yields the file, and a function to call now and then, which raises the `OSError` if the file
-    cannot be written any more; so does the end of the context.
+    Yields:
+        The file, and a function to call now and then, which raises the `OSError` if the file cannot
+        be written any more; so does the end of the context.
 
     Raises:
         ConfigError: If h5py is not installed.
@@ -47,17 +54,18 @@ def new_hdf5(path: Path, format: str) -> Iterator[tuple[Any, Callable[[], None]]
         try:
             with h5py.File(stream, "w", libver=("v108", "latest")) as file:
                 yield file, stream.check
-        finally:  # instead of what HDF5 makes of it
+        finally:  # this error says why; those that HDF5 raises after it do not
             stream.check()
 
 
 class _Stream(io.FileIO):
-    """A new file for HDF5, which hears of no failure.
+    """A new file for HDF5, which is not told of failures.
 
-    HDF5 frees what it could not write, and frees it again when it is closed: a disk that is full
-    would end the process. Here it goes on; the first failure is kept, and nothing written any more.
-    Nor is anything written after it is closed: a signal in the middle of opening leaves HDF5 with
-    an open file, which it writes when the last reference to it is gone.
+    HDF5 frees what it could not write, and frees it again when the file is closed: a full disk
+    would end the process. So writing seems to succeed: the first failure is stored for `check`,
+    and nothing is written after it. Nothing is written after the file is closed either: a signal
+    in the middle of opening leaves HDF5 with an open file, which it writes when the last reference
+    to it is gone.
 
     Args:
         path: The file.
@@ -74,16 +82,18 @@ class _Stream(io.FileIO):
 
     def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
         """Go to a place, unless the file is closed."""
-        return 0 if self.closed else super().seek(offset, whence)
+        if self.closed:
+            return 0
+        return super().seek(offset, whence)
 
     def write(self, data: Any) -> int:
         """Write all bytes, unless there was a failure."""
-        left = memoryview(data).cast("B")
-        size = len(left)
+        remaining = memoryview(data).cast("B")
+        size = len(remaining)
         try:
-            while left and self._error is None and not self.closed:
-                done = super().write(left)  # writes less if the disk is nearly full
-                left = left[done:]
+            while remaining and self._error is None and not self.closed:
+                written = super().write(remaining)  # writes less if the disk is nearly full
+                remaining = remaining[written:]
         except OSError as error:
             self._error = error
         return size
@@ -102,7 +112,7 @@ class _Stream(io.FileIO):
 
 
 def describe_root(root: Any, log: RecordedLog) -> None:
-    """Say in the group ``data`` which environment this is, and how often actions are given."""
+    """Describe in the group ``data`` the environment, and how often actions are given."""
     action = describe_action(log)
     args = {
         "env_name": ENV_NAME,
@@ -114,21 +124,22 @@ def describe_root(root: Any, log: RecordedLog) -> None:
     }
     root.attrs["env_args"] = json.dumps(args)
     root.attrs["action"] = json.dumps(action)
-    root.attrs["model_how"] = _HOW
+    root.attrs["model_how"] = _HOW_TO_COMPILE
 
 
-def say_task(demo: Any, log: RecordedLog) -> None:
-    """Say what a demonstration was to do, where robomimic looks for its language."""
+def write_instruction(demo: Any, log: RecordedLog) -> None:
+    """Write the task's sentence into a demonstration, where robomimic looks for its language."""
     instruction = instruction_of(log)
     demo.attrs["ep_meta"] = json.dumps({"lang": instruction})
     demo.attrs["instruction"] = instruction
 
 
-def say_action(actions: Any, log: RecordedLog) -> None:
-    """Name the columns of the array ``actions``; the meaning of each is an array too."""
-    actions.attrs["names"] = action_names(log, actions.shape[1])
+def write_action_attributes(actions: Any, log: RecordedLog) -> None:
+    """Write attributes of the array ``actions``: names and meaning of its columns."""
+    width = actions.shape[1]
+    actions.attrs["names"] = action_names(log, width)
     columns = log.header.action
-    if len(columns) != actions.shape[1] or not columns:
+    if len(columns) != width or not columns:
         return
     for key in ("quantity", "mode", "reference", "frame", "unit"):
         actions.attrs[key] = [column[key] for column in columns]
@@ -138,12 +149,26 @@ def say_action(actions: Any, log: RecordedLog) -> None:
 
 
 def _number(value: float | str) -> float:
-    """A number; NaN where words stand for it, which are in the attribute ``action`` of ``data``."""
-    return float("nan") if isinstance(value, str) else float(value)
+    """Return a number; NaN for words, which are in the attribute ``action`` of ``data``."""
+    if isinstance(value, str):
+        return float("nan")
+    return float(value)
+
+
+class _Model(NamedTuple):
+    """The model of a log, as demonstrations refer to it.
+
+    Attributes:
+        xml: The MJCF, which names its files as the group `ASSETS` does.
+        assets: Names of the files.
+    """
+
+    xml: str
+    assets: list[str]
 
 
 class ModelFiles:
-    """Models of logs, with their meshes and pictures kept once in a data set.
+    """Models of logs, whose meshes and pictures are in a data set only once.
 
     Args:
         file: The HDF5 file.
@@ -151,8 +176,9 @@ class ModelFiles:
 
     def __init__(self, file: Any) -> None:
         self._file = file
-        self._kept: dict[bytes, str] = {}
-        self._models: dict[Path, tuple[str, list[str]]] = {}
+        self._asset_names: dict[bytes, str] = {}
+        # Of the last log only: demonstrations of a log follow one another.
+        self._models: dict[Path, _Model] = {}
 
     def add(self, demo: Any, log: RecordedLog) -> None:
         """Set ``model_file`` and ``model_assets`` of a demonstration.
@@ -162,25 +188,27 @@ class ModelFiles:
         """
         if log.path not in self._models:
             self._models = {log.path: self._store(log)}
-        xml, paths = self._models[log.path]
-        demo.attrs["model_file"] = xml
-        demo.attrs["model_assets"] = paths if paths else np.zeros(0, "S1")
+        model = self._models[log.path]
+        demo.attrs["model_file"] = model.xml
+        # HDF5 has no type for an empty list.
+        demo.attrs["model_assets"] = model.assets if model.assets else np.zeros(0, "S1")
 
-    def _store(self, log: RecordedLog) -> tuple[str, list[str]]:
+    def _store(self, log: RecordedLog) -> _Model:
+        """Write the files of a log's model that the data set does not have yet."""
         files = scene_files(log.header, log.attachment(SCENE))
         try:
             xml = files.pop(_MODEL).decode()
         except (KeyError, UnicodeDecodeError) as error:
             raise LogError(f"{log.path}: the attachment {SCENE} is damaged: {error!r}") from error
-        used = []
-        for name, data in files.items():
-            kept = self._kept.get(data)
-            if kept is None:
-                kept = f"{len(self._kept):03d}_{name.rpartition('/')[2]}"
-                self._kept[data] = kept
+        assets = []
+        for path, data in files.items():
+            name = self._asset_names.get(data)
+            if name is None:
+                name = f"{len(self._asset_names):03d}_{path.rpartition('/')[2]}"
+                self._asset_names[data] = name
                 self._file.create_dataset(
-                    f"{ASSETS}/{kept}", data=np.frombuffer(data, np.uint8), compression="gzip"
+                    f"{ASSETS}/{name}", data=np.frombuffer(data, np.uint8), compression="gzip"
                 )
-            xml = xml.replace(f'"{name}"', f'"{kept}"')
-            used.append(kept)
-        return xml, used
+            xml = xml.replace(f'"{path}"', f'"{name}"')
+            assets.append(name)
+        return _Model(xml, assets)

@@ -52,37 +52,59 @@ def export(
     """
     if format not in FORMATS and format in EPISODE_FORMATS.names():
         raise ConfigError(f"{format} has the task's observations: use export_episodes")
-    chosen = FORMATS[format]
+    file_format = FORMATS[format]
     part = part or Part()
-    if (part.cameras or part.size) and not chosen.pictures:
+    if (part.cameras or part.size) and not file_format.pictures:
         names = ", ".join(name for name, entry in FORMATS.items() if entry.pictures)
         raise ConfigError(f"{format} has no pictures; formats with cameras: {names}")
-    name = log.path.stem
-    if chosen.suffix in ("", ".mcap"):  # the log has the same name
-        name += f"_{format}"
-    path = Path(output) if output else log.path.with_name(name + chosen.suffix)
+    path = Path(output) if output else _path_beside(log, format, file_format.suffix)
     log.header.require_states(log.path)
     _require_steps(log, part)
-    watching = {"progress": progress, "stop": stop} if chosen.film else {}
-    with new_file(path, chosen.suffix) as partial:
-        chosen.write(log, part, partial, **watching)
+    with new_file(path, file_format.suffix) as partial:
+        if file_format.film:
+            file_format.write(log, part, partial, progress=progress, stop=stop)
+        else:
+            file_format.write(log, part, partial)
     return path
+
+
+def _path_beside(log: Log, format: str, suffix: str) -> Path:
+    """Return a path next to the log, with the log's name."""
+    name = log.path.stem
+    if suffix in ("", ".mcap"):  # else it would be the name of the log or of its run
+        name += f"_{format}"
+    return log.path.with_name(name + suffix)
 
 
 def _require_steps(log: Log, part: Part) -> None:
     """Refuse a range of steps that are not in the log."""
     if part.start or part.stop is not None:
-        asked = log.parts("rewards", part.env, part.episode, part.start, part.stop, steps=50)
-        if next(asked, None) is None:
+        recorded = log.parts(
+            "rewards",
+            env=part.env,
+            episode=part.episode,
+            start=part.start,
+            stop=part.stop,
+            steps=50,
+        )
+        if next(recorded, None) is None:
             end = "the end" if part.stop is None else part.stop
             raise ConfigError(f"{log.path} has no control step from {part.start} to {end}")
 
 
 @contextmanager
 def new_file(path: Path, suffix: str) -> Iterator[Path]:
-    """A temporary name to write to; the complete file is renamed unless `path` exists by then.
+    """Yield a temporary name to write to; the complete file gets the name `path`.
 
-    Nothing is written where the writer has not made the file.
+    If the writer makes no file, there is none at `path` either.
+
+    Args:
+        path: The name of the complete file, or folder.
+        suffix: Suffix of the temporary name.
+
+    Raises:
+        ConfigError: If `path` exists, before or after, or its folder does not.
+        OSError: If the file cannot be written; it names `path`.
     """
     if os.path.lexists(path):
         raise ConfigError(f"{path} exists; it is never replaced")

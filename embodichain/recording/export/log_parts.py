@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.recording.read.api import Log
 from embodichain.recording.read.episodes import LogEpisode
-from embodichain.recording.read.playback import Playback, span_of
+from embodichain.recording.read.playback import Playback, Span, Stretch
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["Part", "about", "demonstrations", "poses"]
+__all__ = ["Demonstration", "Part", "about", "demonstrations", "poses", "span_of_part"]
 
 _log = logging.getLogger(__name__)
 
@@ -48,14 +49,39 @@ class Part:
 
     def envs_of(self, log: Log) -> list[int]:
         """The selected environment, or the viewed ones if none is selected."""
-        return [self.env] if self.env is not None else log.header.view_envs or [0]
+        if self.env is not None:
+            return [self.env]
+        return log.header.view_envs or [0]
 
     def steps_of(self, episode: LogEpisode) -> range:
         """The control steps of an episode that are in the part."""
-        if self.env not in (None, episode.env) or self.episode not in (None, episode.episode):
+        if self.env not in (None, episode.env):
             return range(0)
-        stop = episode.last_step + 1 if self.stop is None else min(self.stop, episode.last_step + 1)
-        return range(max(self.start, episode.first_step), stop)
+        if self.episode not in (None, episode.episode):
+            return range(0)
+        start = max(self.start, episode.first_step)
+        stop = episode.last_step + 1
+        if self.stop is not None:
+            stop = min(stop, self.stop)
+        return range(start, stop)
+
+
+@dataclass(frozen=True, slots=True)
+class Demonstration:
+    """An episode, or the steps of it that are in a part.
+
+    Attributes:
+        episode: The episode.
+        steps: Its control steps in the part, counted from the start of the log.
+    """
+
+    episode: LogEpisode
+    steps: range
+
+    @property
+    def span(self) -> Span:
+        """Its control steps, as a playback takes them."""
+        return Span(self.steps.start, self.steps.stop - 1)
 
 
 def about(log: Log) -> dict[str, str]:
@@ -73,7 +99,7 @@ def about(log: Log) -> dict[str, str]:
     }
 
 
-def demonstrations(log: Log, part: Part) -> list[tuple[LogEpisode, range]]:
+def demonstrations(log: Log, part: Part) -> list[Demonstration]:
     """Return the episodes of a part and their steps in it, by environment, then in time.
 
     With `record.every`, steps of some episodes are missing. These episodes are left out, since a
@@ -82,22 +108,40 @@ def demonstrations(log: Log, part: Part) -> list[tuple[LogEpisode, range]]:
     Raises:
         ConfigError: If there are no episodes.
     """
-    chosen = [(episode, steps) for episode in log.episodes if (steps := part.steps_of(episode))]
-    if log.header.every > 1 and chosen:
-        recorded, count = log.read(()).steps, len(chosen)
-        chosen = [
-            (episode, steps)
-            for episode, steps in chosen
-            if np.diff(np.searchsorted(recorded, [steps.start, steps.stop]))[0] == len(steps)
-        ]
-        why = f"record.every={log.header.every} did not record all of their steps"
-        if not chosen:
-            raise ConfigError(f"none of {count} episodes is whole: {why}")
-        if len(chosen) < count:
-            _log.warning("%d of %d episodes are left out: %s", count - len(chosen), count, why)
-    if not chosen:
+    all_demos = []
+    for episode in log.episodes:
+        steps = part.steps_of(episode)
+        if steps:
+            all_demos.append(Demonstration(episode, steps))
+    if not all_demos:
         raise ConfigError("no episode is in the chosen range")
-    return chosen
+    if log.header.every <= 1:
+        return all_demos
+    recorded = log.read(()).steps
+    demos = [demo for demo in all_demos if _is_recorded(demo, recorded)]
+    why = f"record.every={log.header.every} did not record all of their steps"
+    if not demos:
+        raise ConfigError(f"none of {len(all_demos)} episodes is whole: {why}")
+    left_out = len(all_demos) - len(demos)
+    if left_out:
+        _log.warning("%d of %d episodes are left out: %s", left_out, len(all_demos), why)
+    return demos
+
+
+def _is_recorded(demo: Demonstration, recorded: NDArray[np.int64]) -> bool:
+    """Whether all steps of a demonstration are among the recorded ones, which ascend."""
+    first, end = np.searchsorted(recorded, [demo.steps.start, demo.steps.stop]).tolist()
+    return bool(end - first == len(demo.steps))
+
+
+def span_of_part(log: Log, env: int, part: Part) -> Span:
+    """The control steps of a part, as a playback of one environment takes them.
+
+    Raises:
+        ConfigError: If the part does not exist.
+    """
+    stretch = Stretch(env=env, episode=part.episode, first=part.start, last=part.last)
+    return stretch.span_in(log)
 
 
 def poses(log: Log, env: int, part: Part) -> Iterator[tuple[int, mujoco.MjData, bool]]:
@@ -110,12 +154,14 @@ def poses(log: Log, env: int, part: Part) -> Iterator[tuple[int, mujoco.MjData, 
         ConfigError: If the part does not exist.
         LogError: If the log is damaged.
     """
-    playback, changes = Playback(log, env), -1
+    playback = Playback(log, env)
     data = mujoco.MjData(log.model)
-    for step in playback.steps(span_of(log, env, part.episode, part.start, part.last)):
+    changes = -1  # so that the first step counts as changed
+    for step in playback.steps(span_of_part(log, env, part)):
         changed = playback.changes != changes
         if changed:
-            changes, data = playback.changes, mujoco.MjData(playback.engine.model_of(0))
+            changes = playback.changes
+            data = mujoco.MjData(playback.engine.model_of(0))
         state = playback.engine.rows[0]
         mujoco.mj_setState(data.model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_kinematics(data.model, data)

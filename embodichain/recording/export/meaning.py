@@ -18,13 +18,15 @@ _VALUE = "value = centre + scale x action; a delta is added to its reference in 
 def action_names(log: RecordedLog, width: int) -> list[str]:
     """Names of an action's `width` numbers, ``tool/x``; ``action[0]`` where the log has none."""
     names = [column["name"] for column in log.header.action]
-    return names if len(names) == width else [f"action[{i}]" for i in range(width)]
+    if len(names) == width:
+        return names
+    return [f"action[{i}]" for i in range(width)]
 
 
 def describe_action(log: RecordedLog) -> dict[str, Any]:
-    """What the action is: how often it is given, and of each number the meaning.
+    """Describe the action: how often one is given, and what each of its numbers means.
 
-    ``columns`` has the entries of `ActionColumn`; it is empty for logs that do not say it.
+    ``columns`` has the entries of `ActionColumn`; it is empty for logs without them.
     """
     return {
         "rate_hz": round(1.0 / log.dt, 9),
@@ -35,30 +37,38 @@ def describe_action(log: RecordedLog) -> dict[str, Any]:
 
 def instruction_of(log: RecordedLog) -> str:
     """The sentence that describes a log's task: its description, else its name."""
-    said = _task(log).get("description")
-    return said if isinstance(said, str) and said else log.task
+    description = _task(log).get("description")
+    if isinstance(description, str) and description:
+        return description
+    return log.task
 
 
 def robot_of(log: RecordedLog) -> str | None:
     """The type of robot: its uid; of several robots the names of their files, joined by "+"."""
     task = _task(log)
-    robot, several = task.get("robot"), task.get("robots")
+    robot = task.get("robot")
     if isinstance(robot, dict) and robot.get("uid") is not None:
         return str(robot["uid"])
-    if not isinstance(several, dict) or not several:
+    robots = task.get("robots")
+    if not isinstance(robots, dict) or not robots:
         return None
-    return "+".join(_kind(uid, cfg) for uid, cfg in several.items())
+    return "+".join(_file_name(uid, cfg) for uid, cfg in robots.items())
 
 
-def _kind(uid: str, cfg: Any) -> str:
+def _file_name(uid: str, cfg: Any) -> str:
     """The name of a robot's file, without folder and suffix; the uid if it has none."""
     path = cfg.get("fpath") if isinstance(cfg, dict) else None
-    return PurePath(path).stem if isinstance(path, str) and path else str(uid)
+    if isinstance(path, str) and path:
+        return PurePath(path).stem
+    return str(uid)
 
 
 def _task(log: RecordedLog) -> dict[str, Any]:
+    """The task's part of the config; empty if the log has none."""
     task: Any = log.config.get("task")
-    return task if isinstance(task, dict) else {}
+    if not isinstance(task, dict):
+        return {}
+    return task
 
 
 def require_unique(names: Iterable[str], key: Callable[[str], str], format: str) -> dict[str, str]:
@@ -70,13 +80,13 @@ def require_unique(names: Iterable[str], key: Callable[[str], str], format: str)
         format: The format, for the message.
 
     Raises:
-        ConfigError: If two of them would be one.
+        ConfigError: If two of them have the same name in the format.
     """
     keys = {name: key(name) for name in names}
-    twice = [one for one, count in Counter(keys.values()).items() if count > 1]
-    if twice:
-        both = " and ".join(repr(name) for name, one in keys.items() if one == twice[0])
-        raise ConfigError(
-            f"{format}: {both} would both be {twice[0]!r}, and one would be lost: rename one"
-        )
+    for duplicate, count in Counter(keys.values()).items():
+        if count > 1:
+            both = " and ".join(repr(name) for name, new in keys.items() if new == duplicate)
+            raise ConfigError(
+                f"{format}: {both} would both be {duplicate!r}, and one would be lost: rename one"
+            )
     return keys

@@ -26,8 +26,21 @@ def tables(log: Log, part: Part) -> Iterator[tuple[list[Column], list[NDArray[An
     """
     width = sum(len(columns) for columns in log.columns.values())
     steps = max(1, _BYTES // (8 * width * log.num_envs))
+    # A table without rows, first: the columns are known even if no step is.
     empty = log.read(env=part.env, start=part.start, stop=part.start)
-    parts = log.parts(None, part.env, part.episode, part.start, part.stop, steps)
+    parts = log.parts(
+        env=part.env,
+        episode=part.episode,
+        start=part.start,
+        stop=part.stop,
+        steps=steps,
+    )
     for data in chain([empty], parts):
-        columns, values = zip(*data.flat(), strict=True)
-        yield list(columns), [v.astype(np.int8) if v.dtype == np.bool_ else v for v in values]
+        columns = []
+        arrays = []
+        for column, values in data.flat():
+            if values.dtype == np.bool_:
+                values = values.astype(np.int8)
+            columns.append(column)
+            arrays.append(values)
+        yield columns, arrays

@@ -26,6 +26,14 @@ from embodichain.utils.system.addresses import is_loopback
 __all__ = ["Door", "forbidden", "harden"]
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_HTTP_PORT = 80
+_PROTECTION = {
+    "X-Frame-Options": "DENY",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+"""Headers of every response."""
 _ASKS = (
     "This server asks for its token. Open the address that was printed when it started, which "
     "has it (?token=...); a program can send the header Authorization: Bearer TOKEN."
@@ -58,17 +66,19 @@ class Door:
             raise ConfigError(problems)
         self._token: bytes | None = None
         if access.token != NONE:
-            drawn = access.token in (AUTO, WITHHELD)
-            self._token = (secrets.token_urlsafe(32) if drawn else access.token).encode()
+            is_drawn = access.token in (AUTO, WITHHELD)
+            token = secrets.token_urlsafe(32) if is_drawn else access.token
+            self._token = token.encode()
         self._session = secrets.token_urlsafe(32)  # the cookie's value, which is not the token
-        self._ticket: bytes | None = None
+        self._ticket: bytes | None = None  # a token that is accepted once
         self._names = {_plain(name) for name in (host, *access.allow_hosts)}
         self._any_address = not is_loopback(host)
         if self._any_address:
             self._names.add(_plain(socket.gethostname()))
         self._names |= set(_LOOPBACK)
-        allowed = origins if access.allow_origins is None else access.allow_origins
-        self._origins = {_site(origin) for origin in allowed}
+        if access.allow_origins is not None:
+            origins = access.allow_origins
+        self._origins = {_site(origin) for origin in origins}
 
     @property
     def asks(self) -> bool:
@@ -78,7 +88,9 @@ class Door:
     @property
     def query(self) -> str:
         """The end of an address that has the token: ``?token=...``, or nothing."""
-        return "" if self._token is None else f"?token={quote(self._token.decode(), safe='')}"
+        if self._token is None:
+            return ""
+        return f"?token={quote(self._token.decode(), safe='')}"
 
     def query_once(self) -> str:
         """Return the end of an address that opens one page, once: ``?token=...``, or nothing.
@@ -96,8 +108,8 @@ class Door:
 
         Browsers let any page open a WebSocket to any address, with the page's site in ``Origin``;
         pages of other sites are refused. Another name in ``Host`` than ours is refused too: it may
-        be a site's name that was made to resolve to this machine (DNS rebinding). A number is no
-        name, so a server for other machines is known by any address.
+        be a site's name that was made to resolve to this machine (DNS rebinding). A number is not
+        a name, so a server for other machines is known by any address.
         """
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1:
@@ -105,8 +117,9 @@ class Door:
         if not self._is_name(_host_and_port(hosts[0])[0]):
             return forbidden("this viewer is not known by that name")
         for origin in request.headers.get_all("Origin"):
-            own = _site(origin).partition("://")[2] == hosts[0].lower()
-            if not own and _site(origin) not in self._origins:
+            site = _site(origin)
+            is_own = site.partition("://")[2] == hosts[0].lower()
+            if not is_own and site not in self._origins:
                 return forbidden("pages of other sites may not use this viewer")
         if self._token is None or self._has_token(request) or self._has_cookie(request):
             return None
@@ -123,15 +136,16 @@ class Door:
         """
         if self._token is None or self._has_cookie(request):
             return
-        once = self._has_ticket(request)
-        if once:
+        has_ticket = self._has_ticket(request)
+        if has_ticket:
             self._ticket = None
-        if once or self._has_token(request):
+        if has_ticket or self._has_token(request):
             response.headers["Set-Cookie"] = (
                 f"{_cookie_name(request)}={self._session}; Path=/; HttpOnly; SameSite=Strict"
             )
 
     def _is_name(self, name: str) -> bool:
+        """Whether this server is known by a name, or by the address that it is."""
         if name in self._names:
             return True
         if not self._any_address:
@@ -142,23 +156,28 @@ class Door:
         return False
 
     def _has_token(self, request: Request) -> bool:
-        """Whether address or header have the token; the time does not tell how much of it."""
-        given = _tokens(request)
+        """Whether address or header have the token."""
+        tokens = _tokens(request)
         for value in request.headers.get_all("Authorization"):
             scheme, _, text = value.strip().partition(" ")
             if scheme.lower() == "bearer":
-                given.append(text.strip())
-        return any([_equal(text, self._token) for text in given])
+                tokens.append(text.strip())
+        return _any_equal(tokens, self._token)
 
     def _has_ticket(self, request: Request) -> bool:
-        return any([_equal(text, self._ticket) for text in _tokens(request)])
+        """Whether the address has the ticket."""
+        return _any_equal(_tokens(request), self._ticket)
 
     def _has_cookie(self, request: Request) -> bool:
+        """Whether the request has the cookie of this session."""
         name = _cookie_name(request)
-        lines = request.headers.get_all("Cookie")
-        pairs = [pair.strip().partition("=") for line in lines for pair in line.split(";")]
-        given = [value for key, _, value in pairs if key == name]
-        return any([_equal(value, self._session.encode()) for value in given])
+        values = []
+        for line in request.headers.get_all("Cookie"):
+            for pair in line.split(";"):
+                key, _, value = pair.strip().partition("=")
+                if key == name:
+                    values.append(value)
+        return _any_equal(values, self._session.encode())
 
 
 def forbidden(why: str) -> Response:
@@ -169,14 +188,9 @@ def forbidden(why: str) -> Response:
 def harden(response: Response) -> Response:
     """Forbid other pages to frame a response, to load it, and to learn its address; return it."""
     headers = response.headers
-    for name, value in (
-        ("X-Frame-Options", "DENY"),
-        ("Cross-Origin-Resource-Policy", "same-origin"),
-        ("Referrer-Policy", "no-referrer"),
-        ("X-Content-Type-Options", "nosniff"),
-    ):
+    for name, value in _PROTECTION.items():
         if name in headers:
-            del headers[name]
+            del headers[name]  # else there would be two: assignment adds
         headers[name] = value
     if "Access-Control-Allow-Origin" in headers:
         del headers["Access-Control-Allow-Origin"]
@@ -185,28 +199,41 @@ def harden(response: Response) -> Response:
 
 def _unauthorized(request: Request) -> Response:
     """The response without the token: for a browser a page with a field for it."""
-    page = any("text/html" in value for value in request.headers.get_all("Accept"))
-    body = _FORM.format(asks=html.escape(_ASKS)) if page else f"{_ASKS}\n"
+    is_browser = any("text/html" in value for value in request.headers.get_all("Accept"))
+    if is_browser:
+        content_type = "text/html"
+        body = _FORM.format(asks=html.escape(_ASKS)).encode()
+    else:
+        content_type = "text/plain"
+        body = f"{_ASKS}\n".encode()
     headers = Headers()
     headers["WWW-Authenticate"] = 'Bearer realm="embodichain"'
-    headers["Content-Type"] = f"text/{'html' if page else 'plain'}; charset=utf-8"
-    headers["Content-Length"] = str(len(body.encode()))
+    headers["Content-Type"] = f"{content_type}; charset=utf-8"
+    headers["Content-Length"] = str(len(body))
     headers["Cache-Control"] = "no-store"
-    return harden(Response(401, "Unauthorized", headers, body.encode()))
+    return harden(Response(401, "Unauthorized", headers, body))
 
 
 def _tokens(request: Request) -> list[str]:
-    """What the address gives as the token."""
-    pairs = [pair.partition("=") for pair in request.path.partition("?")[2].split("&")]
-    return [unquote(value) for key, _, value in pairs if key == "token"]
+    """The values of ``token`` in the address."""
+    tokens = []
+    for pair in request.path.partition("?")[2].split("&"):
+        key, _, value = pair.partition("=")
+        if key == "token":
+            tokens.append(unquote(value))
+    return tokens
 
 
-def _equal(given: str, expected: bytes | None) -> bool:
-    return expected is not None and hmac.compare_digest(given.encode(errors="replace"), expected)
+def _any_equal(texts: list[str], expected: bytes | None) -> bool:
+    """Whether one of the texts is the expected one; the time does not tell how much of it."""
+    if expected is None:
+        return False
+    # A list: all texts are compared, so that the time does not tell which one is equal either.
+    return any([hmac.compare_digest(text.encode(errors="replace"), expected) for text in texts])
 
 
 def _plain(name: str) -> str:
-    """A name as it is compared: small letters, without brackets and the root's dot."""
+    """A name as it is compared: lower case, without brackets and the root's dot."""
     return name.lower().strip("[]").rstrip(".")
 
 
@@ -214,9 +241,11 @@ def _host_and_port(header: str) -> tuple[str, int]:
     """The name in a ``Host``, empty if there is none, and its port."""
     try:
         parts = urlsplit(f"//{header}")
-        return _plain(parts.hostname or ""), 80 if parts.port is None else parts.port
+        name = _plain(parts.hostname or "")
+        port = parts.port
     except ValueError:
-        return "", 80
+        return "", _HTTP_PORT
+    return name, _HTTP_PORT if port is None else port
 
 
 def _site(origin: str) -> str:

@@ -34,7 +34,7 @@ __all__ = ["FoxgloveServer", "FoxgloveView", "declare_channels", "stream_log"]
 _ENV = re.compile(r"/env_(\d+)/")
 _EVERY_STEP = 1e9
 """Sampling rate in Hz of simulated time; a live view is limited by the wall clock instead."""
-_NAP = 0.02
+_POLL_SECONDS = 0.02
 _log = logging.getLogger(__name__)
 
 
@@ -84,20 +84,25 @@ class FoxgloveView(StepObserver):
         self.server = FoxgloveServer(host, port, access)
         weakref.finalize(self, self.server.close)  # also when Python exits
         self._envs = view_envs
-        self._interval, self._realtime = 1.0 / fps, realtime
+        self._interval = 1.0 / fps
+        self._realtime = realtime
         self._step_dt = float(env.step_dt)
-        self._period_ns, self._start_ns = round(self._step_dt * 1e9), time.time_ns()
+        self._period_ns = round(self._step_dt * 1e9)
+        self._start_ns = time.time_ns()
         self._step = 0
-        self._shown = self._drawn = self._stepped = 0.0
+        # When a state and pictures were sent last, and a step ended; seconds, monotonic clock.
+        self._last_state = 0.0
+        self._last_pictures = 0.0
+        self._last_step = 0.0
         self._active = False
         self._views = Views(env, options, self.server, self._now)
         self._images: Images | None = None
         if images is not None:
-            wanted = self.server.is_wanted
-            self._images = Images(env, images, self.server, self._now, wanted)
+            self._images = Images(env, images, self.server, self._now, self.server.is_wanted)
             self._image_interval = max(self._interval, 1.0 / images.rate)
 
     def _now(self) -> int:
+        """Simulated time of the present step in ns, from when the view began."""
         return self._start_ns + self._step * self._period_ns
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
@@ -124,30 +129,33 @@ class FoxgloveView(StepObserver):
             return
         now = time.monotonic()
         newcomers = self.server.newcomers()
-        if newcomers:  # send their environments' scenes, which the server does not keep
-            found = (_ENV.match(topic) for topic in newcomers)
-            self._views.show({int(match[1]) for match in found if match} or self._envs)
-        if now - self._shown >= self._interval or newcomers:
-            self._shown = now
+        if newcomers:  # send their environments' scenes, which the server does not store
+            matches = [_ENV.match(topic) for topic in newcomers]
+            env_ids = {int(match[1]) for match in matches if match is not None}
+            self._views.show(env_ids or self._envs)
+        if now - self._last_state >= self._interval or newcomers:
+            self._last_state = now
             self._views.on_rows(self._step, env.sim.engine.rows)
             self._views.on_step(self._step, step)
         if self._images is not None:
             self._draw(self._images, env, now, newcomers)
         if self._realtime:
-            ahead = self._step_dt - (time.monotonic() - self._stepped)
-            time.sleep(max(0.0, ahead))
-            self._stepped = time.monotonic()
+            elapsed = time.monotonic() - self._last_step
+            time.sleep(max(0.0, self._step_dt - elapsed))
+            self._last_step = time.monotonic()
 
     def _draw(self, images: Images, env: ObservedEnv, now: float, newcomers: set[str]) -> None:
         """Send pictures if they are due, or have a new subscriber."""
-        new = any("/camera/" in topic for topic in newcomers)
-        if not new and now - self._drawn < self._image_interval:
+        has_newcomer = any("/camera/" in topic for topic in newcomers)
+        if not has_newcomer and now - self._last_pictures < self._image_interval:
             return
-        if new:
+        if has_newcomer:
             images.restart()  # a subscriber can decode only what begins with an IDR picture
         try:
             images.send(env.sim.engine.rows)
-            self._drawn = time.monotonic()  # after drawing: slow pictures leave time for steps
+            self._last_pictures = (
+                time.monotonic()
+            )  # after drawing: slow pictures leave time for steps
         except RenderError as error:
             self._images = None
             _log.warning("viewer: no pictures of cameras: %s", error)
@@ -198,7 +206,8 @@ def stream_log(
             for topic, time_ns, payload in reader.messages():
                 if not _is_viewed(topic):
                     continue
-                data, due = bytes(payload), time_ns / 1e9 / speed
+                data = bytes(payload)
+                due = time_ns / 1e9 / speed
                 while not stopped():
                     if not server.wanted:
                         offset = None
@@ -208,14 +217,14 @@ def stream_log(
                         reached = time.monotonic() - offset
                         if reached >= due:
                             break
-                    time.sleep(_NAP)
+                    time.sleep(_POLL_SECONDS)
                 if stopped():
                     return
-                for new in server.newcomers() & scenes.keys():
-                    shown_ns, scene = scenes[new]
-                    server.send(shown_ns, [(new, scene)])
+                for scene_topic in server.newcomers() & scenes.keys():
+                    scene_ns, scene = scenes[scene_topic]
+                    server.send(scene_ns, [(scene_topic, scene)])
                 if topic.endswith("/scene"):
-                    scenes[topic] = time_ns, data
+                    scenes[topic] = (time_ns, data)
                 server.send(time_ns, [(topic, data)])
         server.restart()
 

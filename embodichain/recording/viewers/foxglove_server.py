@@ -54,7 +54,7 @@ _PING_SECONDS = 60.0
 
 
 class _NoHandshakes(logging.Filter):
-    """Leaves out connections that are no WebSocket's, or go before they are one."""
+    """Leaves out connections that are not a WebSocket's, or close before they are one."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether a line is written."""
@@ -87,10 +87,10 @@ class _Client:
 
     Attributes:
         connection: Its connection.
-        outbox: What it is still to be sent.
+        outbox: Messages that are to be sent to it.
         waits: Set while `outbox` has something.
         subscriptions: Number of a subscription to its topic.
-        told: Numbers of the channels that it knows.
+        told: Numbers of the channels that were advertised to it.
     """
 
     connection: ServerConnection
@@ -105,7 +105,7 @@ class _Client:
         self.waits.set()
 
     def complain(self, text: str, level: int = _ERROR) -> None:
-        """Tell the person who looks what is wrong."""
+        """Show the viewer's user a mistake."""
         self.say("status", json.dumps({"op": "status", "level": level, "message": text}))
 
 
@@ -140,7 +140,8 @@ class FoxgloveServer:
         self.port = int(listening.getsockname()[1])
         self.address = f"ws://{reachable(host)}:{self.port}"
         self.url = f"{self.address}/{self._door.query}" if self._door.asks else self.address
-        self._loop, self._open = asyncio.new_event_loop(), True
+        self._loop = asyncio.new_event_loop()
+        self._open = True
         self._ended = asyncio.Event()
         serving = threading.Event()
         self._thread = threading.Thread(
@@ -167,8 +168,9 @@ class FoxgloveServer:
         if not self._new:
             return set()
         with self._lock:
-            found, self._new = self._new, set()
-        return found
+            new = self._new
+            self._new = set()
+        return new
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel; a second call does nothing.
@@ -301,13 +303,14 @@ class FoxgloveServer:
         try:
             if isinstance(message, bytes):
                 raise ValueError("this server takes no messages")
-            given = json.loads(message)
-            op = given["op"]
+            request = json.loads(message)
+            op = request["op"]
             if op == "subscribe":
-                for one in given["subscriptions"]:
-                    self._subscribe(client, int(one["id"]), int(one["channelId"]))
+                for subscription in request["subscriptions"]:
+                    number = int(subscription["id"])
+                    self._subscribe(client, number, int(subscription["channelId"]))
             elif op == "unsubscribe":
-                for number in given["subscriptionIds"]:
+                for number in request["subscriptionIds"]:
                     self._unsubscribe(client, int(number))
             else:
                 client.complain(f"this server is read-only, it does not do {str(op)[:100]!r}")
@@ -316,7 +319,7 @@ class FoxgloveServer:
 
     def _subscribe(self, client: _Client, number: int, channel: int) -> None:
         with self._lock:
-            topics = [one.topic for one in self._channels.values() if one.number == channel]
+            topics = [entry.topic for entry in self._channels.values() if entry.number == channel]
             if not topics or number in client.subscriptions or not 0 <= number < 1 << 32:
                 why = f"subscription {number} to channel {channel}"
                 client.complain(f"{why}: taken already, or no such channel", _WARNING)
@@ -333,9 +336,10 @@ class FoxgloveServer:
             return
         client.outbox.forget(number)
         with self._lock:
-            left = tuple(one for one in self._subscribers[topic] if one != (client, number))
-            if left:
-                self._subscribers[topic] = left
+            subscribers = self._subscribers[topic]
+            others = tuple(entry for entry in subscribers if entry != (client, number))
+            if others:
+                self._subscribers[topic] = others
             else:
                 del self._subscribers[topic]
 

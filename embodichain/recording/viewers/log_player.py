@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.sim.viewer import NativeViewer
 from embodichain.recording.read.api import Log
-from embodichain.recording.read.playback import Playback, Span, span_of
+from embodichain.recording.read.playback import Playback, Span, Stretch
 from embodichain.recording.viewers.page.web_page import Facts
 from embodichain.utils.errors import ConfigError
 
@@ -20,10 +20,13 @@ if TYPE_CHECKING:
 
 __all__ = ["NativeScreen", "Screen", "play_log"]
 
-_NAP, _TICK = 0.05, 0.02
+_POLL_SECONDS = 0.05
+_PACE_SECONDS = 0.02
+"""Longest wait in seconds before keys and the end of the run are looked at again."""
 _AT_THE_END = 1.0
 """Pause in seconds at the end, before playing starts again."""
 _SPACE = 32
+"""GLFW's code of the space bar."""
 
 
 class Screen(Protocol):
@@ -69,7 +72,7 @@ class NativeScreen:
         self._stopped = stopped
         self._window: NativeViewer | None = None
         self._paused = False
-        self._due = time.monotonic()
+        self._next_step = time.monotonic()
 
     @property
     def is_open(self) -> bool:
@@ -77,7 +80,11 @@ class NativeScreen:
         return self._window is None or self._window.is_running
 
     def begin(self, engine: Engine) -> None:
-        """Open the window; its model is not replaced later. RenderError without a display."""
+        """Open the window; its model is not replaced later.
+
+        Raises:
+            RenderError: If there is no display.
+        """
         if self._window is None:
             self._window = NativeViewer(engine, 0, self._on_key)
         self._window.follow(engine)
@@ -89,12 +96,15 @@ class NativeScreen:
 
     def pace(self, seconds: float) -> None:
         """Wait for the next step, and while paused."""
-        self._due = max(self._due + seconds, time.monotonic())
+        self._next_step = max(self._next_step + seconds, time.monotonic())
         while self.is_open and not self._stopped():
-            left = self._due - time.monotonic()
-            if left <= 0 and not self._paused:
+            if self._paused:
+                time.sleep(_PACE_SECONDS)
+                continue
+            remaining = self._next_step - time.monotonic()
+            if remaining <= 0:
                 return
-            time.sleep(_TICK if self._paused else min(left, _TICK))
+            time.sleep(min(remaining, _PACE_SECONDS))
 
     def close(self) -> None:
         """Close the window."""
@@ -134,64 +144,88 @@ def play_log(
         LogError: If the log has no states, or is damaged.
     """
     env = screen.env_id
-    span = span_of(log, env, episode, first, last)
-    at = span.first
+    span = Stretch(env=env, episode=episode, first=first, last=last).span_in(log)
+    start = span.first
     while screen.is_open and not stopped():
-        reached = _play(log, screen, Span(at, span.last), log.dt / speed, stopped)
-        if reached is None and at == span.first:
+        last_shown = _play(log, screen, Span(start, span.last), log.dt / speed, stopped)
+        if last_shown is None and start == span.first:
             raise ConfigError(f"{log.path} has no such steps: there is nothing to show")
         if screen.env_id != env:
-            env, at = screen.env_id, span.first if reached is None else reached
-            span = span_of(log, env, None, first, last)
+            env = screen.env_id
+            start = span.first if last_shown is None else last_shown
+            span = Stretch(env=env, first=first, last=last).span_in(log)
         else:
-            at = span.first
-            again = time.monotonic() + _AT_THE_END
-            _wait(partial(_is_past, again), screen, stopped)
+            start = span.first
+            restart = time.monotonic() + _AT_THE_END
+            _wait(partial(_is_past, restart), screen, stopped)
 
 
 def _play(
     log: Log, screen: Screen, span: Span, seconds: float, stopped: Callable[[], bool]
 ) -> int | None:
     """Play the screen's environment; return the last step shown, None if there was none."""
-    env, playback = screen.env_id, Playback(log, screen.env_id)
-    facts = _facts_of(log, env)
-    seen, reached = -1, None
+    env = screen.env_id
+    playback = Playback(log, env)
+    facts = _StepFacts(log, env)
+    changes = -1  # so that the first step shows the model
+    last_shown: int | None = None
     for step in playback.steps(span):
         _wait(lambda: screen.watched, screen, stopped)
         if stopped() or not screen.is_open or screen.env_id != env:
-            return reached if reached is not None else step
-        if playback.changes != seen:
-            seen = playback.changes
+            return step if last_shown is None else last_shown
+        if playback.changes != changes:
+            changes = playback.changes
             screen.begin(playback.engine)
-        screen.show(playback.engine.rows[0], facts(step))
+        screen.show(playback.engine.rows[0], facts.at(step))
         screen.pace(seconds)
-        reached = step
-    return reached
+        last_shown = step
+    return last_shown
 
 
-def _facts_of(log: Log, env: int) -> Callable[[int], Facts]:
-    """Return the facts of an environment by step; terms are known only if it was viewed."""
-    data = log.read(["rewards", "episodes"], env=env)
-    rows = {step: row for row, step in enumerate(data.steps.tolist())}
-    is_viewed = env in log.header.view_envs
-    steps, values = log.metrics(env) if is_viewed else (np.zeros(0, np.int64), {})
-    samples = {step: row for row, step in enumerate(steps.tolist())}
+class _StepFacts:
+    """The facts of one environment by step; terms are known only if it was viewed.
 
-    def terms(step: int, prefix: str) -> dict[str, float]:
-        row = samples.get(step)
+    Args:
+        log: The log.
+        env: The environment.
+    """
+
+    def __init__(self, log: Log, env: int) -> None:
+        self._dt = log.dt
+        self._data = log.read(["rewards", "episodes"], env=env)
+        self._rows = {step: row for row, step in enumerate(self._data.steps.tolist())}
+        self._metrics: Mapping[str, NDArray[Any]] = {}
+        self._metric_rows: dict[int, int] = {}
+        if env in log.header.view_envs:
+            steps, self._metrics = log.metrics(env)
+            self._metric_rows = {step: row for row, step in enumerate(steps.tolist())}
+
+    def at(self, step: int) -> Facts:
+        """The facts of a step."""
+        episode = 0
+        reward = 0.0
+        row = self._rows.get(step)
+        if row is not None:
+            episode = int(self._data["episodes"][row, 0])
+            reward = float(self._data["rewards"][row, 0])
+        return Facts(
+            step=step,
+            seconds=step * self._dt,
+            lines=(("episode", str(episode)), ("reward", f"{reward:+.4g}")),
+            rewards=self._terms(step, "reward_"),
+            sums=self._terms(step, "sum_"),
+        )
+
+    def _terms(self, step: int, prefix: str) -> dict[str, float]:
+        """Values of the metrics that begin with a prefix, without it."""
+        row = self._metric_rows.get(step)
         if row is None:
             return {}
-        named = {name: v for name, v in values.items() if name.startswith(prefix)}
-        return {name.removeprefix(prefix): float(v[row]) for name, v in named.items()}
-
-    def facts(step: int) -> Facts:
-        row = rows.get(step)
-        episode = 0 if row is None else int(data["episodes"][row, 0])
-        reward = 0.0 if row is None else float(data["rewards"][row, 0])
-        lines = ("episode", str(episode)), ("reward", f"{reward:+.4g}")
-        return Facts(step, step * log.dt, lines, terms(step, "reward_"), terms(step, "sum_"))
-
-    return facts
+        return {
+            name.removeprefix(prefix): float(values[row])
+            for name, values in self._metrics.items()
+            if name.startswith(prefix)
+        }
 
 
 def _is_past(moment: float) -> bool:
@@ -201,4 +235,4 @@ def _is_past(moment: float) -> bool:
 def _wait(condition: Callable[[], bool], screen: Screen, stopped: Callable[[], bool]) -> None:
     """Wait until a condition is true, or playing ends."""
     while not condition() and screen.is_open and not stopped():
-        time.sleep(_NAP)
+        time.sleep(_POLL_SECONDS)

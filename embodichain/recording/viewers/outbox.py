@@ -11,8 +11,8 @@ __all__ = ["Outbox"]
 class Outbox:
     """Messages for one viewer, in order; one thread puts them in, another takes them out.
 
-    A message has a key, such as its topic. Beyond the limits the oldest message is dropped of which
-    a later one with the same key waits: the newest of each key is always sent.
+    A message has a key, such as its topic. Beyond the limits, the oldest message is dropped that a
+    later one with the same key replaces: the newest of each key is always sent.
 
     Args:
         most: Number of messages that may wait.
@@ -23,7 +23,8 @@ class Outbox:
     """
 
     def __init__(self, most: int = 1024, most_bytes: int = 32 << 20) -> None:
-        self._most, self._most_bytes = most, most_bytes
+        self._most = most
+        self._most_bytes = most_bytes
         self._waiting: deque[tuple[object, str | bytes]] = deque()
         self._counts: Counter[object] = Counter()
         self._bytes = 0
@@ -34,7 +35,7 @@ class Outbox:
         """Add a message; drop older ones if there are too many.
 
         Args:
-            key: What it is a message of; None is never dropped.
+            key: Its subject, such as a topic; a message without one (None) is never dropped.
             message: Text or bytes.
         """
         with self._lock:
@@ -56,18 +57,17 @@ class Outbox:
             return message
 
     def forget(self, key: object) -> None:
-        """Drop all messages with a key, which nobody wants any more."""
+        """Drop all messages with a key, to which nothing is subscribed any more."""
         with self._lock:
-            kept = deque(pair for pair in self._waiting if pair[0] != key)
-            self._waiting = kept
+            self._waiting = deque(pair for pair in self._waiting if pair[0] != key)
             self._counts[key] = 0
-            self._bytes = sum(len(message) for _, message in kept)
+            self._bytes = sum(len(message) for _, message in self._waiting)
 
     def _drop(self) -> bool:
-        """Drop the oldest message that a later one replaces; whether there was one."""
-        for at, (key, message) in enumerate(self._waiting):
+        """Drop the oldest message that a later one replaces; return whether there was one."""
+        for index, (key, message) in enumerate(self._waiting):
             if key is not None and self._counts[key] > 1:
-                del self._waiting[at]
+                del self._waiting[index]
                 self._counts[key] -= 1
                 self._bytes -= len(message)
                 self.dropped += 1

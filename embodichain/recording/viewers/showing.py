@@ -63,7 +63,7 @@ class Shown:
     Attributes:
         url: Its address, with its token.
         address: The address without the token, for logs.
-        how: What to do with the address, if it is no page; one sentence without its full stop.
+        how: What to do with the address, if it is not a page; one sentence without its full stop.
         page: The `WebView`, if it is one: a command may wait until somebody opens it.
     """
 
@@ -77,7 +77,7 @@ class Show(Protocol):
     """Attaches a viewer to an environment; closing the environment closes it."""
 
     def __call__(self, viewing: Viewing) -> Shown | None:
-        """Attach it; return what it serves, or None if it is no server."""
+        """Attach it; return what it serves, or None if it is not a server."""
 
 
 @dataclass(frozen=True)

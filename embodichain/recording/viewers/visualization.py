@@ -74,9 +74,13 @@ class VisualizationCfg:
             return
         from embodichain.recording.viewers.web import PageOptions, WebView
 
-        server, env_id = self.viser_server, self.env_ids[0] if self.env_ids else 0
         options = PageOptions(
-            server.host, server.port, env_id, False, self.allow_commands, server.label
+            host=self.viser_server.host,
+            port=self.viser_server.port,
+            env_id=self.env_ids[0] if self.env_ids else 0,
+            realtime=False,
+            resets=self.allow_commands,
+            title=self.viser_server.label,
         )
         view = WebView(env, options)
         env.add_observer(view)
@@ -87,17 +91,19 @@ class VisualizationCfg:
 
 def add_viser_args_to_parser(parser: argparse.ArgumentParser) -> None:
     """Add ``--viser`` and its options to a parser; the help notes options without an effect."""
-    cfg, add = VisualizationCfg(), parser.add_argument
+    cfg = VisualizationCfg()
+    add = parser.add_argument
     add("--viser", action="store_true", help="show an environment in a browser")
     add("--viser-host", default=cfg.viser_server.host, help="the address to listen on")
     add("--viser-port", type=int, default=cfg.viser_server.port, help="the port")
     add("--viser-env-ids", nargs="+", default=cfg.env_ids, help="which is shown first, or 'all'")
-    for flag, value in (
-        ("--viser-fps", cfg.scene_fps),
-        ("--viser-image-fps", cfg.sensor_image_fps),
-        ("--viser-soft-body-fps", cfg.soft_body_fps),
-    ):
-        add(flag, type=float, default=value, help="accepted for compatibility: no effect")
+    without_effect = {
+        "--viser-fps": cfg.scene_fps,
+        "--viser-image-fps": cfg.sensor_image_fps,
+        "--viser-soft-body-fps": cfg.soft_body_fps,
+    }
+    for flag, default in without_effect.items():
+        add(flag, type=float, default=default, help="accepted for compatibility: no effect")
 
 
 def visualization_cfg_from_args(args: argparse.Namespace) -> VisualizationCfg:
@@ -107,12 +113,15 @@ def visualization_cfg_from_args(args: argparse.Namespace) -> VisualizationCfg:
         ValueError: If ``--viser-env-ids`` are not numbers.
     """
     cfg = VisualizationCfg()
-    shown = bool(getattr(args, "viser", False))
+    is_shown = bool(getattr(args, "viser", False))
     ids = getattr(args, "viser_env_ids", cfg.env_ids)
+    env_ids = None
+    if ids is not None and "all" not in ids:
+        env_ids = [int(i) for i in ids]
     return VisualizationCfg(
-        backend="viser" if shown else "none",
-        env_ids=None if ids is None or "all" in ids else [int(i) for i in ids],
-        allow_commands=shown,
+        backend="viser" if is_shown else "none",
+        env_ids=env_ids,
+        allow_commands=is_shown,
         viser_server=ViserServerCfg(
             host=getattr(args, "viser_host", cfg.viser_server.host),
             port=getattr(args, "viser_port", cfg.viser_server.port),

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 __all__ = ["PageOptions", "WebView"]
 
 _INTERVAL = 1.0 / 60.0
+"""Least seconds between two states, if steps run as fast as possible."""
 _FACTS_INTERVAL = 1.0 / 20.0
+"""Likewise, between two texts next to the picture."""
 
 
 class WebView(StepObserver):
@@ -63,10 +65,13 @@ class WebView(StepObserver):
         self._env_id = options.env_id
         model = env.sim.engine.model_of(self._env_id)
         self._page = WebPage(model, options, num_envs=env.num_envs, stopped=stopped)
-        self.url, self.url_once = self._page.url, self._page.url_once
+        self.url = self._page.url
+        self.url_once = self._page.url_once
         self.address = self._page.address
-        self._restyled = False
-        self._next = self._next_facts = 0.0
+        self._has_new_look = False
+        # When state and facts are due, in seconds of the monotonic clock.
+        self._next_state = 0.0
+        self._next_facts = 0.0
         self._step: StepRecord | None = None
         if teleop is not None:
             teleop.operator = PageOperator(self._page, lambda: self._show(env))
@@ -78,8 +83,10 @@ class WebView(StepObserver):
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Note if the appearance of the shown environment changes."""
-        if write.op == "model" and write.field in LOOKS:
-            self._restyled |= write.env_ids is None or self._env_id in host_ids(write.env_ids)
+        if write.op != "model" or write.field not in LOOKS:
+            return
+        if write.env_ids is None or self._env_id in host_ids(write.env_ids):
+            self._has_new_look = True
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIds) -> None:
         """Show the new episode's first state at once."""
@@ -95,47 +102,60 @@ class WebView(StepObserver):
             self._teleop.note(step)
         if not page.watched:
             return
-        if (ended := page.take_reset()) is not None:
-            env.truncate(np.array([ended]))
+        reset_env = page.take_reset()
+        if reset_env is not None:
+            env.truncate(np.array([reset_env]))
         self._step = step
         now = time.monotonic()
-        if not page.fast or now >= self._next:
-            self._next = now + _INTERVAL
-            told = now >= self._next_facts
-            if told:
+        if not page.fast or now >= self._next_state:
+            self._next_state = now + _INTERVAL
+            with_facts = now >= self._next_facts
+            if with_facts:
                 self._next_facts = now + _FACTS_INTERVAL
-            self._show(env, told)
+            self._show(env, with_facts)
         page.pace(env.step_dt, lambda: self._show(env))
 
     def on_close(self, env: ObservedEnv) -> None:
         """Close the page."""
         self._page.close()
 
-    def _show(self, env: ObservedEnv, told: bool = True) -> None:
+    def _show(self, env: ObservedEnv, with_facts: bool = True) -> None:
         """Send the current state of the chosen environment."""
-        chosen = self._page.env_id
-        if chosen != self._env_id or self._restyled:
-            self._env_id, self._restyled = chosen, False
-            self._page.show_model(env.sim.engine.model_of(chosen))
-        step = self._step if told else None
-        facts = None if step is None else _facts(env, step, chosen)
-        self._page.show(env.sim.engine.rows[chosen], facts)
+        env_id = self._page.env_id
+        if env_id != self._env_id or self._has_new_look:
+            self._env_id = env_id
+            self._has_new_look = False
+            self._page.show_model(env.sim.engine.model_of(env_id))
+        facts = None
+        if with_facts and self._step is not None:
+            facts = _facts(env, self._step, env_id)
+        self._page.show(env.sim.engine.rows[env_id], facts)
         if self._teleop is not None:
             self._page.tell(self._teleop.status())
 
 
 def _facts(env: ObservedEnv, step: StepRecord, i: int) -> Facts:
     """The text that the page shows next to the picture."""
-    info, weights = step.info, env.reward_manager.weights
-    rewards = {n: v * weights.get(n, 1.0) for n, v in _row(info["rewards"], i).items()}
+    info = step.info
+    weights = env.reward_manager.weights
+    rewards = {
+        name: value * weights.get(name, 1.0) for name, value in _row(info["rewards"], i).items()
+    }
     sums = _row(info["episode_sums"], i)
-    lines = (
+    episode_reward = sum(sums.values())
+    lines = [
         ("episode", str(int(step.episode_ids[i]))),
-        ("reward", f"{step.reward[i]:+.4g}, {sum(sums.values()):+.4g} in this episode"),
-        *((name, f"{value:.4g}") for name, value in _row(info["metrics"], i).items()),
+        ("reward", f"{step.reward[i]:+.4g}, {episode_reward:+.4g} in this episode"),
+    ]
+    for name, value in _row(info["metrics"], i).items():
+        lines.append((name, f"{value:.4g}"))
+    return Facts(
+        step=step.control_step - 1,
+        seconds=info["elapsed_steps"].numpy().item(i) * env.step_dt,
+        lines=tuple(lines),
+        rewards=rewards,
+        sums=sums,
     )
-    seconds = info["elapsed_steps"].numpy().item(i) * env.step_dt
-    return Facts(step.control_step - 1, seconds, lines, rewards, sums)
 
 
 def _row(values: Mapping[str, Any], i: int) -> dict[str, float]:

@@ -49,7 +49,7 @@ def test_decimation(write_task: WriteTask) -> None:
 def test_both_in_one_file(write_task: WriteTask) -> None:
     write_task("max_episode_steps: 50", "max_episode_steps: 50\nepisode_length_s: 1")
     assert [str(p) for p in validate(compose(["task=mine"]))] == [
-        "conf/task/mine.yaml:3: task.max_episode_steps: task.episode_length_s says it as well; "
+        "conf/task/mine.yaml:3: task.max_episode_steps: task.episode_length_s sets it too; "
         "set one of them"
     ]
 

@@ -182,7 +182,7 @@ def test_the_command_line(write_task: WriteTask) -> None:
     ]
     assert said("num_envs=on") == ["command line: num_envs: expected an integer, got 'on'"]
     assert said("+task.metrics={true: {func: distance}}")[0] == (
-        "command line: task.metrics.true: the key true is read as no text: write "
+        "command line: task.metrics.true: the key true is not read as text: write "
         "+task.metrics.true.KEY=VALUE"
     )
 
@@ -201,7 +201,7 @@ def test_a_name_in_a_defaults_list(write_task: WriteTask) -> None:
     write_task(name="10")
     write_task(text="defaults:\n  - 10\n  - /viewer: off\n  - _self_\n")
     assert said() == [
-        f"{FILE}:2: defaults: expected a name. 10 is no text in YAML: for the text write '10', "
+        f"{FILE}:2: defaults: expected a name. 10 is not text in YAML: for the text write '10', "
         "with the quotes.",
         f"{FILE}:3: defaults: expected a name. YAML 1.1 reads off as false: for the text write "
         "'off', with the quotes.",
@@ -224,7 +224,7 @@ def test_files_in_a_circle(write_task: WriteTask) -> None:
     write_task(text="defaults:\n  - second\n  - _self_\n")
     write_task(name="second", text="defaults: [/task@_here_: mine]\n")
     assert said() == [
-        "conf/task/second.yaml:1: defaults: a circle of files that take each other in: "
+        "conf/task/second.yaml:1: defaults: a circle of files that include each other: "
         "task/mine -> task/second -> task/mine"
     ]
 

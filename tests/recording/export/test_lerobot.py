@@ -20,7 +20,7 @@ from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
 from embodichain.lab.sim.drawing.states import DataState
 from embodichain.recording import McapRecorder
 from embodichain.recording.export import Part, export
-from embodichain.recording.export.lerobot_writer import levels_of, of_levels
+from embodichain.recording.export.lerobot_writer import count_levels, level_stats
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL, SmallEnv
 
@@ -230,7 +230,7 @@ def test_statistics_are_of_all_frames(log, tmp_path):
 def test_statistics_of_pictures_are_those_of_their_pixels():
     rng = np.random.default_rng(0)
     pictures = rng.integers(3, 240, (5, 20, 30, 3), np.uint8) // np.array([1, 2, 3], np.uint8)
-    stats, pixels = of_levels(levels_of(pictures), 5), pictures.reshape(-1, 3) / 255
+    stats, pixels = level_stats(count_levels(pictures), 5), pictures.reshape(-1, 3) / 255
     assert stats["count"] == [5]
     for name, expected in {
         **{name: getattr(pixels, name)(axis=0) for name in ("min", "max", "mean", "std")},

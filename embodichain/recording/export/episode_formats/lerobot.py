@@ -8,7 +8,7 @@ videos.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,12 @@ from embodichain.lab.gym.lerobot_env import image_key, lerobot_parts
 from embodichain.recording.demos.demonstrations import Episode
 from embodichain.recording.export.data_set import DataSet
 from embodichain.recording.export.format_register import episode_format
-from embodichain.recording.export.lerobot_writer import Feature, LeRobotWriter, whole_fps
+from embodichain.recording.export.lerobot_writer import (
+    Feature,
+    LeRobotWriter,
+    Source,
+    whole_fps,
+)
 from embodichain.recording.export.meaning import (
     action_names,
     describe_action,
@@ -45,57 +50,64 @@ def write_episodes(data: DataSet, path: Path) -> None:
         LogError: If a log is damaged.
     """
     with data.log() as log:
-        fps, robot = whole_fps(log.dt), robot_of(log)
+        fps = whole_fps(log.dt)
+        robot = robot_of(log)
         task: Any = log.config["task"]
-        names = action_names(log, data.first.actions.shape[1])
-        features = {"action": Feature("float32", names, describe_action(log))}
-    if not names:
+        names_of_actions = action_names(log, data.first.actions.shape[1])
+        action = Feature("float32", names_of_actions, describe_action(log))
+    if not names_of_actions:
         _log.warning("%s has no actions: the data set has no feature 'action'", data.first.task)
     parts = lerobot_parts(task, data.vectors)
-    features = {
-        key: Feature("float32", [column for name in names for column in data.columns(name)])
-        for key, names in parts.items()
-    } | features
+    features: dict[str, Feature] = {}
+    for key, names in parts.items():
+        columns = [column for name in names for column in data.columns(name)]
+        features[key] = Feature("float32", columns)
+    features["action"] = action
     features["next.reward"] = Feature("float32", ["reward"])
     features["next.done"] = Feature("bool", ["done"])
     features["next.success"] = Feature("bool", ["success"])
-    films = {name: key for name, key in _films(data)}
-    if not parts and not films:
+    videos = _video_keys(data)
+    if not parts and not videos:
         raise ConfigError(f"observation group {data.group!r} has nothing that LeRobot can read")
-    sizes = {key: _size(data.pictures(data.first, name)) for name, key in films.items()}
+    sizes = {key: _size(data.pictures(data.first, name)) for name, key in videos.items()}
     instructions: dict[Path, str] = {}
     with LeRobotWriter(path, features, sizes, fps, robot) as writer:
         for episode in data:
             if episode.path not in instructions:
                 with RecordedLog(episode.path) as log:
                     instructions[episode.path] = instruction_of(log)
-            values: dict[str, NDArray[np.generic]] = {
-                key: np.concatenate([data.vector(episode, n)[:-1] for n in names], axis=1)
-                for key, names in parts.items()
-            }
-            values["action"] = episode.actions
-            values["next.reward"] = episode.rewards[:, None]
-            values["next.done"] = episode.dones[:, None]
-            success = np.zeros((len(episode), 1), np.bool_)
-            success[-1] = bool(episode.success)
-            values["next.success"] = success
-            source: dict[str, int | str] = {"env": episode.env, "episode": episode.episode}
-            source |= {"first_step": episode.first_step, "log": episode.path.name}
-            pictures = _pictures(data, episode, list(films))
-            writer.add(values, source, instructions[episode.path], pictures)
+            source = Source(
+                env=episode.env,
+                episode=episode.episode,
+                first_step=episode.first_step,
+                log=episode.path.name,
+            )
+            writer.add(
+                _values(data, episode, parts),
+                source,
+                task=instructions[episode.path],
+                pictures=_pictures(data, episode, list(videos)),
+            )
         writer.finish()
 
 
-def _films(data: DataSet) -> Iterator[tuple[str, str]]:
-    """The images that can be videos, with the keys of these."""
+def _video_keys(data: DataSet) -> dict[str, str]:
+    """Keys of the videos by their images; warns of images that cannot be videos."""
     keys = require_unique(data.images, image_key, "lerobot")
+    videos = {}
     for name, key in keys.items():
-        values = data.pictures(data.first, name)
-        if values.dtype == np.uint8 and values.shape[-1] in (1, 3):
-            yield name, f"observation.images.{key}"
+        pictures = data.pictures(data.first, name)
+        channels = pictures.shape[-1]
+        if pictures.dtype == np.uint8 and channels in (1, 3):
+            videos[name] = f"observation.images.{key}"
         else:
-            what = f"{values.shape[-1]} channels of {values.dtype}"
-            _log.warning("%s is left out: a video has 1 or 3 channels of uint8, not %s", name, what)
+            _log.warning(
+                "%s is left out: a video has 1 or 3 channels of uint8, not %d channels of %s",
+                name,
+                channels,
+                pictures.dtype,
+            )
+    return videos
 
 
 def _size(pictures: NDArray[np.generic]) -> tuple[int, int]:
@@ -103,10 +115,29 @@ def _size(pictures: NDArray[np.generic]) -> tuple[int, int]:
     return pictures.shape[2], pictures.shape[1]
 
 
+def _values(
+    data: DataSet, episode: Episode, parts: Mapping[str, Sequence[str]]
+) -> dict[str, NDArray[np.generic]]:
+    """The (T, K) values of each feature of an episode; `parts` has the entries of observations."""
+    values: dict[str, NDArray[np.generic]] = {}
+    for key, names in parts.items():
+        # The last observation comes after the last action.
+        entries = [data.vector(episode, name)[:-1] for name in names]
+        values[key] = np.concatenate(entries, axis=1)
+    values["action"] = episode.actions
+    values["next.reward"] = episode.rewards[:, None]
+    values["next.done"] = episode.dones[:, None]
+    success = np.zeros((len(episode), 1), np.bool_)
+    success[-1] = bool(episode.success)
+    values["next.success"] = success
+    return values
+
+
 def _pictures(
     data: DataSet, episode: Episode, names: list[str]
 ) -> Iterator[list[NDArray[np.uint8]]]:
-    """Yield the (H, W, 3) pictures of each frame, by the names of the images."""
-    films = [data.pictures(episode, name) for name in names]
+    """Yield the (H, W, 3) pictures of each frame, in the order of the images' names."""
+    images = [data.pictures(episode, name) for name in names]
     for frame in range(len(episode)):
-        yield [np.broadcast_to(film[frame], (*film.shape[1:3], 3)) for film in films]
+        # An image of one channel becomes a grey video.
+        yield [np.broadcast_to(image[frame], (*image.shape[1:3], 3)) for image in images]

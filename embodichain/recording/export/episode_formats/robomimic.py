@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,8 @@ from embodichain.recording.export.hdf5_files import (
     ModelFiles,
     describe_root,
     new_hdf5,
-    say_action,
-    say_task,
+    write_action_attributes,
+    write_instruction,
 )
 from embodichain.recording.export.meaning import require_unique
 from embodichain.recording.format.messages.columns import state_columns
@@ -52,40 +52,43 @@ def write_episodes(data: DataSet, path: Path) -> None:
     """
     keys = _keys(data)
     with data.log() as log, new_hdf5(path, "robomimic") as (file, check):
-        names, columns = _state_names(log)
-        root, models = file.create_group("data"), ModelFiles(file)
+        state = _state_columns(log)
+        root = file.create_group("data")
+        models = ModelFiles(file)
         describe_root(root, log)
         total = 0
         demos: list[str] = []
         with ExitStack() as stack:
-            other = log
+            episode_log = log
             for number, episode in enumerate(data):
-                if episode.path != other.path:
-                    stack.close()
-                    other = stack.enter_context(RecordedLog(episode.path))
+                if episode.path != episode_log.path:
+                    stack.close()  # the log of the episodes before, except for the first log
+                    episode_log = stack.enter_context(RecordedLog(episode.path))
                 demo = root.create_group(f"demo_{number}")
                 demo.attrs["num_samples"] = len(episode)
-                models.add(demo, other)
-                say_task(demo, other)
+                models.add(demo, episode_log)
+                write_instruction(demo, episode_log)
                 demo.attrs["success"] = bool(episode.success)
                 demo.attrs["log"] = episode.path.name
-                demo.attrs["env"], demo.attrs["episode"] = episode.env, episode.episode
+                demo.attrs["env"] = episode.env
+                demo.attrs["episode"] = episode.episode
                 demo.attrs["first_step"] = episode.first_step
                 demo["actions"] = episode.actions
-                say_action(demo["actions"], other)
+                write_action_attributes(demo["actions"], episode_log)
                 demo["rewards"] = episode.rewards
                 demo["dones"] = episode.dones.astype(np.int64)
-                demo["states"] = episode.states[:, columns]
-                demo["states"].attrs["names"] = names
-                _observe(demo, data, episode, keys)
+                demo["states"] = episode.states[:, state.columns]
+                demo["states"].attrs["names"] = state.names
+                _write_observations(demo, data, episode, keys)
                 total += len(episode)
                 demos.append(f"demo_{number}")
                 check()
         root.attrs["total"] = total
+        # Of fewer than ten demonstrations, the last; never the only one.
         valid = demos[_VALID - 1 :: _VALID] or demos[1:][-1:]
         train = [name for name in demos if name not in valid]
-        for name, chosen in (("train", train), ("valid", valid)):
-            file[f"mask/{name}"] = np.array(chosen, "S")
+        file["mask/train"] = np.array(train, "S")
+        file["mask/valid"] = np.array(valid, "S")
 
 
 def _keys(data: DataSet) -> dict[str, str]:
@@ -96,31 +99,61 @@ def _keys(data: DataSet) -> dict[str, str]:
 
     def key(name: str) -> str:
         plain = name.replace("/", "_")
-        if name not in data.images:
-            return plain
-        return f"{plain}_image" if data.pictures(data.first, name).dtype == np.uint8 else plain
+        # Only uint8 is a picture for robomimic; a depth image is an array.
+        if name in data.images and data.pictures(data.first, name).dtype == np.uint8:
+            return f"{plain}_image"
+        return plain
 
-    flat = [] if data.images else [FLAT]
-    return require_unique([*data.vectors, *data.images, *flat], key, "robomimic")
+    names = [*data.vectors, *data.images]
+    if not data.images:
+        names.append(FLAT)
+    return require_unique(names, key, "robomimic")
 
 
-def _observe(demo: Any, data: DataSet, episode: Episode, keys: Mapping[str, str]) -> None:
+def _write_observations(
+    demo: Any, data: DataSet, episode: Episode, keys: Mapping[str, str]
+) -> None:
     """Write what was observed before and after each step."""
     vectors = {name: data.vector(episode, name) for name in data.vectors}
     if FLAT in keys:
         vectors[FLAT] = np.concatenate([*vectors.values()], axis=1, dtype=np.float32)
     for name, values in vectors.items():
-        demo[f"obs/{keys[name]}"], demo[f"next_obs/{keys[name]}"] = values[:-1], values[1:]
+        demo[f"obs/{keys[name]}"] = values[:-1]
+        demo[f"next_obs/{keys[name]}"] = values[1:]
     for name in data.images:
-        values = data.pictures(episode, name)
-        how = {"chunks": (1, *values.shape[1:]), "compression": "gzip", "compression_opts": 1}
-        for group, part in (("obs", values[:-1]), ("next_obs", values[1:])):
-            demo.create_dataset(f"{group}/{keys[name]}", data=part, **how)
+        pictures = data.pictures(episode, name)
+        _write_pictures(demo, f"obs/{keys[name]}", pictures[:-1])
+        _write_pictures(demo, f"next_obs/{keys[name]}", pictures[1:])
 
 
-def _state_names(log: RecordedLog) -> tuple[list[str], NDArray[np.int64]]:
-    """Names of the columns of ``states``, and where they are in a full row."""
-    layout, named = log.header.layout, state_columns(log.model, log.header.layout)
-    there = [name for name in _STATE if name in named]
-    names = [f"{name}/{column.name}" for name in there for column in named[name]]
-    return names, np.concatenate([np.arange(*layout[name]) for name in there])
+def _write_pictures(demo: Any, path: str, pictures: NDArray[Any]) -> None:
+    """Write (T, H, W, C) pictures, each of which is read without its neighbours."""
+    demo.create_dataset(
+        path,
+        data=pictures,
+        chunks=(1, *pictures.shape[1:]),
+        compression="gzip",
+        compression_opts=1,
+    )
+
+
+class _StateColumns(NamedTuple):
+    """The columns of ``states``.
+
+    Attributes:
+        names: Their names.
+        columns: Where they are in a full row.
+    """
+
+    names: list[str]
+    columns: NDArray[np.int64]
+
+
+def _state_columns(log: RecordedLog) -> _StateColumns:
+    """Return the columns of the components `_STATE` that the model has."""
+    layout = log.header.layout
+    columns = state_columns(log.model, layout)
+    components = [name for name in _STATE if name in columns]
+    names = [f"{name}/{column.name}" for name in components for column in columns[name]]
+    indices = [np.arange(*layout[name]) for name in components]
+    return _StateColumns(names, np.concatenate(indices))

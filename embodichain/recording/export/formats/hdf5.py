@@ -15,21 +15,23 @@ from embodichain.recording.export.hdf5_files import (
     ModelFiles,
     describe_root,
     new_hdf5,
-    say_action,
-    say_task,
+    write_action_attributes,
+    write_instruction,
 )
-from embodichain.recording.export.log_parts import Part, about, demonstrations
+from embodichain.recording.export.log_parts import Demonstration, Part, about, demonstrations
 from embodichain.recording.export.meaning import require_unique
 from embodichain.recording.film.frames import FilmCamera, cameras_of, frames
 from embodichain.recording.format.log_error import LogError
 from embodichain.recording.read.api import Log
 from embodichain.recording.read.arrays import LogArrays
-from embodichain.recording.read.playback import Playback, Span
+from embodichain.recording.read.playback import Playback
 
 __all__ = ["write_hdf5"]
 
 _OBS = ("qpos", "qvel", "mocap_pos", "mocap_quat")
+"""Fields that are observations."""
 _STATE = ("time", "qpos", "qvel", "act")
+"""Fields of ``states``, in order, as in robosuite."""
 
 
 @log_format("hdf5", suffix=".hdf5", requires="embodichain[hdf5]", pictures=True)
@@ -47,68 +49,97 @@ def write_hdf5(log: Log, part: Part, path: Path) -> None:
         RenderError: If there are cameras, and no OpenGL library works here.
     """
     required("h5py", "hdf5")
-    episodes = demonstrations(log, part)
+    demos = demonstrations(log, part)
     fields = {*_OBS, *_STATE, "actions", "rewards", "terminated", "truncated"}
     names = [name for name in log.columns if name in fields]
-    cameras = cameras_of(log, part.cameras, part.size)
-    keys = require_unique(cameras, lambda name: f"{name.replace('/', '_')}_image", "hdf5")
-    filmed = {keys[name]: camera for name, camera in cameras.items()}
+    cameras = _cameras(log, part)
     with ExitStack() as stack:
         file, check = stack.enter_context(new_hdf5(path, "hdf5"))
-        renderer = stack.enter_context(closing(OffscreenRenderer(log.model))) if cameras else None
-        root, models = file.create_group("data"), ModelFiles(file)
-        for number, (episode, steps) in enumerate(episodes):
-            data = log.read(names, episode.env, None, steps.start, steps.stop)
+        renderer = None
+        if cameras:
+            renderer = stack.enter_context(closing(OffscreenRenderer(log.model)))
+        root = file.create_group("data")
+        models = ModelFiles(file)
+        for number, demo in enumerate(demos):
+            episode = demo.episode
+            data = log.read(
+                names,
+                env=episode.env,
+                start=demo.steps.start,
+                stop=demo.steps.stop,
+            )
             if not len(data):
-                whose = f"episode {episode.episode} of environment {episode.env}"
-                raise LogError(f"{log.path} has no state of {whose}")
-            demo = root.create_group(f"demo_{number}")
-            demo.attrs.update(env=episode.env, episode=episode.episode)
-            models.add(demo, log)
-            say_task(demo, log)
-            _fill(demo, data)
-            say_action(demo["actions"], log)
+                raise LogError(
+                    f"{log.path} has no state of episode {episode.episode} of environment "
+                    f"{episode.env}"
+                )
+            group = root.create_group(f"demo_{number}")
+            group.attrs.update(env=episode.env, episode=episode.episode)
+            models.add(group, log)
+            write_instruction(group, log)
+            _write_arrays(group, data)
+            write_action_attributes(group["actions"], log)
             if renderer is not None:
-                _draw(demo, renderer, Playback(log, episode.env), filmed, steps)
+                _write_pictures(group, log, demo, renderer, cameras)
             check()
-        root.attrs["total"] = sum(int(demo.attrs["num_samples"]) for demo in root.values())
+        root.attrs["total"] = sum(int(group.attrs["num_samples"]) for group in root.values())
         root.attrs.update(about(log))
         describe_root(root, log)
 
 
-def _fill(demo: Any, data: LogArrays) -> None:
+def _cameras(log: Log, part: Part) -> dict[str, FilmCamera]:
+    """Cameras of a part by the names of their pictures in ``obs``."""
+
+    def key(name: str) -> str:
+        return f"{name.replace('/', '_')}_image"
+
+    cameras = cameras_of(log, part.cameras, part.size)
+    keys = require_unique(cameras, key, "hdf5")
+    return {keys[name]: camera for name, camera in cameras.items()}
+
+
+def _write_arrays(group: Any, data: LogArrays) -> None:
     """Write the arrays of one episode."""
-    demo.attrs["num_samples"], demo.attrs["first_step"] = len(data), int(data.steps[0])
-    demo.create_dataset("actions", data=data["actions"][:, 0])
-    demo.create_dataset("rewards", data=data["rewards"][:, 0])
+    group.attrs["num_samples"] = len(data)
+    group.attrs["first_step"] = int(data.steps[0])
+    group.create_dataset("actions", data=data["actions"][:, 0])
+    group.create_dataset("rewards", data=data["rewards"][:, 0])
     dones = data["terminated"][:, 0] | data["truncated"][:, 0]
-    demo.create_dataset("dones", data=dones.astype(np.int64))
-    state = [name for name in _STATE if name in data.values]
-    flat = np.concatenate([data[name][:, 0] for name in state], axis=1)
-    names = [f"{name}/{column}" for name in state for column in data.names(name)]
-    demo.create_dataset("states", data=flat).attrs["names"] = names
+    group.create_dataset("dones", data=dones.astype(np.int64))
+
+    components = [name for name in _STATE if name in data.values]
+    states = np.concatenate([data[name][:, 0] for name in components], axis=1)
+    names = [f"{name}/{column}" for name in components for column in data.names(name)]
+    group.create_dataset("states", data=states).attrs["names"] = names
+
     for name in _OBS:
         if name in data.values:
-            made = demo.create_dataset(f"obs/{name}", data=data[name][:, 0])
-            made.attrs["names"] = data.names(name)
-            made.attrs["units"] = [column.unit for column in data.columns[name]]
+            array = group.create_dataset(f"obs/{name}", data=data[name][:, 0])
+            array.attrs["names"] = data.names(name)
+            array.attrs["units"] = [column.unit for column in data.columns[name]]
 
 
-def _draw(
-    demo: Any,
+def _write_pictures(
+    group: Any,
+    log: Log,
+    demo: Demonstration,
     renderer: OffscreenRenderer,
-    playback: Playback,
     cameras: Mapping[str, FilmCamera],
-    steps: range,
 ) -> None:
     """Write the pictures of one episode; `cameras` are by their key in ``obs``."""
-    made = []
+    arrays = []
     for name, camera in cameras.items():
         width, height = camera.size
-        key, shape = f"obs/{name}", (len(steps), height, width, 3)
-        how = {"dtype": np.uint8, "chunks": (1, *shape[1:]), "compression": "gzip"}
-        made.append(demo.create_dataset(key, shape, **how))
-    drawn = frames(renderer, playback, list(cameras.values()), Span(steps.start, steps.stop - 1))
-    for frame in drawn:
-        for pictures, picture in zip(made, frame.pictures, strict=True):
-            pictures[frame.step - steps.start] = picture
+        array = group.create_dataset(
+            f"obs/{name}",
+            shape=(len(demo.steps), height, width, 3),
+            dtype=np.uint8,
+            chunks=(1, height, width, 3),  # a picture is read without its neighbours
+            compression="gzip",
+        )
+        arrays.append(array)
+    playback = Playback(log, demo.episode.env)
+    for frame in frames(renderer, playback, list(cameras.values()), demo.span):
+        row = frame.step - demo.steps.start
+        for array, picture in zip(arrays, frame.pictures, strict=True):
+            array[row] = picture

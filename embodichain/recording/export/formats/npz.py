@@ -19,7 +19,7 @@ __all__ = ["write_npz"]
 @log_format("npz", suffix=".npz")
 def write_npz(log: Log, part: Part, path: Path) -> None:
     """Write fields, their names and units, `steps`, `time`, `env_ids` and `about`."""
-    data = log.read(None, part.env, part.episode, part.start, part.stop)
+    data = log.read(env=part.env, episode=part.episode, start=part.start, stop=part.stop)
     arrays: dict[str, NDArray[Any]] = {
         "steps": data.steps,
         "time": data.time,
@@ -29,6 +29,7 @@ def write_npz(log: Log, part: Part, path: Path) -> None:
     for field in data:
         arrays[field] = data[field]
         arrays[f"{field}.names"] = np.array(data.names(field), np.str_)
-        arrays[f"{field}.units"] = np.array([c.unit for c in data.columns[field]], np.str_)
+        units = [column.unit for column in data.columns[field]]
+        arrays[f"{field}.units"] = np.array(units, np.str_)
     with path.open("xb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)

@@ -23,10 +23,10 @@ def write_parquet(log: Log, part: Part, path: Path) -> None:
     with ExitStack() as stack:
         for columns, values in tables(log, part):
             arrays = [pa.array(v) for v in values]
-            fields = [
-                pa.field(c.name, array.type, metadata={"unit": c.unit} if c.unit else None)
-                for c, array in zip(columns, arrays, strict=True)
-            ]
+            fields = []
+            for column, array in zip(columns, arrays, strict=True):
+                metadata = {"unit": column.unit} if column.unit else None
+                fields.append(pa.field(column.name, array.type, metadata=metadata))
             schema = pa.schema(fields, metadata=about(log))
             if writer is None:
                 writer = stack.enter_context(new_parquet(path, schema, "parquet"))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import mujoco
@@ -39,7 +39,8 @@ _LATCHED = """\
 """Quality of service of topics that late subscribers also receive (ROS 2: transient local)."""
 _ENDLESS = 1e9
 """Metres that a slide without a range may move: in a URDF each prismatic joint has a limit."""
-_ZERO, _UNIT = np.zeros(3), np.array([1.0, 0, 0, 0])
+_NO_TRANSLATION = np.zeros(3)
+_NO_ROTATION = np.array([1.0, 0, 0, 0])
 
 
 @log_format("ros2", suffix=".mcap", requires="embodichain[ros2]")
@@ -52,14 +53,20 @@ def write_ros2(log: Log, part: Part, path: Path) -> None:
     types: Any = required("rosbags.typesys", "ros2")
     with path.open("xb") as stream:
         bag = _Bag(McapWriter(stream, "zstd", "embodichain", profile="ros2"), types)
-        steps = (_write_env(bag, log, env, part) for env in part.envs_of(log))
-        for _ in zip(*steps, strict=True):
-            pass  # each iteration writes one control step of each environment
+        writers = [_write_env(bag, log, env, part) for env in part.envs_of(log)]
+        # Each iteration writes one control step of each environment, so that messages are in order.
+        for _ in zip(*writers, strict=True):
+            pass
         bag.writer.finish()
 
 
 class _Bag:
-    """Channels of a bag, declared at the first message."""
+    """Channels of a bag, declared at the first message.
+
+    Args:
+        writer: Writer of the file.
+        types: The module ``rosbags.typesys``.
+    """
 
     def __init__(self, writer: McapWriter, types: Any) -> None:
         self.writer = writer
@@ -98,31 +105,46 @@ class _Bag:
 
 def _write_env(bag: _Bag, log: Log, env_id: int, part: Part) -> Iterator[None]:
     """Write the messages of one environment, one control step at a time."""
-    root, *names = frame_names(log.model, env_id)
-    joints = scalar_joints(log.model)
-    ids = np.array(list(joints.values()), np.int64)
-    qpos, qvel = log.model.jnt_qposadr[ids], log.model.jnt_dofadr[ids]
-    none = np.zeros(0)
-    state = bag.make("sensor_msgs/JointState", bag.header(), list(joints), none, none, none)
+    model = log.model
+    root, *names = frame_names(model, env_id)
+    joints = scalar_joints(model)
+    joint_ids = np.array(list(joints.values()), np.int64)
+    qpos_ids = model.jnt_qposadr[joint_ids]
+    qvel_ids = model.jnt_dofadr[joint_ids]
+
+    # Two messages, whose times and numbers are replaced in each step.
+    empty = np.zeros(0)
+    state = bag.make("sensor_msgs/JointState", bag.header(), list(joints), empty, empty, empty)
     frames = [bag.frame(root, name) for name in names]
     tf = bag.make("tf2_msgs/TFMessage", frames)
     stamps = [state.header.stamp, *(frame.header.stamp for frame in frames)]
-    for index, (step, data, _) in enumerate(poses(log, env_id, part)):
+
+    is_first = True
+    for step, data, _ in poses(log, env_id, part):
         time_ns = log.header.start_ns + step * log.header.period_ns
-        if index == 0:
-            text = bag.make("std_msgs/String", urdf(log.model, env_id))
+        if is_first:
+            text = bag.make("std_msgs/String", urdf(model, env_id))
             bag.add(f"/{root}/robot_description", time_ns, text, _LATCHED)
+            is_first = False
         for stamp in stamps:
             stamp.sec, stamp.nanosec = divmod(time_ns, 1_000_000_000)
-        state.position, state.velocity = data.qpos[qpos], data.qvel[qvel]
+        state.position = data.qpos[qpos_ids]
+        state.velocity = data.qvel[qvel_ids]
         bag.add(f"/{root}/joint_states", time_ns, state)
-        positions, rotations = data.xpos[1:].tolist(), data.xquat[1:].tolist()
-        for frame, xyz, wxyz in zip(frames, positions, rotations, strict=True):
-            moved, turned = frame.transform.translation, frame.transform.rotation
-            moved.x, moved.y, moved.z = xyz
-            turned.w, turned.x, turned.y, turned.z = wxyz
+        positions = data.xpos[1:].tolist()
+        quats = data.xquat[1:].tolist()
+        for frame, position, quat in zip(frames, positions, quats, strict=True):
+            _set_transform(frame.transform, position, quat)
         bag.add("/tf", time_ns, tf)
         yield
+
+
+def _set_transform(transform: Any, position: list[float], quat: list[float]) -> None:
+    """Set a `geometry_msgs/Transform` to a position in metres and a quaternion wxyz."""
+    translation = transform.translation
+    translation.x, translation.y, translation.z = position
+    rotation = transform.rotation
+    rotation.w, rotation.x, rotation.y, rotation.z = quat
 
 
 # -- robot description -----------------------------------------------------------------------------
@@ -135,9 +157,10 @@ def urdf(model: mujoco.MjModel, env_id: int) -> str:
     has a limit of `_ENDLESS`. Primitives keep their shape; a mesh is replaced by its bounding
     box, because the description is a single string without files.
     """
-    names, by_body = frame_names(model, env_id), dict[int, list[Shape]]()
+    names = frame_names(model, env_id)
+    shapes_of: dict[int, list[Shape]] = {}
     for shape in shapes(model):
-        by_body.setdefault(shape.body, []).append(shape)
+        shapes_of.setdefault(shape.body, []).append(shape)
     robot = Element("robot", name=names[0])
     SubElement(robot, "link", name=names[0])
     for body in range(1, model.nbody):
@@ -148,85 +171,141 @@ def urdf(model: mujoco.MjModel, env_id: int) -> str:
             SubElement(inertial, "mass", value=_text(model.body_mass[body]))
             x, y, z = map(_text, model.body_inertia[body])
             SubElement(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy="0", ixz="0", iyz="0")
-        for shape in by_body.get(body, ()):
+        for shape in shapes_of.get(body, []):
             _add_visuals(link, model, shape)
         _add_joints(robot, model, body, names)
-    text: str = tostring(robot, encoding="unicode")
-    return text
+    return tostring(robot, encoding="unicode")
 
 
 def _add_joints(robot: Element, model: mujoco.MjModel, body: int, names: list[str]) -> None:
-    """Connect a body to its parent by a chain of its joints."""
+    """Connect a body to its parent by a chain of its joints.
+
+    Between two joints of a body there is a link without mass.
+    """
+    link = names[body]
     parent = names[int(model.body_parentid[body])]
-    pos, quat = model.body_pos[body].copy(), model.body_quat[body].copy()
-    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-    joints, scalar = range(first, first + count), scalar_joints(model)
-    if int(model.body_mocapid[body]) >= 0 or not set(joints) <= set(scalar.values()):
-        _join(robot, f"{names[body]}_floating", "floating", parent, names[body], pos, quat)
+    pos = model.body_pos[body].copy()
+    quat = model.body_quat[body].copy()
+    first = int(model.body_jntadr[body])
+    count = int(model.body_jntnum[body])
+    joints = range(first, first + count)
+    is_mocap = int(model.body_mocapid[body]) >= 0
+    if is_mocap or not set(joints) <= set(scalar_joints(model).values()):
+        _add_joint(
+            robot,
+            f"{link}_floating",
+            kind="floating",
+            parent=parent,
+            child=link,
+            pos=pos,
+            quat=quat,
+        )
         return
-    left = _ZERO  # translation from the current frame to the body's frame
+    to_body = _NO_TRANSLATION  # from the current frame to the body's frame
     for number, joint in enumerate(joints):
         anchor = model.jnt_pos[joint]
-        pos = pos + quat_rotate(quat, left + anchor)
-        left = -anchor
-        axis, zero = model.jnt_axis[joint], float(model.qpos0[model.jnt_qposadr[joint]])
+        pos = pos + quat_rotate(quat, to_body + anchor)
+        to_body = -anchor
+        axis = model.jnt_axis[joint]
+        is_limited = bool(model.jnt_limited[joint])
         # A URDF joint is zero at qpos 0, not at the model's reference pose.
+        reference = float(model.qpos0[model.jnt_qposadr[joint]])
         if int(model.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_HINGE:
-            kind = "revolute" if model.jnt_limited[joint] else "continuous"
-            turn = np.empty(4)
-            mujoco.mju_axisAngle2Quat(turn, axis, -zero)
-            quat = quat_multiply(quat, turn)
+            kind = "revolute" if is_limited else "continuous"
+            rotation = np.empty(4)
+            mujoco.mju_axisAngle2Quat(rotation, axis, -reference)
+            quat = quat_multiply(quat, rotation)
         else:
             kind = "prismatic"
-            pos = pos - quat_rotate(quat, zero * axis)
-        is_last = number == count - 1 and not left.any()
-        child = names[body] if is_last else f"{names[body]}_joint_{number}"
-        if not is_last:
+            pos = pos - quat_rotate(quat, reference * axis)
+        if number == count - 1 and not to_body.any():
+            child = link
+        else:
+            child = f"{link}_joint_{number}"
             SubElement(robot, "link", name=child)
         name = model.joint(joint).name or f"joint_{joint}"
-        made = _join(robot, name, kind, parent, child, pos, quat)
-        SubElement(made, "axis", xyz=_text(axis))
-        ends = model.jnt_range[joint] if model.jnt_limited[joint] else (-_ENDLESS, _ENDLESS)
+        element = _add_joint(robot, name, kind=kind, parent=parent, child=child, pos=pos, quat=quat)
+        SubElement(element, "axis", xyz=_text(axis))
         if kind != "continuous":
-            low, high = map(_text, ends)
-            SubElement(made, "limit", lower=low, upper=high, effort="0", velocity="0")
-        parent, pos, quat = child, _ZERO, _UNIT
-    if parent != names[body]:
-        _join(robot, f"{names[body]}_fixed", "fixed", parent, names[body], pos + left, quat)
+            low, high = model.jnt_range[joint] if is_limited else (-_ENDLESS, _ENDLESS)
+            SubElement(
+                element,
+                "limit",
+                lower=_text(low),
+                upper=_text(high),
+                effort="0",
+                velocity="0",
+            )
+        parent = child
+        pos = _NO_TRANSLATION
+        quat = _NO_ROTATION
+    if parent != link:
+        _add_joint(
+            robot,
+            f"{link}_fixed",
+            kind="fixed",
+            parent=parent,
+            child=link,
+            pos=pos + to_body,
+            quat=quat,
+        )
 
 
-def _join(
-    robot: Element, name: str, kind: str, parent: str, child: str, pos: F64, quat: F64
+def _add_joint(
+    robot: Element, name: str, *, kind: str, parent: str, child: str, pos: F64, quat: F64
 ) -> Element:
-    made = SubElement(robot, "joint", name=name, type=kind)
-    SubElement(made, "parent", link=parent)
-    SubElement(made, "child", link=child)
-    _add_origin(made, pos, quat)
-    return made
+    """Add a joint between two links; its origin is in the frame of the parent."""
+    joint = SubElement(robot, "joint", name=name, type=kind)
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
+    _add_origin(joint, pos, quat)
+    return joint
+
+
+class _Visual(NamedTuple):
+    """A geometry of a URDF.
+
+    Attributes:
+        tag: Name of its element.
+        attributes: Its sizes.
+        offset: (3,) its centre in the shape's frame, metres.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    offset: F64 = _NO_TRANSLATION
 
 
 def _add_visuals(link: Element, model: mujoco.MjModel, shape: Shape) -> None:
-    """Add a shape; a capsule is a cylinder with two spheres, a mesh its bounding box."""
-    radius, _, half = shape.half
-    kind = int(model.geom_type[shape.geom])
-    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        return
-    ball = "sphere", {"radius": _text(radius)}
-    if shape.kind in ("cylinder", "capsule"):
-        rod = "cylinder", {"radius": _text(radius), "length": _text(2 * half)}
-        ends = (-half, half) if shape.kind == "capsule" else ()
-        parts = [(_ZERO, rod), *((np.array([0, 0, end]), ball) for end in ends)]
-    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        parts = [(_ZERO, ball)]
-    else:
-        box = model.geom_aabb[shape.geom]
-        parts = [(box[:3], ("box", {"size": _text(2 * box[3:])}))]
-    for offset, (tag, attributes) in parts:
-        visual = SubElement(link, "visual")
-        _add_origin(visual, shape.pos + quat_rotate(shape.quat, offset), shape.quat)
-        SubElement(SubElement(visual, "geometry"), tag, attributes)
-        material = SubElement(visual, "material", name=f"geom_{shape.geom}")
+    """Add the geometries of a shape."""
+    for visual in _visuals(model, shape):
+        element = SubElement(link, "visual")
+        center = shape.pos + quat_rotate(shape.quat, visual.offset)
+        _add_origin(element, center, shape.quat)
+        geometry = SubElement(element, "geometry")
+        SubElement(geometry, visual.tag, visual.attributes)
+        material = SubElement(element, "material", name=f"geom_{shape.geom}")
         SubElement(material, "color", rgba=_text(shape.rgba))
+
+
+def _visuals(model: mujoco.MjModel, shape: Shape) -> list[_Visual]:
+    """Geometries of a shape: a capsule is a cylinder with two spheres, a mesh its bounding box."""
+    geom_type = int(model.geom_type[shape.geom])
+    if geom_type == mujoco.mjtGeom.mjGEOM_PLANE:
+        return []
+    radius, _, half_length = shape.half
+    if shape.kind in ("cylinder", "capsule"):
+        sizes = {"radius": _text(radius), "length": _text(2 * half_length)}
+        visuals = [_Visual("cylinder", sizes)]
+        if shape.kind == "capsule":
+            for end in (-half_length, half_length):
+                cap = _Visual("sphere", {"radius": _text(radius)}, np.array([0, 0, end]))
+                visuals.append(cap)
+        return visuals
+    if geom_type == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return [_Visual("sphere", {"radius": _text(radius)})]
+    box = model.geom_aabb[shape.geom]
+    return [_Visual("box", {"size": _text(2 * box[3:])}, box[:3])]
 
 
 def _add_origin(owner: Element, pos: F64, quat: F64) -> None:

@@ -23,9 +23,9 @@ def show_foxglove(viewing: Viewing) -> Shown:
         images = replace(images, envs=sorted({first, *images.envs}))
     view = FoxgloveView(
         viewing.env,
-        viewing.cfg.host,
-        viewing.cfg.port,
-        sorted({first, *viewing.view_envs}),
+        host=viewing.cfg.host,
+        port=viewing.cfg.port,
+        view_envs=sorted({first, *viewing.view_envs}),
         realtime=viewing.realtime,
         images=images,
         access=viewing.access,

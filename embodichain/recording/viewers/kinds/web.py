@@ -16,11 +16,11 @@ def show_page(viewing: Viewing) -> Shown:
         ConfigError: If the address cannot be listened on, or the access does not fit it.
     """
     options = PageOptions(
-        viewing.cfg.host,
-        viewing.cfg.port,
-        viewing.cfg.env,
-        viewing.realtime,
-        viewing.resets,
+        host=viewing.cfg.host,
+        port=viewing.cfg.port,
+        env_id=viewing.cfg.env,
+        realtime=viewing.realtime,
+        resets=viewing.resets,
         access=viewing.access,
     )
     view = WebView(viewing.env, options, stopped=viewing.stopped, teleop=viewing.teleop)

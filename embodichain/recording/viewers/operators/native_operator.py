@@ -24,16 +24,19 @@ if TYPE_CHECKING:
 
 __all__ = ["NativeOperator", "Pad", "Window", "read_gamepad"]
 
-_STEP, _TURN = 0.02, np.deg2rad(5.0)
-"""M and rad that a press of a key moves the tool."""
-_AHEAD = 3
-"""Presses that are remembered at most, so that the tool stops soon after the last one."""
-_NAP = 0.02
-_LATE = 0.1
+_STEP = 0.02
+"""Distance in metres that a press of a key moves the tool."""
+_TURN = np.deg2rad(5.0)
+"""Angle in radians that a press of a key turns the tool."""
+_MAX_PRESSES = 3
+"""Number of presses that are remembered, so that the tool stops soon after the last one."""
+_POLL_SECONDS = 0.02
+_MAX_DELAY = 0.1
+"""Seconds that steps may lag behind real time before the lag is given up."""
 Pad = Callable[[], tuple[list[float], list[int]] | None]
 """Returns the sticks' axes and the pressed buttons of a gamepad, as browsers number them."""
 _BUTTONS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 6: 8, 7: 9, 11: 12, 12: 15, 13: 13, 14: 14}
-"""Button of GLFW to the same of a browser's standard mapping."""
+"""Button of GLFW to the same button in a browser's standard mapping."""
 
 
 class Window(Protocol):
@@ -48,7 +51,7 @@ class Window(Protocol):
 
     @property
     def dragged(self) -> tuple[int, F64] | None:
-        """The body that is dragged with the mouse, and metres (3,) to where; or None."""
+        """The body that is dragged with the mouse, and how far, (3,) in metres; or None."""
         ...
 
 
@@ -59,7 +62,7 @@ def read_gamepad() -> tuple[list[float], list[int]] | None:
     state: Any = glfw.get_gamepad_state(glfw.JOYSTICK_1)
     if state is None:
         return None
-    buttons = [ours for theirs, ours in _BUTTONS.items() if state.buttons[theirs]]
+    buttons = [button for glfw_button, button in _BUTTONS.items() if state.buttons[glfw_button]]
     return list(state.axes[:4]), buttons
 
 
@@ -85,16 +88,20 @@ class NativeOperator:
         pad: Pad = read_gamepad,
         window: Window | None = None,
     ) -> None:
-        found = window or env.sim.window
-        if found is None:
+        window = window or env.sim.window
+        if window is None:
             message = "teleop needs a viewer; there is no display for viewer=native: use viewer=web"
             raise ConfigError([Problem("viewer", message)])
-        self._env, self._teleop, self._stopped, self._pad = env, teleop, stopped, pad
-        self._window, self._input = found, OperatorInput()
+        self._env = env
+        self._teleop = teleop
+        self._stopped = stopped
+        self._pad = pad
+        self._window = window
+        self._input = OperatorInput()
         self._keys: SimpleQueue[int] = SimpleQueue()  # filled on the window's thread
-        self._way = np.zeros(6)  # m and rad that pressed keys still ask for
-        self._due = 0.0
-        found.on_key = self._keys.put
+        self._remaining = np.zeros(6)  # m and rad that pressed keys still ask for
+        self._next_step = 0.0  # in seconds of the monotonic clock
+        window.on_key = self._keys.put
 
     def command(self, begins: bool) -> ToolCommand:
         """Return the present command; an episode begins with the first key.
@@ -104,54 +111,65 @@ class NativeOperator:
         """
         before = self._read()
         if begins:
-            self._way[:] = 0.0
-        while begins and not self._way.any() and self._read() == before and not self._stopped():
-            time.sleep(_NAP)
-        now = time.monotonic()
-        self._due = max(self._due + self._env.step_dt, now - _LATE)
-        time.sleep(max(0.0, self._due - now))
-        held = self._read()
-        share = self._walk(held.speed)
-        moved = np.array([*held.linear, *held.angular]) + share
-        x, y, z, rx, ry, rz = np.clip(moved, -1.0, 1.0).tolist()
-        return replace(held, linear=(x, y, z), angular=(rx, ry, rz))
+            self._remaining[:] = 0.0
+            self._wait_for_input(before)
+        self._wait_for_step()
+        devices = self._read()
+        velocity = np.array([*devices.linear, *devices.angular]) + self._take_step(devices.speed)
+        x, y, z, rx, ry, rz = np.clip(velocity, -1.0, 1.0).tolist()
+        return replace(devices, linear=(x, y, z), angular=(rx, ry, rz))
 
-    def _walk(self, speed: float) -> F64:
-        """(6,) shares of the largest velocities for the way of pressed keys; it gets shorter."""
+    def _wait_for_input(self, before: ToolCommand) -> None:
+        """Wait until a key is pressed, another device changes, or the run is stopped."""
+        while not self._remaining.any() and self._read() == before and not self._stopped():
+            time.sleep(_POLL_SECONDS)
+
+    def _wait_for_step(self) -> None:
+        """Wait for the next step in real time."""
+        now = time.monotonic()
+        self._next_step = max(self._next_step + self._env.step_dt, now - _MAX_DELAY)
+        time.sleep(max(0.0, self._next_step - now))
+
+    def _take_step(self, speed: float) -> F64:
+        """Return (6,) shares of the largest velocities for pressed keys; less of them remains."""
         largest = np.repeat([self._teleop.linear_speed, self._teleop.angular_speed], 3)
-        step = largest * (speed * self._env.step_dt)
-        share: F64 = np.clip(self._way / step, -1.0, 1.0)
-        self._way -= share * step
+        largest_step = largest * (speed * self._env.step_dt)
+        share: F64 = np.clip(self._remaining / largest_step, -1.0, 1.0)
+        self._remaining -= share * largest_step
         return share
 
     def _read(self) -> ToolCommand:
-        """Read all devices; returns the command of what is held, without pressed keys."""
+        """Read all devices; return the command without the motion that pressed keys ask for."""
         if not self._window.is_running:
             raise EmbodichainError("the window was closed, so the robot can no longer be operated")
         while True:
             try:
-                self._take(self._keys.get_nowait())
+                self._press(self._keys.get_nowait())
             except Empty:
                 break
         axes, buttons = self._pad() or ([], [])
-        self._input.hold((), axes, buttons)
+        self._input.hold(axes=axes, buttons=buttons)
         self._input.goal = None
-        dragged = self._window.dragged
-        if dragged is not None and dragged[0] in self._robot_bodies():
-            x, y, z = (self._teleop.tool_pose()[0] + dragged[1]).tolist()
-            self._input.goal = (x, y, z)
+        dragged = self._window.dragged  # once: the window's thread changes it
+        if dragged is not None:
+            body, way = dragged
+            if body in self._robot_bodies():
+                x, y, z = (self._teleop.tool_pose()[0] + way).tolist()
+                self._input.goal = (x, y, z)
         return self._input.command()
 
-    def _take(self, key: int) -> None:
+    def _press(self, key: int) -> None:
+        """Add the motion of a pressed key to what remains, or do its action."""
         move = self._input.press_native(key)
         if move is not None:
             size = _STEP if move.axis < 3 else _TURN
-            most = _AHEAD * size
-            way = self._way[move.axis] + move.sign * size
-            self._way[move.axis] = min(max(way, -most), most)
+            most = _MAX_PRESSES * size
+            remaining = self._remaining[move.axis] + move.sign * size
+            self._remaining[move.axis] = min(max(remaining, -most), most)
 
     def _robot_bodies(self) -> set[int]:
         """MuJoCo ids of the bodies of the robot that moves."""
         uid = self._teleop.robot_uid
-        robot = None if uid is None else self._env.sim.robots.get(uid)
-        return set() if robot is None else set(map(int, robot.entity.body_ids))
+        if uid is None or uid not in self._env.sim.robots:
+            return set()
+        return set(map(int, self._env.sim.robots[uid].entity.body_ids))

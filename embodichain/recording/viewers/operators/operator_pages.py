@@ -40,6 +40,9 @@ _LOST_SECONDS = 2.0
 """Time without a message after which the page no longer operates, and the run waits."""
 _SEND_SECONDS = 1.0 / 60.0
 _LARGEST_MESSAGE = 4096
+"""Characters of a message, at most."""
+_LEAST_DEPTH = 0.05
+"""Distance in metres from the camera to which a tool can be dragged."""
 
 
 class View(NamedTuple):
@@ -49,7 +52,9 @@ class View(NamedTuple):
 
     Attributes:
         eye: (3,) position, m.
-        forward, up, right: (3,) unit vectors.
+        forward: (3,) unit vector.
+        up: (3,) unit vector.
+        right: (3,) unit vector.
         slope: Half the picture's height over its distance.
     """
 
@@ -63,13 +68,13 @@ class View(NamedTuple):
         """(u, v) of a position, and its depth in m, negative behind the camera."""
         ray = position - self.eye
         depth = float(ray @ self.forward)
-        scale = self.slope * (depth if depth > 1e-6 else 1e-6)
+        scale = self.slope * max(depth, 1e-6)  # behind the camera there is no picture
         return float(ray @ self.right) / scale, float(ray @ self.up) / scale, depth
 
     def position(self, u: float, v: float, depth: float) -> F64:
         """The position of a point at a depth."""
-        side: F64 = u * self.right + v * self.up
-        return self.eye + depth * (self.forward + self.slope * side)
+        offset: F64 = u * self.right + v * self.up
+        return self.eye + depth * (self.forward + self.slope * offset)
 
 
 def view_of(
@@ -79,10 +84,16 @@ def view_of(
     mujoco.mjv_updateCamera(model, data, camera, scene)
     eyes = scene.camera  # two, for stereo; a picture is drawn from between them
     eye = 0.5 * (np.array(eyes[0].pos, np.float64) + np.array(eyes[1].pos, np.float64))
-    forward, up = np.array(eyes[0].forward, np.float64), np.array(eyes[0].up, np.float64)
-    height = 0.5 * (eyes[0].frustum_top - eyes[0].frustum_bottom)
-    slope = float(height / eyes[0].frustum_near)
-    return View(eye, forward, up, np.cross(forward, up), slope)
+    forward = np.array(eyes[0].forward, np.float64)
+    up = np.array(eyes[0].up, np.float64)
+    half_height = 0.5 * (eyes[0].frustum_top - eyes[0].frustum_bottom)
+    return View(
+        eye=eye,
+        forward=forward,
+        up=up,
+        right=np.cross(forward, up),
+        slope=float(half_height / eyes[0].frustum_near),
+    )
 
 
 def look_like(model: mujoco.MjModel, camera: mujoco.MjvCamera, name: str) -> None:
@@ -90,9 +101,10 @@ def look_like(model: mujoco.MjModel, camera: mujoco.MjvCamera, name: str) -> Non
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
     if index < 0 or model.cam_bodyid[index] != 0:
         return
-    eye, axes = model.cam_pos[index], quat_to_matrix(model.cam_quat[index])
-    forward = -axes[:, 2]
+    eye = model.cam_pos[index]
+    forward = -quat_to_matrix(model.cam_quat[index])[:, 2]
     distance = max(float((model.stat.center - eye) @ forward), 0.1)
+    # A free camera has the model's own lens: from another distance, the scene is as large.
     slopes = np.tan(np.deg2rad([model.cam_fovy[index], model.vis.global_.fovy]) / 2.0)
     camera.lookat[:] = eye + distance * forward
     camera.distance = distance * float(slopes[0] / slopes[1])
@@ -100,11 +112,32 @@ def look_like(model: mujoco.MjModel, camera: mujoco.MjvCamera, name: str) -> Non
     camera.elevation = float(np.rad2deg(np.arcsin(np.clip(forward[2], -1.0, 1.0))))
 
 
+class _Mouse(NamedTuple):
+    """The mouse while it drags the tool.
+
+    Attributes:
+        u: Its point, as of `View`.
+        v: Likewise.
+        further: Distance in metres to move the tool away from the camera.
+    """
+
+    u: float
+    v: float
+    further: float
+
+
 class _Grab(NamedTuple):
-    """A drag: depth of the tool when it began, and the tool's point relative to the mouse's."""
+    """The beginning of a drag.
+
+    Attributes:
+        depth: Depth of the tool in metres.
+        u: The tool's point relative to that of the mouse.
+        v: Likewise.
+    """
 
     depth: float
-    offset: tuple[float, float]
+    u: float
+    v: float
 
 
 class OperatorPages:
@@ -122,8 +155,8 @@ class OperatorPages:
     def __init__(self, changed: threading.Event) -> None:
         self._changed = changed
         self._pages: list[Any] = []  # WebSockets in the order of their arrival
-        self._away = False
-        self._heard = -math.inf
+        self._is_hidden = False
+        self._last_message = -math.inf  # in seconds of the monotonic clock
         self._input = OperatorInput()
         self._grab: _Grab | None = None
         self._status: dict[str, Any] = {}
@@ -132,14 +165,14 @@ class OperatorPages:
 
     @property
     def operated(self) -> bool:
-        """Whether a person is there."""
-        heard = time.monotonic() - self._heard < _LOST_SECONDS
-        return bool(self._pages) and heard and not self._away
+        """Whether a person has a page open and in view."""
+        is_lost = time.monotonic() - self._last_message >= _LOST_SECONDS
+        return bool(self._pages) and not is_lost and not self._is_hidden
 
     @property
     def command(self) -> ToolCommand:
         """The operator's command; nothing moves half a second after the page's last message."""
-        if time.monotonic() - self._heard > _STALE_SECONDS:
+        if time.monotonic() - self._last_message > _STALE_SECONDS:
             self._input.release()
         return self._input.command()
 
@@ -170,87 +203,112 @@ class OperatorPages:
         sender = asyncio.create_task(self._send(socket))
         try:
             async for message in socket:
-                if self._pages[0] is socket and not self._take(message):
+                if self._pages[0] is socket and not self._handle_message(message):
                     await socket.close(1008, "not a message of this page")
                     break
         finally:
             sender.cancel()
-            first = self._pages[0] is socket
+            has_operated = self._pages[0] is socket
             self._pages.remove(socket)
-            if first:
+            if has_operated:
                 self._begin()
 
     def _begin(self) -> None:
-        """Another page operates once it is heard, or none does: nothing is held."""
+        """Forget the page that operated; the next one operates from its first message on."""
         self._input.release()
-        self._grab, self._away, self._heard = None, False, -math.inf
+        self._grab = None
+        self._is_hidden = False
+        self._last_message = -math.inf
         self._changed.set()
 
     async def _send(self, socket: Any) -> None:
+        """Send a page the keys, then each status that differs from the last one."""
         hello = {"keys": key_help(), "pad": PAD_HELP, "codes": CODES}
         await socket.send(json.dumps({"hello": hello}))
         last: Any = None
         while True:
-            message = {**self._status, "operator": self._pages[0] is socket, "handle": self._handle}
+            message = {
+                **self._status,
+                "operator": self._pages[0] is socket,
+                "handle": self._tool_point,
+            }
             if message != last:
                 last = message
                 await socket.send(json.dumps(message))
             await asyncio.sleep(_SEND_SECONDS)
 
     @property
-    def _handle(self) -> tuple[float, float] | None:
+    def _tool_point(self) -> tuple[float, float] | None:
         """(u, v) of the tool in the picture."""
-        view, tool = self.view, self._tool
+        view = self.view
+        tool = self._tool
         if view is None or tool is None:
             return None
         u, v, depth = view.point(tool)
-        return (round(u, 4), round(v, 4)) if depth > 0 else None
+        if depth <= 0:
+            return None
+        return round(u, 4), round(v, 4)
 
     # -- messages ------------------------------------------------------------------------------
 
-    def _take(self, message: str | bytes) -> bool:
-        """Take a message of the operator's page; whether it is one."""
+    def _handle_message(self, message: str | bytes) -> bool:
+        """Apply a message of the operator's page; return whether it is one."""
+        if not isinstance(message, str) or len(message) > _LARGEST_MESSAGE:
+            return False
         try:
-            if not isinstance(message, str) or len(message) > _LARGEST_MESSAGE:
-                return False
-            given = json.loads(message)
-            if "press" in given:
-                self._input.press(str(given["press"]))
+            content = json.loads(message)
+            if "press" in content:
+                self._input.press(str(content["press"]))
             else:
-                axes = [float(value) for value in given["axes"]]
-                buttons = [int(value) for value in given["buttons"]]
-                speed = float(given["speed"])
-                drag = given["drag"]
-                dragged = None if drag is None else (*map(float, drag["at"]), float(drag["depth"]))
-                if not all(map(math.isfinite, (speed, *axes, *(dragged or ())))):
+                if not self._apply_state(content):
                     return False
-                self._input.hold(map(str, given["held"]), axes, buttons, speed)
-                self._drag(dragged)
-                self._away = bool(given["away"])
-                if self._away and len(self._pages) > 1:  # a hidden page keeps no place
+                if self._is_hidden and len(self._pages) > 1:  # the next page operates
                     self._pages.append(self._pages.pop(0))
                     self._begin()
                     return True
         except (KeyError, TypeError, ValueError, RecursionError):
             return False
-        self._heard = time.monotonic()
+        self._last_message = time.monotonic()
         self._changed.set()
         return True
 
-    def _drag(self, at: tuple[float, ...] | None) -> None:
-        """Move the goal to where the mouse is, in the plane of the view through the tool.
+    def _apply_state(self, content: Mapping[str, Any]) -> bool:
+        """Apply the state of a page's devices; return whether all numbers are finite.
 
-        Args:
-            at: (u, v) of the mouse and metres to move the tool away from the camera; or None.
+        Raises:
+            KeyError: If a key is missing.
+            TypeError: If a value has another type.
+            ValueError: If a number cannot be read.
         """
-        view, tool = self.view, self._tool
-        if at is None or view is None or tool is None:
-            self._grab = self._input.goal = None
+        axes = [float(value) for value in content["axes"]]
+        buttons = [int(value) for value in content["buttons"]]
+        speed = float(content["speed"])
+        numbers = [speed, *axes]
+        mouse: _Mouse | None = None
+        if content["drag"] is not None:
+            u, v = content["drag"]["at"]
+            mouse = _Mouse(float(u), float(v), further=float(content["drag"]["depth"]))
+            numbers += mouse
+        if not all(map(math.isfinite, numbers)):
+            return False
+        keys = [str(key) for key in content["held"]]
+        self._input.hold(keys, axes=axes, buttons=buttons, speed=speed)
+        self._drag(mouse)
+        self._is_hidden = bool(content["away"])
+        return True
+
+    def _drag(self, mouse: _Mouse | None) -> None:
+        """Move the goal to where the mouse is, in the plane of the view through the tool."""
+        view = self.view
+        tool = self._tool
+        if mouse is None or view is None or tool is None:
+            self._grab = None
+            self._input.goal = None
             return
-        u, v, further = at
         if self._grab is None:
             tool_u, tool_v, depth = view.point(tool)
-            self._grab = _Grab(depth, (tool_u - u, tool_v - v))
-        depth, (du, dv) = self._grab
-        x, y, z = view.position(u + du, v + dv, max(depth + further, 0.05)).tolist()
+            self._grab = _Grab(depth, tool_u - mouse.u, tool_v - mouse.v)
+        grab = self._grab
+        depth = max(grab.depth + mouse.further, _LEAST_DEPTH)
+        x, y, z = view.position(mouse.u + grab.u, mouse.v + grab.v, depth).tolist()
         self._input.goal = (x, y, z)

@@ -37,21 +37,21 @@ class OwnSocket(socket.socket):
             ConnectionAbortedError: It is another process's, and was closed. Servers go on to the
                 next one.
         """
-        taken, address = super().accept()
-        if not is_own(taken):
-            taken.close()
+        connection, address = super().accept()
+        if not is_own(connection):
+            connection.close()
             raise ConnectionAbortedError("another process connected")
-        return taken, address
+        return connection, address
 
 
-def is_own(taken: socket.socket) -> bool:
+def is_own(connection: socket.socket) -> bool:
     """Whether the other end of a TCP connection is a socket of this process.
 
     A pair of addresses belongs to one connection, so its other end is the socket that has them the
     other way round.
     """
     try:
-        ends = taken.getpeername(), taken.getsockname()
+        ends = (connection.getpeername(), connection.getsockname())
     except OSError:  # closed already
         return False
     for name in os.listdir(_DESCRIPTORS):

@@ -25,7 +25,8 @@ class PageOperator:
     """
 
     def __init__(self, page: WebPage, show: Callable[[], None]) -> None:
-        self._page, self._show = page, show
+        self._page = page
+        self._show = show
 
     def command(self, begins: bool) -> ToolCommand:
         """Return the present command; waits until a page operates, see `Operator`."""
@@ -45,25 +46,33 @@ class TeleopStatus:
     """
 
     def __init__(self, env: ObservedEnv, teleop: Teleop) -> None:
-        self._env, self._teleop = env, teleop
-        self._episode, self._last = -1, ""
-        self._step, self._success = 0, False
+        self._env = env
+        self._teleop = teleop
+        self._episode = -1
+        self._step = 0
+        self._success = False
+        self._last_ending = ""
 
     def begin(self) -> None:
-        """An episode begins."""
+        """Count an episode that begins."""
         self._episode += 1
-        self._step, self._success = 0, False
+        self._step = 0
+        self._success = False
 
     def note(self, step: StepRecord) -> None:
-        """A step was taken."""
-        succeeded = bool(step.info["success"].numpy(force=True)[0])
-        if step.terminated[0] or step.truncated[0]:
-            discarded = DISCARDED in self._teleop.failures
-            end = "discarded" if discarded else "success" if succeeded else "no success"
-            self._last = f"episode {int(step.episode_ids[0])}: {end}"
-        else:
+        """Note the result of a step."""
+        success = bool(step.info["success"].numpy(force=True)[0])
+        if not (step.terminated[0] or step.truncated[0]):
             self._step = int(step.info["elapsed_steps"].numpy(force=True)[0])
-            self._success = succeeded
+            self._success = success
+            return
+        if DISCARDED in self._teleop.failures:
+            ending = "discarded"
+        elif success:
+            ending = "success"
+        else:
+            ending = "no success"
+        self._last_ending = f"episode {int(step.episode_ids[0])}: {ending}"
 
     def status(self) -> dict[str, Any]:
         """The present status.
@@ -74,12 +83,17 @@ class TeleopStatus:
             gripper is set to open, or None; ``axes``; ``episode``, ``step``, ``max_steps``,
             ``seconds``, ``success`` of the present episode, ``last``: how the last one ended.
         """
-        teleop, env = self._teleop, self._env
-        moving = {u: o for u, o in env.sim.rigid_objects.items() if o.cfg.body_type != "static"}
-        bodies = {**moving, **env.sim.articulations}
+        teleop = self._teleop
+        sim = self._env.sim
+        poses = {}
+        for uid, body in sim.rigid_objects.items():
+            if body.cfg.body_type != "static":
+                poses[uid] = body.get_local_pose()[0].tolist()
+        for uid, articulation in sim.articulations.items():
+            poses[uid] = articulation.get_local_pose()[0].tolist()
         return {
             "tool": np.concatenate(teleop.tool_pose()).tolist(),
-            "objects": {uid: one.get_local_pose()[0].tolist() for uid, one in bodies.items()},
+            "objects": poses,
             "tools": teleop.tool_names,
             "active": teleop.active,
             "open": teleop.is_open,
@@ -87,7 +101,7 @@ class TeleopStatus:
             "episode": self._episode,
             "step": self._step,
             "max_steps": teleop.max_steps,
-            "seconds": self._step * env.step_dt,
+            "seconds": self._step * self._env.step_dt,
             "success": self._success,
-            "last": self._last,
+            "last": self._last_ending,
         }

@@ -23,16 +23,16 @@ _TELEOP = "/teleop"
 _SWITCHING = 101
 _HEAD_END = b"</head>"
 _TELEOP_TAG = f'<script src="{SCRIPT.name}"></script>'.encode()
-_FORGET = b"<script>history.replaceState(null, '', location.pathname)</script>"
-"""Takes the token out of the address, once the cookie is set: it is not for bookmarks."""
+_HIDE_TOKEN = b"<script>history.replaceState(null, '', location.pathname)</script>"
+"""Removes the token from the address, once the cookie is set: it is not for bookmarks."""
 
 
 class Guard:
-    """Checks the requests to one socket, and answers those for the operator's operators.
+    """Checks the requests to one socket, and answers those of the operator's pages.
 
     Args:
         door: Decides who may use the page.
-        operators: The operator's place; None serves Studio's page as it is.
+        operators: The operator's pages; None serves Studio's page as it is.
 
     Attributes:
         serving: Set once requests are checked.
@@ -49,11 +49,10 @@ class Guard:
         """Handle a connection; it is in `connections` while it is open."""
         path = websocket.request.path.partition("?")[0]
         self.connections.append(path)
-        operators = self._operators
+        if self._operators is not None and path == _TELEOP:
+            handler = self._operators.handle
         try:
-            await (operators.handle if operators is not None and path == _TELEOP else handler)(
-                websocket
-            )
+            await handler(websocket)
         finally:
             self.connections.remove(path)
 
@@ -65,6 +64,7 @@ class Guard:
         return response
 
     def _content(self, answer: Callable[[Any, Any], Any], connection: Any, request: Any) -> Any:
+        """The response of MuJoCo's server, with our scripts in its page; our script itself."""
         path, _, query = request.path.partition("?")
         if self._operators is not None:
             if path == _TELEOP:
@@ -74,7 +74,11 @@ class Guard:
         response = answer(connection, request)
         if path not in ("/", "/index.html"):
             return response
-        tags = (_FORGET if "token=" in query else b"") + (_TELEOP_TAG if self._operators else b"")
+        tags = b""
+        if "token=" in query:
+            tags += _HIDE_TOKEN
+        if self._operators is not None:
+            tags += _TELEOP_TAG
         page = response.body.replace(_HEAD_END, tags + _HEAD_END, 1)
         return _response(page, "text/html; charset=utf-8")
 
@@ -98,36 +102,41 @@ def guard_serving() -> None:
     that this function calls is replaced, in the one process where nobody else can use it: it is
     started for one page (`web_process.py`) and ends with it. No process of a user calls this.
     """
-    plain: Callable[..., Any] = web_server.serve
+    serve_unguarded: Callable[..., Any] = web_server.serve
 
     def serve(handler: Callable[[Any], Any], *args: Any, **kwargs: Any) -> Any:
         guard = GUARDS.get(kwargs.get("sock"))  # type: ignore[arg-type]
         if guard is None:
-            return plain(handler, *args, **kwargs)
+            return serve_unguarded(handler, *args, **kwargs)
         answer = kwargs["process_request"]
-
-        def checked(connection: Any, request: Any) -> Any:
-            refused = guard.refusal(request)
-            return guard.answer(answer, connection, request) if refused is None else refused
-
         finish = kwargs["process_response"]
 
-        def finished(connection: Any, request: Any, response: Any) -> Any:
-            """MuJoCo opens every response to other pages, for proxies; a WebSocket's stays so."""
-            made = finish(connection, request, response) or response
-            return made if made.status_code == _SWITCHING else harden(made)
+        def check_and_answer(connection: Any, request: Any) -> Any:
+            refusal = guard.refusal(request)
+            if refusal is not None:
+                return refusal
+            return guard.answer(answer, connection, request)
+
+        def finish_and_harden(connection: Any, request: Any, response: Any) -> Any:
+            response = finish(connection, request, response) or response
+            # MuJoCo lets pages of other sites read every response; a WebSocket's stays so.
+            if response.status_code == _SWITCHING:
+                return response
+            return harden(response)
 
         guard.serving.set()
-        kwargs["process_request"], kwargs["process_response"] = checked, finished
-        return plain(functools.partial(guard.count, handler), *args, **kwargs)
+        kwargs["process_request"] = check_and_answer
+        kwargs["process_response"] = finish_and_harden
+        return serve_unguarded(functools.partial(guard.count, handler), *args, **kwargs)
 
     web_server.serve = serve
 
 
-def _response(body: bytes, kind: str) -> Any:
+def _response(body: bytes, content_type: str) -> Any:
     """A response with the headers that the page's shared memory needs."""
     headers = web_server.Headers()
-    headers["Content-Type"], headers["Content-Length"] = kind, str(len(body))
+    headers["Content-Type"] = content_type
+    headers["Content-Length"] = str(len(body))
     headers["Cache-Control"] = "no-store"
     headers["Cross-Origin-Opener-Policy"] = "same-origin"
     headers["Cross-Origin-Embedder-Policy"] = "require-corp"

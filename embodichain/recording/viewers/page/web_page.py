@@ -251,8 +251,8 @@ class WebPage:
             facts: Text to show next to it; None keeps the previous one.
         """
         if self._writable.poll(0):  # plain values: pickling them is faster by a factor of 5
-            told = None if facts is None else tuple(facts)
-            self._send("state", (np.asarray(row, np.float64).tobytes(), told))
+            plain_facts = None if facts is None else tuple(facts)
+            self._send("state", (np.asarray(row, np.float64).tobytes(), plain_facts))
 
     def pace(self, seconds: float, changed: Callable[[], None] = lambda: None) -> None:
         """Wait for real time, and while paused, until the next step; return at once if no browser.

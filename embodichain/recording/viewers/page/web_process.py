@@ -50,10 +50,12 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _POLL_SECONDS = 1.0 / 60.0
 _START_SECONDS = 20.0
 _IDLE_SECONDS = 0.05
-_WIDTH, _HEIGHT, _MARGIN = 330.0, 640.0, 8.0
+_WIDTH = 330.0
+_HEIGHT = 640.0
+_MARGIN = 8.0
 _BUTTON = imgui.Vec2(70.0, 0.0)
 _THEIR_ADVICE = "Pass a different --port"
-"""Where MuJoCo's message goes on with an option of its own program."""
+"""Beginning of the part of MuJoCo's message about an option of its own program."""
 _HISTORY = 400
 """Number of steps with plotted rewards."""
 
@@ -94,7 +96,8 @@ def _serve(
     changed: threading.Event,
 ) -> str:
     """Forward messages until there are no more; return why it ended."""
-    sent, pauses = panel.controls, 0
+    sent = panel.controls
+    pauses = 0
     while True:
         # Poll instead of waiting on the socket, so that a step does not have to wake this process.
         changed.wait(_POLL_SECONDS)
@@ -124,7 +127,8 @@ def _serve(
             if operators.pauses != pauses:
                 pauses = operators.pauses
                 panel.pause()
-            command, operated = operators.command, operators.operated
+            command = operators.command
+            operated = operators.operated
             controls = dataclasses.replace(controls, command=command, operated=operated)
         if controls != sent:
             sent = controls
@@ -160,7 +164,7 @@ class Studio:
         operators: OperatorPages | None = None,
     ) -> None:
         door = Door(options.host, options.access)
-        made: list[_Viewer] = []
+        viewers: list[_Viewer] = []  # one, made in the server's thread
         ready = threading.Event()
 
         def run(endpoint: Any) -> None:
@@ -169,11 +173,15 @@ class Studio:
                     title=options.title, gfx="web", http_port=options.port or 0
                 )
                 viewer = _Viewer(
-                    *(options.host, door, operators, config, endpoint),
+                    options.host,
+                    door,
+                    operators,
+                    config,
+                    endpoint,
                     model=model,
                     plugins=[*plugins],
                 )
-                made.append(viewer)
+                viewers.append(viewer)
             finally:
                 ready.set()
             viewer_protocol.run_viewer_loop(viewer)
@@ -181,7 +189,7 @@ class Studio:
         guard_serving()
         self._handle = launch_thread.launch_thread(run)
         ready.wait(_START_SECONDS)
-        if not made:
+        if not viewers:
             try:
                 self._handle.close()  # raises the error of its thread
                 raise RuntimeError("MuJoCo's viewer does not start")
@@ -191,9 +199,10 @@ class Studio:
                 why = f"cannot listen on {options.host}{port}: {reason}"
                 hint = "viewer.port=N is another; without it a free one is taken"
                 raise ConfigError([Problem("viewer.port", why, hint)]) from error
-        self._guard = made[0].guard
-        self.url = f"{made[0].url}{door.query}"
-        self.url_once = f"{made[0].url}{door.query_once()}"
+        viewer = viewers[0]
+        self._guard = viewer.guard
+        self.url = f"{viewer.url}{door.query}"
+        self.url_once = f"{viewer.url}{door.query_once()}"
 
     @property
     def watched(self) -> bool:
@@ -223,8 +232,10 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     def __init__(
         self, host: str, door: Door, operators: OperatorPages | None, *args: Any, **kwargs: Any
     ) -> None:
-        self._address, self._door, self._operators = host, door, operators
-        self._scene: tuple[Any, mujoco.MjvScene] | None = None  # a model, and what was made for it
+        self._address = host
+        self._door = door
+        self._operators = operators
+        self._scene: tuple[Any, mujoco.MjvScene] | None = None  # a model, and a scene made for it
         super().__init__(*args, **kwargs)
 
     @property
@@ -243,7 +254,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     def _start_server(self) -> None:
         """Start serving, if the socket is the expected one and requests are checked."""
         bound = self._http_sock.getsockname()[0]
-        if bound not in {found[4][0] for found in socket.getaddrinfo(self._address, None)}:
+        if bound not in {info[4][0] for info in socket.getaddrinfo(self._address, None)}:
             raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
         self._http_sock.listen()  # fails here, not in the server's thread, if the port is in use
         self._tcp_sock = OwnSocket(self._tcp_sock)
@@ -269,7 +280,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     def _view(self) -> View:
         """The camera of the page, which the controlling browser moves."""
         if self._scene is None or self._scene[0] is not self.model:
-            self._scene = self.model, mujoco.MjvScene(self.model, 1)
+            self._scene = (self.model, mujoco.MjvScene(self.model, 1))
         return view_of(self.model, self.data, self.camera, self._scene[1])
 
     def get_drop_file(self) -> str:
@@ -301,7 +312,9 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         controls: Controls,
         operators: OperatorPages | None = None,
     ) -> None:
-        self._options, self._num_envs, self.controls = options, num_envs, controls
+        self._options = options
+        self._num_envs = num_envs
+        self.controls = controls
         self._operators = operators
         self._changing = threading.Lock()
         self._facts: Facts | None = None

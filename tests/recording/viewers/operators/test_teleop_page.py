@@ -306,7 +306,7 @@ def test_a_drag_moves_the_goal_in_the_plane_of_the_view():
     drag = {"held": [], "axes": [], "buttons": [], "speed": 1, "away": False}
 
     def take(drag_at):
-        assert operators._take(json.dumps({**drag, "drag": drag_at}))
+        assert operators._handle_message(json.dumps({**drag, "drag": drag_at}))
         return operators.command.goal
 
     assert take({"at": [0, 0], "depth": 0}) is None  # no view yet
