@@ -232,11 +232,10 @@ def save_buffer(path: Path, buffer: ReplayBuffer, env_steps: int) -> None:
     Raises:
         OSError: The file cannot be written (the disk is full); no partial file remains.
     """
-    if buffer.full:
-        rows = buffer.buffer_size
-    else:
+    rows = buffer.buffer_size
+    if not buffer.full:
         # One more row: with optimize_memory_usage it contains the last observation.
-        rows = min(buffer.pos + 1, buffer.buffer_size)
+        rows = min(buffer.pos + 1, rows)
     tree = {
         "env_steps": env_steps,
         "pos": buffer.pos,
