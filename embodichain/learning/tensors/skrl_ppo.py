@@ -237,7 +237,7 @@ class SkrlPpo:
 
 def _agent_cfg(cfg: SkrlPpoCfg, env: TensorEnv, steps: int) -> dict[str, Any]:
     """Return the settings of skrl's agent: those with its names, then those with rsl_rl's."""
-    agent_cfg = {
+    agent_cfg: dict[str, Any] = {
         **cfg.arguments(),
         "rollouts": steps,
         "experiment": {"write_interval": 0, "checkpoint_interval": 0},
