@@ -107,7 +107,7 @@ class ActionScale:
         Raises:
             ValueError: If the shape is wrong.
         """
-        scaled = np.array(actions, np.float32)
+        scaled: NDArray[Any] = np.array(actions, np.float32)
         if scaled.ndim != 2 or scaled.shape[1:] != self._low.shape:
             raise ValueError(f"actions {scaled.shape[1:]} instead of {self._low.shape}")
         if not self._identity:

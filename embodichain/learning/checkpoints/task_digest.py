@@ -299,7 +299,7 @@ def _compared_terms(
         earlier = terms_before.get(name)
         if not (isinstance(term, Mapping) and isinstance(earlier, Mapping)):
             continue
-        earlier_takes = earlier.get("takes")
+        earlier_takes: Any = earlier.get("takes")
         # A digest of an old version does not say which parameters a term had, only which were set.
         is_old = earlier_takes is None
         earlier_names = earlier.get("params", {}) if is_old else earlier_takes
