@@ -73,7 +73,7 @@ def test_digests_of_before_name_references_as_embodichain_does() -> None:
     words = {"of": "entity_cfg", "from": "source_entity_cfg", "to": "target_entity_cfg"}
     parts = json.loads(now.to_json())
     for section in ("actions", "events", "rewards", "terminations"):
-        for term in parts[section].values():
+        for term in parts.get(section, {}).values():
             for part in ("params", "takes") if isinstance(term, dict) else ():
                 term[part] = {words.get(k, k): v for k, v in term.get(part, {}).items()}
     assert "entity_cfg" in parts["actions"]["arm"]["params"]

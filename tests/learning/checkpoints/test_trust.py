@@ -109,7 +109,7 @@ def test_a_class_of_its_own_needs_trust_and_acts_with_it(tmp_path, caplog):
     own.load_state_dict(model.policy.state_dict())
     model.policy_class, model.policy = MyPolicy, own
     model.save(tmp_path / "mine.zip")
-    with pytest.raises(NeedsTrust, match=r"tests\.learning\.test_trust\.MyPolicy"):
+    with pytest.raises(NeedsTrust, match=r"tests\.learning\.checkpoints\.test_trust\.MyPolicy"):
         load_policy(tmp_path / "mine.zip")
     policy = load_policy(tmp_path / "mine.zip", env, trust=True)
     assert "trust=true" in caplog.text and "MyPolicy" in caplog.text

@@ -182,7 +182,7 @@ def test_what_a_pattern_finds_besides_is_left_out(make_run, tmp_path, capsys):
     assert main(["compare", str(training), str(tmp_path / "eval"), "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["groups"][0]["folders"] == [str(training)]
-    assert err == f"left out: {tmp_path / 'eval'} is no training\n"
+    assert err == f"left out: {tmp_path / 'eval'} is not a training\n"
 
 
 def test_the_folder_of_a_sweep_is_its_trainings(make_run, tmp_path, capsys):
@@ -204,7 +204,7 @@ def test_the_folder_of_a_sweep_is_its_trainings(make_run, tmp_path, capsys):
     assert main(["compare", *files, "--json"]) == 0
     out, err = capsys.readouterr()
     assert len(json.loads(out)["groups"][0]["seeds"]) == 12
-    assert err.count("left out: ") == 2 and "optimization_results.yaml is no training" in err
+    assert err.count("left out: ") == 2 and "optimization_results.yaml is not a training" in err
 
 
 @pytest.mark.parametrize(
